@@ -1,0 +1,94 @@
+"""Rotations and rigid transforms between the world (WCF), vehicle (VCF) and camera (CCF) frames.
+
+World: w1, w2 on the sea, w3 up, right-handed, metres. Vehicle: v1 forward, v2 to port, v3 up, origin at the
+centre of the bottom plane. Camera: c3 the viewing direction, c1 right, c2 down.
+
+All functions broadcast over leading axes, so that a run of time steps costs one call.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+BASE_R_WORLD: Array = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Camera base pose: c3 along w1, c1 = −w2, c2 = −w3 (Jessen & Mohr (2023), eq. 7.14)."""
+BASE_R_WORLD.setflags(write=False)
+
+
+def rotation(axis: int, angle_rad: ArrayLike) -> Array:
+    """Right-handed rotation matrix about a coordinate axis (Jessen & Mohr (2023), eq. 7.9, 7.11, 7.13).
+
+    Args:
+        axis: 0, 1 or 2.
+        angle_rad: Angles, shape (...).
+
+    Returns:
+        Matrices of shape (..., 3, 3).
+    """
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.zeros((*angle.shape, 3, 3))
+    matrix[..., axis, axis] = 1.0
+    matrix[..., i, i] = matrix[..., j, j] = np.cos(angle)
+    matrix[..., j, i] = np.sin(angle)
+    matrix[..., i, j] = -matrix[..., j, i]
+    return matrix
+
+
+def attitude(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
+    """Rotation in camera-base axes, Rz(roll) · Rx(pitch) · Ry(yaw) (Jessen & Mohr (2023), eq. 7.15, 7.25).
+
+    Passive: it maps coordinates before the rotation to coordinates in the rotated frame. Positive yaw turns
+    to port, positive pitch bow down, positive roll port side down.
+
+    Args:
+        roll_rad: About c3, shape (...).
+        pitch_rad: About c1, shape (...).
+        yaw_rad: About c2, shape (...).
+
+    Returns:
+        Matrices of shape (..., 3, 3).
+    """
+    return rotation(2, roll_rad) @ rotation(0, pitch_rad) @ rotation(1, yaw_rad)
+
+
+def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:  # noqa: N802
+    """Rotation from the frame that carries a camera (WCF ashore, VCF on board) to CCF (eq. 7.15).
+
+    Args:
+        roll_rad: Camera roll, shape (...).
+        pitch_rad: Camera pitch, shape (...).
+        yaw_rad: Camera yaw, shape (...).
+
+    Returns:
+        Matrices of shape (..., 3, 3).
+    """
+    return attitude(roll_rad, pitch_rad, yaw_rad) @ BASE_R_WORLD
+
+
+def world_R_vehicle(heading_rad: ArrayLike) -> Array:  # noqa: N802
+    """Rotation from the nominal vehicle frame to the world (Jessen & Mohr (2023), eq. 7.2).
+
+    Args:
+        heading_rad: Counter-clockwise from w1, shape (...).
+
+    Returns:
+        Matrices of shape (..., 3, 3).
+    """
+    return rotation(2, heading_rad)
+
+
+def heading_of(direction: ArrayLike) -> Array:
+    """Heading of direction vectors by atan2; the arccos of eq. 7.3 loses the sign.
+
+    Args:
+        direction: World vectors, shape (..., 2) or (..., 3).
+
+    Returns:
+        Angles in (−π, π], shape (...).
+    """
+    vector = np.asarray(direction, dtype=np.float64)
+    return np.arctan2(vector[..., 1], vector[..., 0])
