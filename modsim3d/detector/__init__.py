@@ -1,0 +1,1 @@
+"""The statistical detector: state, dropout and class, box error, false positives, confidence."""

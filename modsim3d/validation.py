@@ -1,0 +1,199 @@
+"""Reading YAML and JSON input strictly, and saying everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from modsim3d.errors import InputError
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+Probability = Annotated[float, Field(strict=True, ge=0, le=1)]
+Count = Annotated[int, Field(strict=True, ge=0)]
+
+
+class Strict(BaseModel):
+    """A section of an input file: unknown keys are errors, values cannot be changed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Yaml12Loader(yaml.SafeLoader):
+    """PyYAML with the numbers and booleans of YAML 1.2, and with repeated keys refused."""
+
+
+# PyYAML follows YAML 1.1: `1e-6` is a string, `no` is false, `1:30` is 90, and it makes dates of keys. Keep its other resolvers.
+_Yaml12Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":bool", ":int", ":float", ":timestamp"))]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Yaml12Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
+_Yaml12Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
+_Yaml12Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+    ),
+    list("-+.0123456789"),
+)
+
+
+def _construct_int(loader: _Yaml12Loader, node: yaml.ScalarNode) -> int:
+    return int(loader.construct_scalar(node), 10)  # YAML 1.1 reads 010 as eight
+
+
+def _construct_mapping(loader: _Yaml12Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen: set[Any] = set()
+    for key_node, _ in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, str | int | float | bool):
+            raise yaml.constructor.ConstructorError(
+                None, None, "a key must be plain text", key_node.start_mark
+            )
+        if key in seen:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key '{key}' appears twice", key_node.start_mark
+            )
+        seen.add(key)
+    loader.flatten_mapping(node)
+    return loader.construct_mapping(node, deep=True)
+
+
+_Yaml12Loader.add_constructor("tag:yaml.org,2002:int", _construct_int)
+_Yaml12Loader.add_constructor("tag:yaml.org,2002:map", _construct_mapping)
+
+
+def read_text(path: Path, what: str) -> str:
+    """The text of an input file.
+
+    Raises:
+        InputError: There is no such file, it is a folder, it cannot be read, or it is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        problem = "no such file"
+    except IsADirectoryError:
+        problem = "this is a folder, a file was expected"
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}"
+    except UnicodeDecodeError as error:
+        problem = f"is not UTF-8 text (byte {error.start})"
+    raise InputError(f"{what} {path}", [problem])
+
+
+def load_yaml(path: Path, what: str) -> Any:
+    """The content of a YAML file, with the numbers and booleans of YAML 1.2.
+
+    Raises:
+        InputError: The file cannot be read or is not valid YAML; the message names line and column.
+    """
+    text = read_text(path, what)
+    try:
+        return yaml.load(text, Loader=_Yaml12Loader)  # noqa: S506 (a SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise InputError(f"{what} {path}", [f"{where}{error.problem}"]) from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(f"{what} {path}", [str(error)]) from None
+
+
+def load_json(path: Path, what: str) -> Any:
+    """The content of a JSON file; repeated keys, which parsers drop silently, are refused.
+
+    Raises:
+        InputError: The file cannot be read or is not valid JSON; the message names line and column.
+    """
+    repeated: list[str] = []
+
+    def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        result = dict(pairs)
+        if len(result) < len(pairs):
+            keys = [key for key, _ in pairs]
+            repeated.extend(sorted({key for key in keys if keys.count(key) > 1}))
+        return result
+
+    text = read_text(path, what)
+    try:
+        content = json.loads(text, object_pairs_hook=mapping)
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise InputError(f"{what} {path}", [f"{where}: {error.msg}"]) from None
+    except RecursionError:
+        raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
+    if repeated:
+        raise InputError(f"{what} {path}", [f"key '{key}' appears twice" for key in repeated])
+    return content
+
+
+def join_path(*parts: object) -> str:
+    """A dotted path such as `cameras.C0.mount`; list places as `[2]`."""
+    path = ""
+    for part in parts:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
+    return path
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint that names what was probably meant, or all valid names if there are few."""
+    names = [str(candidate) for candidate in known]
+    close = difflib.get_close_matches(str(name), names, n=1)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys that the section at a location accepts, for the hint beside an unknown key."""
+    current: Any = model
+    for part in location:
+        fields = getattr(current, "model_fields", None)
+        if fields is None or part not in fields:
+            return []
+        annotation = fields[part].annotation
+        candidates = [annotation, *getattr(annotation, "__args__", ())]
+        models = [c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)]
+        if len(models) != 1:
+            return []
+        current = models[0]
+    return list(getattr(current, "model_fields", ()))
+
+
+def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
+    """One line for each problem that pydantic found: path, what is wrong, the value.
+
+    Args:
+        error: What the model's validation raised.
+        model: The model, for the names of its keys.
+        *prefix: Where the model stands in the file.
+
+    Returns:
+        Lines such as `cameras.C0.skew: Input should be a valid number (got 'x')`.
+    """
+    lines = []
+    for item in error.errors(include_url=False):
+        location = item["loc"]
+        path = join_path(*prefix, *location)
+        if item["type"] == "extra_forbidden":
+            hint = nearest(str(location[-1]), _keys_at(model, location[:-1]))
+            lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
+        elif item["type"] == "missing":
+            lines.append(f"{path}: missing")
+        else:
+            message = item["msg"].removeprefix("Value error, ")
+            value = repr(item["input"])
+            told = item["type"] in ("value_error", "assertion_error")
+            lines.append(f"{path}: {message}" + ("" if told else f" (got {value[:80]})"))
+    return lines
