@@ -1,1 +1,15 @@
-"""."""
+"""Where vessels are: a pose source gives, for a run of steps, which vessels are there, where, and their headings."""
+
+from modsim3d.poses.base import Poses, PoseSource, generated_timestamps
+from modsim3d.poses.circular import CircularMotion, circular_motion
+from modsim3d.poses.replay import RecordedPoses, load_poses
+
+__all__ = [
+    "CircularMotion",
+    "PoseSource",
+    "Poses",
+    "RecordedPoses",
+    "circular_motion",
+    "generated_timestamps",
+    "load_poses",
+]

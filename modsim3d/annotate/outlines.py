@@ -1,0 +1,200 @@
+"""Vessels in front of a camera: their solids in camera coordinates, projected, clipped, boxed.
+
+This is corner projection: exact for convex solids, and it needs no renderer. Both the analytic and the rendered
+source start from it; only the rendered one then asks the pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from modsim3d.camera import CameraPoses, Intrinsics, clip_triangles, guard_planes, near_plane
+from modsim3d.frames import Array, world_R_vehicle
+from modsim3d.vessels import Solid, Vessel, shoebox
+
+GUARD_PX = 2048.0
+"""Triangles that reach further beyond the image are cut there, in double precision, before they are drawn."""
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """n vessels whose silhouettes overlap the image, in order of frame and vessel.
+
+    Attributes:
+        frame: Index into the run of frames, shape (n,).
+        vessel: Index into the scene's vessels, shape (n,).
+        vertices_camera: Of the solid, in CCF, shape (n, K, 3).
+        vertices_px: Projected; NaN nearer than the near plane, shape (n, K, 2).
+        boxes_px: Tight box of the silhouette, cut at the image edge, shape (n, 4).
+        areas_px: Area of the silhouette in the image, shape (n,).
+        in_frame_fraction: Area in the image over whole area; NaN where the near plane cuts, shape (n,).
+        depth_m: Mean c3 of the corner points, shape (n,).
+        crosses_near: Whether the near plane cuts the solid, shape (n,).
+        solid: The faces that the vertices span.
+    """
+
+    frame: Indices
+    vessel: Indices
+    vertices_camera: Array
+    vertices_px: Array
+    boxes_px: Array
+    areas_px: Array
+    in_frame_fraction: Array
+    depth_m: Array
+    crosses_near: NDArray[np.bool_]
+    solid: Solid
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.frame)
+
+
+def corners_world(vessels: Sequence[Vessel], positions_m: Array, headings_rad: Array, solid: Solid) -> Array:
+    """Vertices of the vessels' solids in the world (Jessen & Mohr (2023), eq. 7.1).
+
+    Args:
+        vessels: V of them.
+        positions_m: Shape (S, V, 3).
+        headings_rad: Shape (S, V).
+        solid: In units of length, beam and air draft.
+
+    Returns:
+        Shape (S, V, K, 3).
+    """
+    extents = np.array([vessel.extents_m for vessel in vessels])
+    body = solid.vertices * extents[:, None, :]
+    turned = body @ np.swapaxes(world_R_vehicle(headings_rad), -1, -2)
+    return turned + positions_m[:, :, None, :]
+
+
+def outline(
+    intrinsics: Intrinsics,
+    camera_poses: CameraPoses,
+    vessels: Sequence[Vessel],
+    present: NDArray[np.bool_],
+    positions_m: Array,
+    headings_rad: Array,
+) -> Outlines:
+    """Project all vessels at S steps and keep those whose silhouette overlaps the image.
+
+    Args:
+        intrinsics: Of the camera.
+        camera_poses: S poses.
+        vessels: V of them.
+        present: Which are to be looked at, shape (S, V).
+        positions_m: Shape (S, V, 3).
+        headings_rad: Shape (S, V).
+    """
+    solid = shoebox()
+    camera = camera_poses.to_camera(corners_world(vessels, positions_m, headings_rad, solid))
+    in_front = camera[..., 2] >= intrinsics.near_clip_m
+    frame, vessel = np.nonzero(present & in_front.any(axis=-1))
+    vertices, behind = camera[frame, vessel], ~in_front[frame, vessel]
+    crosses = behind.any(axis=-1)
+    pixels = intrinsics.project(vertices)
+    boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
+    touching = (boxes[:, :2] < intrinsics.image_size_px).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1) | crosses
+    size = np.array(intrinsics.image_size_px, dtype=np.float64)
+    areas = _projected_areas(pixels, solid)
+    fractions = np.where(crosses, np.nan, 1.0)
+    whole = (boxes[:, :2] >= 0).all(axis=1) & (boxes[:, 2:] <= size).all(axis=1) & ~crosses
+    cut = np.flatnonzero(touching & ~whole)
+    if len(cut):
+        silhouettes = silhouette_polygons(intrinsics, vertices[cut], pixels[cut], crosses[cut], solid)
+        inside = shapely.intersection(silhouettes, shapely.box(0, 0, *size))
+        areas[cut] = shapely.area(inside)
+        boxes[cut] = shapely.bounds(inside)
+        fractions[cut] = np.where(crosses[cut], np.nan, areas[cut] / shapely.area(silhouettes))
+    rows = np.flatnonzero(touching & (areas > 0))
+    return Outlines(
+        frame=frame[rows],
+        vessel=vessel[rows],
+        vertices_camera=vertices[rows],
+        vertices_px=pixels[rows],
+        boxes_px=boxes[rows],
+        areas_px=areas[rows],
+        in_frame_fraction=np.minimum(fractions[rows], 1.0),
+        depth_m=vertices[rows, :, 2].mean(axis=-1),
+        crosses_near=crosses[rows],
+        solid=solid,
+    )
+
+
+def _least(pixels: Array) -> Array:
+    """Least column and row of each vertex set; of those in front where the near plane cuts, shape (n, 2)."""
+    return np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
+
+
+def _projected_areas(pixels: Array, solid: Solid) -> Array:
+    """Area of each silhouette: every ray that meets a convex solid meets two of its faces, shape (n,)."""
+    a, b, c = np.moveaxis(pixels[:, solid.faces], 2, 0)
+    doubled = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
+    return np.abs(doubled).sum(axis=-1) / 4
+
+
+def silhouette_polygons(
+    intrinsics: Intrinsics, vertices: Array, pixels: Array, crosses: NDArray[np.bool_], solid: Solid
+) -> NDArray[np.object_]:
+    """Whole silhouettes of convex solids as polygons, beyond the image too, cut at the near plane.
+
+    Args:
+        intrinsics: Of the camera.
+        vertices: In CCF, shape (n, K, 3).
+        pixels: The same projected, shape (n, K, 2).
+        crosses: Whether the near plane cuts each, shape (n,).
+        solid: Its faces.
+
+    Returns:
+        Polygons, shape (n,).
+    """
+    polygons = np.empty(len(pixels), dtype=object)
+    polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
+    for row in np.flatnonzero(crosses):
+        clipped = clip_triangles(vertices[row][solid.faces], near_plane(intrinsics))
+        # A corner put on the plane by the cut may come out a rounding error before it.
+        clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
+        polygons[row] = shapely.convex_hull(shapely.multipoints(intrinsics.project(clipped.reshape(-1, 3))))
+    return polygons
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """What is drawn for the rows of `Outlines`: T triangles, ordered by row.
+
+    Attributes:
+        row: Shape (T,).
+        corners_px: Shape (T, 3, 2).
+        inverse_depth: near / c3 in (0, 1], shape (T, 3).
+    """
+
+    row: Indices
+    corners_px: Array
+    inverse_depth: Array
+
+
+def triangles_of(outlines: Outlines, intrinsics: Intrinsics) -> Triangles:
+    """The triangles of all rows in pixels, clipped at the near plane and well outside the image."""
+    width, height = intrinsics.image_size_px
+    camera = outlines.vertices_camera[:, outlines.solid.faces]
+    low, high = np.array([-GUARD_PX, -GUARD_PX]), np.array([width + GUARD_PX, height + GUARD_PX])
+    inside = ((outlines.vertices_px >= low) & (outlines.vertices_px <= high)).all(axis=(1, 2))  # NaN is not
+    faces = len(outlines.solid.faces)
+    rows = [np.repeat(np.flatnonzero(inside), faces)]
+    parts = [camera[inside].reshape(-1, 3, 3)]
+    planes = np.concatenate([near_plane(intrinsics), guard_planes(intrinsics, GUARD_PX)])
+    for row in np.flatnonzero(~inside):
+        clipped = clip_triangles(camera[row], planes)
+        clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
+        rows.append(np.full(len(clipped), row))
+        parts.append(clipped)
+    row, corners = np.concatenate(rows), np.concatenate(parts)
+    order = np.argsort(row, kind="stable")
+    corners = corners[order]
+    return Triangles(row[order], intrinsics.project(corners), intrinsics.near_clip_m / corners[..., 2])

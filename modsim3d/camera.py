@@ -1,0 +1,248 @@
+"""A pinhole camera: intrinsics with skew and non-square pixels, pose, projection, near plane, horizon.
+
+Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left
+pixel, so the image is [0, width] × [0, height].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modsim3d.frames import Array, camera_R_parent, world_R_vehicle
+
+DEFAULT_NEAR_CLIP_M = 0.1
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What maps camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
+
+    Attributes:
+        focal_px: f1 = f / Δp1 and f2 = f / Δp2.
+        principal_point_px: (a1, a2).
+        image_size_px: Width and height.
+        skew: s, in pixels.
+        near_clip_m: Nothing nearer than this along c3 is drawn or projected.
+    """
+
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    image_size_px: tuple[int, int]
+    skew: float = 0.0
+    near_clip_m: float = DEFAULT_NEAR_CLIP_M
+
+    @classmethod
+    def from_lens(
+        cls,
+        focal_length_m: float,
+        pixel_size_m: tuple[float, float],
+        principal_point_px: tuple[float, float],
+        image_size_px: tuple[int, int],
+        skew: float = 0.0,
+        near_clip_m: float = DEFAULT_NEAR_CLIP_M,
+    ) -> Intrinsics:
+        """Intrinsics from a lens and a sensor, as a data sheet gives them (eq. 4.8, 4.9)."""
+        focal_px = (focal_length_m / pixel_size_m[0], focal_length_m / pixel_size_m[1])
+        return cls(focal_px, principal_point_px, image_size_px, skew, near_clip_m)
+
+    @property
+    def matrix(self) -> Array:
+        """K = [[f1, s, a1], [0, f2, a2], [0, 0, 1]], shape (3, 3)."""
+        (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
+        return np.array([[f1, self.skew, a1], [0.0, f2, a2], [0.0, 0.0, 1.0]])
+
+    def project(self, points_camera: ArrayLike) -> Array:
+        """Pixels of points in camera coordinates (eq. 4.18).
+
+        Args:
+            points_camera: Metres in CCF, shape (..., 3).
+
+        Returns:
+            Columns and rows, shape (..., 2); NaN for points nearer than the near plane, which have no image.
+        """
+        points = np.asarray(points_camera, dtype=np.float64)
+        depth = points[..., 2]
+        seen = np.where(depth >= self.near_clip_m, depth, np.nan)
+        c1, c2 = points[..., 0] / seen, points[..., 1] / seen
+        (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
+        return np.stack([f1 * c1 + self.skew * c2 + a1, f2 * c2 + a2], axis=-1)
+
+    def unproject(self, pixels: ArrayLike, depth_m: ArrayLike) -> Array:
+        """Points in camera coordinates that pixels show at a depth along c3: the inverse of `project`.
+
+        Args:
+            pixels: Columns and rows, shape (..., 2).
+            depth_m: c3, shape (...).
+
+        Returns:
+            Metres in CCF, shape (..., 3).
+        """
+        pixel, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
+        (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
+        c2 = (pixel[..., 1] - a2) / f2
+        c1 = (pixel[..., 0] - a1 - self.skew * c2) / f1
+        return np.stack([c1 * depth, c2 * depth, depth], axis=-1)
+
+    def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:  # noqa: N803
+        """The side of the horizon on which the sea lies, for any roll and pitch; the sea is flat.
+
+        A pixel's ray is K⁻¹ (x, y, 1); it meets the sea, or is parallel to a ray that does, where it points
+        below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
+
+        Args:
+            camera_R_world: Rotations WCF to CCF, shape (..., 3, 3).
+
+        Returns:
+            (a, b, c) with a·x + b·y + c >= 0 on the sea, shape (..., 3), scaled so that the value is the distance
+            from the horizon in pixels; (0, 0, ±1) if the camera looks straight down or up.
+        """
+        up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
+        line = -up @ np.linalg.inv(self.matrix)
+        length = np.hypot(line[..., 0], line[..., 1])
+        level = length < 1e-12 * np.abs(line[..., 2])
+        scaled = line / np.where(level, 1.0, length)[..., None]
+        nadir = np.stack([0 * length, 0 * length, np.sign(line[..., 2])], axis=-1)
+        return np.where(level[..., None], nadir, scaled)
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where a camera is fixed: in the world (`vessel` None) or in a vessel's VCF.
+
+    Attributes:
+        position_m: In the frame that carries it.
+        roll_rad: About c3.
+        pitch_rad: About c1.
+        yaw_rad: About c2.
+        vessel: ID of the vessel that carries it.
+    """
+
+    position_m: tuple[float, float, float]
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+    vessel: str | None = None
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A virtual camera: its ID, its intrinsics and where it is fixed."""
+
+    name: str
+    intrinsics: Intrinsics
+    mount: Mount
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPoses:
+    """Where a camera is at S time steps.
+
+    Attributes:
+        camera_R_world: Rotations WCF to CCF, shape (S, 3, 3).
+        positions_m: Camera centres in WCF, shape (S, 3).
+    """
+
+    camera_R_world: Array
+    positions_m: Array
+
+    def to_camera(self, points_world: Array) -> Array:
+        """World points in camera coordinates, R · (p − s) (Jessen & Mohr (2023), eq. 7.16).
+
+        Args:
+            points_world: Shape (S, ..., 3).
+
+        Returns:
+            Metres in CCF, shape (S, ..., 3).
+        """
+        steps = len(self.positions_m)
+        offsets = points_world.reshape(steps, -1, 3) - self.positions_m[:, None, :]
+        return (offsets @ np.swapaxes(self.camera_R_world, 1, 2)).reshape(points_world.shape)
+
+
+def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
+    """The same pose at every step (Jessen & Mohr (2023), eq. 7.15, 7.16).
+
+    Args:
+        mount: Pose in the world.
+        steps: Number of steps S.
+
+    Returns:
+        Poses of shapes (S, 3, 3) and (S, 3).
+    """
+    rotation = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
+    position = np.array(mount.position_m, dtype=np.float64)
+    return CameraPoses(np.broadcast_to(rotation, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
+
+
+def poses_on_board(mount: Mount, positions_m: Array, headings_rad: Array) -> CameraPoses:
+    """Poses of a camera fixed to a vessel, lever arm included: camera = mount ∘ heading (eq. 7.21, 7.22).
+
+    Args:
+        mount: Pose in VCF.
+        positions_m: Of the vessel's origin in WCF, shape (S, 3).
+        headings_rad: Counter-clockwise from w1, shape (S,).
+
+    Returns:
+        Poses of shapes (S, 3, 3) and (S, 3).
+    """
+    world_R_vcf = world_R_vehicle(headings_rad)  # noqa: N806
+    camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)  # noqa: N806
+    centres = positions_m + world_R_vcf @ np.array(mount.position_m, dtype=np.float64)
+    return CameraPoses(camera_R_vcf @ np.swapaxes(world_R_vcf, -1, -2), centres)
+
+
+def near_plane(intrinsics: Intrinsics) -> Array:
+    """The half-space c3 >= near_clip_m as rows (n, d) with n · p >= d, shape (1, 4)."""
+    return np.array([[0.0, 0.0, 1.0, intrinsics.near_clip_m]])
+
+
+def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
+    """The half-spaces that project to the image and a band around it, shape (4, 4); see `near_plane`.
+
+    The left one, x >= −guard, reads (f1, s, a1 + guard) · p >= 0 in camera coordinates, and so on.
+    """
+    matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
+    depth = matrix[2]
+    normals = [
+        matrix[0] + guard_px * depth,
+        (width + guard_px) * depth - matrix[0],
+        matrix[1] + guard_px * depth,
+        (height + guard_px) * depth - matrix[1],
+    ]
+    return np.column_stack([np.array(normals), np.zeros(4)])
+
+
+def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
+    """The parts of triangles inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
+
+    Args:
+        triangles_camera: Corners in CCF, shape (T, 3, 3).
+        half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
+
+    Returns:
+        Triangles in CCF, shape (T', 3, 3); order kept.
+    """
+    kept: list[NDArray[np.float64]] = []
+    for triangle in triangles_camera:
+        polygon = triangle
+        for plane in half_spaces:
+            polygon = _clip_polygon(polygon, polygon @ plane[:3] - plane[3])
+        kept.extend(np.array([polygon[0], *polygon[i : i + 2]]) for i in range(1, len(polygon) - 1))
+    return np.array(kept) if kept else np.empty((0, 3, 3))
+
+
+def _clip_polygon(polygon: Array, height: Array) -> Array:
+    """The part of a polygon where a linear function of its corners is not negative."""
+    corners = []
+    for i in range(len(polygon)):
+        start, end = i - 1, i
+        if (height[start] >= 0) != (height[end] >= 0):
+            # From the corner inside, so that two triangles with this edge get the very same point.
+            a, b = (start, end) if height[start] >= 0 else (end, start)
+            corners.append(polygon[a] + height[a] / (height[a] - height[b]) * (polygon[b] - polygon[a]))
+        if height[end] >= 0:
+            corners.append(polygon[end])
+    return np.array(corners) if corners else np.empty((0, 3))

@@ -1,0 +1,128 @@
+"""Vessels on concentric circles (Jessen & Mohr (2023), §7.2.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.errors import InputError
+from modsim3d.frames import Array
+from modsim3d.poses.base import Poses, generated_timestamps
+from modsim3d.random_streams import Streams
+from modsim3d.vessels import Vessel
+
+MAX_DRAWS = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class CircularMotion:
+    """Each vessel on a circle of its own, heading along it, counter-clockwise at positive rates.
+
+    Attributes:
+        timestamps: Text of each step's time.
+        centre_m: Common centre, w1 and w2.
+        radii_m: Shape (V,).
+        rates_rad_s: Shape (V,).
+        phases_rad: At step 0, shape (V,).
+    """
+
+    timestamps: Sequence[str]
+    centre_m: tuple[float, float]
+    radii_m: Array
+    rates_rad_s: Array
+    phases_rad: Array
+
+    def poses(self, first: int, stop: int) -> Poses:
+        """Poses at steps first to stop − 1 (eq. 7.5, 7.7)."""
+        times_s = np.array([float(text) for text in self.timestamps[first:stop]])
+        angle = self.phases_rad + times_s[:, None] * self.rates_rad_s
+        positions = np.stack(
+            [
+                self.centre_m[0] + self.radii_m * np.cos(angle),
+                self.centre_m[1] + self.radii_m * np.sin(angle),
+                np.zeros_like(angle),
+            ],
+            axis=-1,
+        )
+        turn = np.where(self.rates_rad_s < 0, -math.pi / 2, math.pi / 2)
+        return Poses(np.ones(angle.shape, dtype=bool), positions, angle + turn)
+
+
+def swept_ring(radius_m: float, length_m: float, beam_m: float) -> tuple[float, float]:
+    """Inner and outer radius of the ring that a hull sweeps on a circle.
+
+    Its sides lie half a beam inside and outside the circle, and its corners half a length further along the
+    tangent; a hull whose inner side passes the centre sweeps a full disc.
+
+    Args:
+        radius_m: Of the circle of the hull's centre.
+        length_m: Along the circle.
+        beam_m: Across it.
+
+    Returns:
+        Nearest and farthest distance from the circle's centre.
+    """
+    return max(0.0, radius_m - beam_m / 2), math.hypot(radius_m + beam_m / 2, length_m / 2)
+
+
+def circular_motion(
+    vessels: Sequence[Vessel],
+    steps: int,
+    time_step_s: float,
+    centre_m: tuple[float, float],
+    radius_m: tuple[float, float],
+    rotation_rate_rad_s: tuple[float, float],
+    seed: int,
+) -> CircularMotion:
+    """Draw radii, rates and start phases, so that no two hulls can ever touch.
+
+    Distinct radii alone do not keep hulls apart: a radius is drawn again until the ring that its hull sweeps is
+    free of the rings drawn before it.
+
+    Args:
+        vessels: Their lengths and beams are what must be kept apart; their names key the draws.
+        steps: Number of time steps.
+        time_step_s: Interval between them.
+        centre_m: Centre of all circles.
+        radius_m: Least and greatest radius.
+        rotation_rate_rad_s: Least and greatest rate.
+        seed: Everything is drawn from it.
+
+    Raises:
+        InputError: The vessels do not fit between the two radii.
+    """
+    streams = Streams(seed)
+    rings: list[tuple[float, float]] = []
+    radii = []
+    for vessel in vessels:
+        draws = radius_m[0] + (radius_m[1] - radius_m[0]) * streams.uniforms(
+            "circular_radius", vessel.name, first=0, count=MAX_DRAWS, width=1
+        )
+        for radius in map(float, draws[:, 0]):
+            inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
+            if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
+                break
+        else:
+            raise InputError(
+                "poses.circular",
+                [
+                    f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
+                    f"{radius_m[0]} and {radius_m[1]} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
+                ],
+            )
+        rings.append((inner, outer))
+        radii.append(radius)
+    other = np.concatenate(
+        [streams.uniforms("circular_start", vessel.name, first=0, count=1, width=2) for vessel in vessels]
+    )
+    low, high = rotation_rate_rad_s
+    return CircularMotion(
+        timestamps=generated_timestamps(steps, time_step_s),
+        centre_m=centre_m,
+        radii_m=np.array(radii),
+        rates_rad_s=low + (high - low) * other[:, 0],
+        phases_rad=2 * math.pi * other[:, 1],
+    )

@@ -1,0 +1,181 @@
+"""One headless OpenGL context of a software renderer: OSMesa, or EGL without a surface where there is no OSMesa."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import ModuleType
+
+from modsim3d.errors import RendererError
+
+BACKENDS = ("osmesa", "egl")
+LIBRARIES = {"osmesa": ("OSMesa", ("libOSMesa.so.8", "libOSMesa.so.6")), "egl": ("EGL", ("libEGL.so.1",))}
+
+EGL_PLATFORM_SURFACELESS_MESA = 0x31DD
+GL_LOWER_LEFT, GL_ZERO_TO_ONE = 0x8CA1, 0x935F
+
+INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
+  Debian, Ubuntu: apt install libosmesa6 (where that is gone: libegl1 libegl-mesa0 libopengl0)
+  Fedora:         dnf install mesa-libOSMesa (or mesa-libEGL)
+  conda-forge:    conda install 'mesalib<25.1'
+or run without one: --source analytic"""
+
+
+def library_found(backend: str) -> bool:
+    """Whether the shared library of a backend can be loaded."""
+    short_name, file_names = LIBRARIES[backend]
+    found = ctypes.util.find_library(short_name)
+    for name in (*file_names, *([found] if found else [])):
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return True
+    return False
+
+
+def choose_backend() -> str:
+    """The backend that `MODSIM3D_GL` names, or the first whose library is there.
+
+    Raises:
+        RendererError: The variable has another value, or no library is there; the message says what to install.
+    """
+    wanted = os.environ.get("MODSIM3D_GL", "auto").lower()
+    if wanted not in ("auto", *BACKENDS):
+        raise RendererError(f"MODSIM3D_GL={wanted!r}: use one of osmesa, egl, auto")
+    for backend in BACKENDS if wanted == "auto" else (wanted,):
+        if library_found(backend):
+            return backend
+    raise RendererError(INSTALL_HINT.format(wanted="OSMesa or EGL" if wanted == "auto" else wanted))
+
+
+@dataclass(frozen=True, eq=False)
+class GLContext:
+    """A current OpenGL context.
+
+    Attributes:
+        backend: `osmesa` or `egl`.
+        gl: The module of OpenGL functions, `OpenGL.GL`.
+        description: Renderer and version, for run.json.
+    """
+
+    backend: str
+    gl: ModuleType
+    description: str
+
+
+_open_here: GLContext | None = None
+
+
+@contextmanager
+def open_context() -> Iterator[GLContext]:
+    """Make the process's one OpenGL context and destroy it at the end.
+
+    Inside another `open_context` of the same process this gives the same context.
+
+    Raises:
+        RendererError: No library, no context, or an OpenGL older than 4.5.
+    """
+    global _open_here
+    if _open_here is not None:
+        yield _open_here
+        return
+    backend = choose_backend()
+    _prepare_environment(backend)
+    try:
+        make = _osmesa_context if backend == "osmesa" else _egl_context
+        with make() as get_address:
+            from OpenGL import GL
+
+            _use_reversed_depth(get_address)
+            name, version = (GL.glGetString(key).decode() for key in (GL.GL_RENDERER, GL.GL_VERSION))
+            _open_here = GLContext(backend, GL, f"{backend}: {name}, OpenGL {version}")
+            try:
+                yield _open_here
+            finally:
+                _open_here = None
+    except (ImportError, AttributeError, OSError) as error:
+        raise RendererError(f"the {backend} renderer cannot be used: {error}") from error
+
+
+def _prepare_environment(backend: str) -> None:
+    """Set what must be set before OpenGL is imported and Mesa is loaded."""
+    platform = sys.modules.get("OpenGL.platform")
+    if platform is not None and os.environ.get("PYOPENGL_PLATFORM") != backend:
+        raise RendererError(
+            f"OpenGL was imported before with PYOPENGL_PLATFORM={os.environ.get('PYOPENGL_PLATFORM')!r}; "
+            f"{backend} needs a process of its own"
+        )
+    os.environ["PYOPENGL_PLATFORM"] = backend
+    os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")  # the same pixels with and without a graphics card
+    # Rasterising in the calling thread is faster for small regions and keeps workers apart.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+
+
+def _use_reversed_depth(get_address: ctypes._CFuncPtr) -> None:
+    """Map depth to [0, 1] without the usual halving, so that a float depth near/c3 keeps its relative precision."""
+    get_address.restype = ctypes.c_void_p
+    get_address.argtypes = [ctypes.c_char_p]
+    address = get_address(b"glClipControl")  # PyOpenGL does not resolve it through OSMesa
+    if not address:
+        raise RendererError("the OpenGL renderer has no glClipControl: OpenGL 4.5 (Mesa 18 or newer) is needed")
+    ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_uint)(address)(GL_LOWER_LEFT, GL_ZERO_TO_ONE)
+
+
+@contextmanager
+def _osmesa_context() -> Iterator[ctypes._CFuncPtr]:
+    import numpy as np
+    from OpenGL import GL, arrays, osmesa
+    from OpenGL.platform import PLATFORM
+
+    wanted = [
+        *(osmesa.OSMESA_FORMAT, osmesa.OSMESA_RGBA),
+        *(osmesa.OSMESA_PROFILE, osmesa.OSMESA_CORE_PROFILE),
+        *(osmesa.OSMESA_CONTEXT_MAJOR_VERSION, 4),
+        *(osmesa.OSMESA_CONTEXT_MINOR_VERSION, 5, 0),
+    ]
+    context = osmesa.OSMesaCreateContextAttribs(arrays.GLintArray.asArray(wanted), None)
+    if not context:
+        raise RendererError("OSMesa gave no OpenGL 4.5 context: Mesa 18 or newer is needed")
+    window = np.zeros((8, 8, 4), dtype=np.uint8)  # OSMesa wants one; drawing goes to framebuffer objects
+    try:
+        if not osmesa.OSMesaMakeCurrent(context, window, GL.GL_UNSIGNED_BYTE, 8, 8):
+            raise RendererError("OSMesa did not accept its context")
+        yield PLATFORM.OSMesa.OSMesaGetProcAddress
+    finally:
+        osmesa.OSMesaDestroyContext(context)
+
+
+@contextmanager
+def _egl_context() -> Iterator[ctypes._CFuncPtr]:
+    from OpenGL import EGL
+    from OpenGL.EGL.EXT.platform_base import eglGetPlatformDisplayEXT
+    from OpenGL.platform import PLATFORM
+
+    display = eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, None, None)
+    if not display or not EGL.eglInitialize(display, None, None):
+        raise RendererError("EGL gave no surfaceless display: Mesa's EGL (libegl-mesa0) is needed")
+    EGL.eglBindAPI(EGL.EGL_OPENGL_API)
+    wanted = (EGL.EGLint * 5)(
+        EGL.EGL_SURFACE_TYPE, EGL.EGL_PBUFFER_BIT, EGL.EGL_RENDERABLE_TYPE, EGL.EGL_OPENGL_BIT, EGL.EGL_NONE
+    )
+    config, count = (EGL.EGLConfig * 1)(), ctypes.c_long()
+    EGL.eglChooseConfig(display, wanted, config, 1, count)
+    version = (EGL.EGLint * 7)(
+        *(EGL.EGL_CONTEXT_MAJOR_VERSION, 4, EGL.EGL_CONTEXT_MINOR_VERSION, 5),
+        *(EGL.EGL_CONTEXT_OPENGL_PROFILE_MASK, EGL.EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT, EGL.EGL_NONE),
+    )
+    context = EGL.eglCreateContext(display, config[0], EGL.EGL_NO_CONTEXT, version)
+    if not context:
+        raise RendererError("EGL gave no OpenGL 4.5 context")
+    try:
+        EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, context)
+        yield PLATFORM.EGL.eglGetProcAddress
+    finally:
+        EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
+        EGL.eglDestroyContext(display, context)

@@ -1,0 +1,169 @@
+"""ID buffers: which solid is front-most at each pixel centre.
+
+Solids are projected in double precision before they get here, so OpenGL is a plain rasteriser with a depth
+buffer: it is given corners in pixels and the reciprocal of their depth, which is linear in the image. Corners are
+rounded to the 1/256 px that Mesa rasterises at; an offset by whole pixels then changes nothing, and a region of the
+image holds the very pixels that the whole image would.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.errors import RendererError
+from modsim3d.frames import Array
+from modsim3d.render.context import GLContext
+
+SUBPIXELS = 256
+VIEWPORT_PX = 16384
+VIEWPORT_ORIGIN_PX = -4096
+"""The viewport is a power of two wide, so that pixels map to it exactly, and reaches beyond the image, so that
+OpenGL's own clipping moves no corner near it."""
+MAX_REGION_PX = VIEWPORT_PX + VIEWPORT_ORIGIN_PX
+SMALLEST_BUFFER_PX = 64
+
+_VERTEX = np.dtype([("position", np.float32, 3), ("id", np.uint32)])
+
+_VERTEX_SHADER = """#version 330 core
+layout(location = 0) in vec3 position;
+layout(location = 1) in uint id;
+flat out uint solid;
+void main() { solid = id; gl_Position = vec4(position, 1.0); }
+"""
+_FRAGMENT_SHADER = """#version 330 core
+flat in uint solid;
+layout(location = 0) out uint pixel;
+void main() { pixel = solid; }
+"""
+
+Ids = NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of whole pixels: columns [x, x + width), rows [y, y + height)."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @classmethod
+    def around(cls, box_px: Array, image_size_px: tuple[int, int], margin_px: int = 1) -> Region:
+        """The pixels of an image that a box touches, and a margin; empty if there are none.
+
+        Args:
+            box_px: x_min, y_min, x_max, y_max.
+            image_size_px: Width and height.
+            margin_px: Added on each side, within the image.
+        """
+        low = np.clip(np.floor(box_px[:2]) - margin_px, 0, image_size_px)
+        high = np.clip(np.ceil(box_px[2:]) + margin_px, 0, image_size_px)
+        width, height = np.maximum(high - low, 0)
+        return cls(int(low[0]), int(low[1]), int(width), int(height))
+
+
+class IdRenderer:
+    """Draws triangles into ID buffers of 32-bit integers with a float depth buffer.
+
+    Integer buffers cannot be blended, dithered or converted, and 32 bits hold more IDs than a scene can. The
+    depth is near/c3, front-most greatest, so its precision is relative: two boxes a metre apart are in order at
+    any distance, whatever else is in the image.
+    """
+
+    def __init__(self, context: GLContext) -> None:
+        """Compile the program and set the state that every drawing shares."""
+        self.context = context
+        gl = context.gl
+        self._buffers: dict[tuple[int, int], int] = {}
+        gl.glBindVertexArray(gl.glGenVertexArrays(1))
+        gl.glUseProgram(_program(gl))
+        gl.glBindBuffer(gl.GL_ARRAY_BUFFER, gl.glGenBuffers(1))
+        gl.glEnableVertexAttribArray(0)
+        gl.glVertexAttribPointer(0, 3, gl.GL_FLOAT, False, _VERTEX.itemsize, None)
+        gl.glEnableVertexAttribArray(1)
+        gl.glVertexAttribIPointer(1, 1, gl.GL_UNSIGNED_INT, _VERTEX.itemsize, ctypes.c_void_p(12))
+        gl.glEnable(gl.GL_DEPTH_TEST)
+        gl.glEnable(gl.GL_SCISSOR_TEST)
+        gl.glDepthFunc(gl.GL_GREATER)
+        gl.glClearDepth(0.0)
+        gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 4)
+
+    def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
+        """The ID at each pixel of a region; zero where nothing is.
+
+        Args:
+            corners_px: Columns and rows of triangles in image pixels, shape (T, 3, 2).
+            inverse_depth: near / c3 of the corners, in (0, 1], shape (T, 3).
+            ids: ID of each triangle's solid, positive, shape (T,).
+            region: What to draw.
+
+        Returns:
+            IDs, shape (region.height, region.width).
+        """
+        out = np.zeros((region.height, region.width), dtype=np.uint32)
+        if not len(ids) or not out.size:
+            return out
+        if max(region.width, region.height) > MAX_REGION_PX:
+            raise RendererError(
+                f"an ID buffer of {region.width} × {region.height} px was asked for; {MAX_REGION_PX} a side is the most"
+            )
+        vertices = self._vertices(corners_px, inverse_depth, ids, region)
+        gl = self.context.gl
+        self._bind_buffer(region.width, region.height)
+        gl.glScissor(0, 0, region.width, region.height)
+        gl.glViewport(VIEWPORT_ORIGIN_PX, VIEWPORT_ORIGIN_PX, VIEWPORT_PX, VIEWPORT_PX)
+        gl.glClearBufferuiv(gl.GL_COLOR, 0, np.zeros(4, dtype=np.uint32))
+        gl.glClear(gl.GL_DEPTH_BUFFER_BIT)
+        gl.glBufferData(gl.GL_ARRAY_BUFFER, vertices.nbytes, vertices, gl.GL_STREAM_DRAW)
+        gl.glDrawArrays(gl.GL_TRIANGLES, 0, len(vertices))
+        gl.glReadPixels(0, 0, region.width, region.height, gl.GL_RED_INTEGER, gl.GL_UNSIGNED_INT, out)
+        return out
+
+    def _vertices(
+        self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region
+    ) -> NDArray[np.void]:
+        """The vertex buffer: row 0 of the region is row 0 in memory, which is OpenGL's lowest."""
+        vertices = np.empty((len(ids), 3), dtype=_VERTEX)
+        snapped = np.rint(corners_px * SUBPIXELS) / SUBPIXELS - (region.x, region.y)
+        vertices["position"][..., :2] = (snapped - VIEWPORT_ORIGIN_PX) * (2 / VIEWPORT_PX) - 1
+        vertices["position"][..., 2] = inverse_depth
+        vertices["id"] = np.asarray(ids)[:, None]
+        return vertices.reshape(-1)
+
+    def _bind_buffer(self, width: int, height: int) -> None:
+        """Bind the smallest buffer that holds a region, made at first use: clearing costs what a buffer holds."""
+        size = _buffer_side(width), _buffer_side(height)
+        gl = self.context.gl
+        if size in self._buffers:
+            gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._buffers[size])
+            return
+        framebuffer = gl.glGenFramebuffers(1)
+        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
+        for kind, attachment in (
+            (gl.GL_R32UI, gl.GL_COLOR_ATTACHMENT0),
+            (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT),
+        ):
+            storage = gl.glGenRenderbuffers(1)
+            gl.glBindRenderbuffer(gl.GL_RENDERBUFFER, storage)
+            gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, *size)
+            gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, attachment, gl.GL_RENDERBUFFER, storage)
+        if gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER) != gl.GL_FRAMEBUFFER_COMPLETE:
+            raise RendererError(f"the renderer offers no integer buffer of {size[0]} × {size[1]} px with float depth")
+        self._buffers[size] = framebuffer
+
+
+def _buffer_side(pixels: int) -> int:
+    return max(SMALLEST_BUFFER_PX, 1 << (pixels - 1).bit_length())
+
+
+def _program(gl: object) -> int:
+    from OpenGL.GL import shaders
+
+    parts = ((_VERTEX_SHADER, "GL_VERTEX_SHADER"), (_FRAGMENT_SHADER, "GL_FRAGMENT_SHADER"))
+    compiled = [shaders.compileShader(text, getattr(gl, kind)) for text, kind in parts]
+    return int(shaders.compileProgram(*compiled, validate=False))

@@ -1,0 +1,125 @@
+"""Vessels: dimensions, label, and the solid that stands for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from modsim3d.errors import InputError
+from modsim3d.frames import Array
+from modsim3d.validation import Positive, Strict, describe, join_path, load_json
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """A vessel as the scene describes it.
+
+    Attributes:
+        name: Its ID.
+        label: Its true class.
+        length_m: Along v1.
+        beam_m: Along v2.
+        air_draft_m: Height above the waterline, along v3.
+    """
+
+    name: str
+    label: str
+    length_m: float
+    beam_m: float
+    air_draft_m: float
+
+    @property
+    def extents_m(self) -> Array:
+        """Length, beam and air draft, shape (3,)."""
+        return np.array([self.length_m, self.beam_m, self.air_draft_m])
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A closed triangle mesh in VCF units of length, beam and air draft.
+
+    Attributes:
+        vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
+        faces: Vertex indices, shape (F, 3).
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+
+
+@cache
+def shoebox() -> Solid:
+    """The unit shoebox: eight corners, twelve triangles; the origin is the centre of its bottom."""
+    import trimesh  # heavy, and not needed to read a scene
+
+    box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
+    vertices = np.asarray(box.vertices, dtype=np.float64) + (0.0, 0.0, 0.5)
+    faces = np.asarray(box.faces, dtype=np.int64)
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return Solid(vertices, faces)
+
+
+class VesselEntry(Strict):
+    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2)."""
+
+    length_m: Positive
+    beam_m: Positive
+    air_draft_m: Positive
+    label: str
+
+
+def name_problem(name: str) -> str | None:
+    """Why a text cannot be a vessel's ID, or None if it can."""
+    if not name:
+        return "a vessel's ID must not be empty"
+    if "#" in name:
+        return "a vessel's ID must not hold '#', which marks a second box of a vessel"
+    if name.startswith("false_positive_"):
+        return "a vessel's ID must not begin with 'false_positive_', which marks false positives"
+    if name.startswith("obstacle:"):
+        return "a vessel's ID must not begin with 'obstacle:', which marks obstacles"
+    return None
+
+
+def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, ...]:
+    """Vessels from the mapping of Figure 7.2: ID → length, beam, air draft, label.
+
+    Args:
+        data: The mapping.
+        source: What to call it in an error.
+        *prefix: Where the mapping stands in its file.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    if not isinstance(data, dict):
+        raise InputError(source, [f"{join_path(*prefix) or 'top level'}: a mapping of vessel ID to vessel is needed"])
+    problems = [] if data else [f"{join_path(*prefix) or 'top level'}: no vessels; a scene needs at least one"]
+    vessels = []
+    for name, raw in data.items():
+        if problem := name_problem(str(name)):
+            problems.append(f"{join_path(*prefix, str(name))}: {problem}")
+        try:
+            entry = VesselEntry.model_validate(raw)
+        except ValidationError as error:
+            problems += describe(error, VesselEntry, *prefix, str(name))
+        else:
+            vessels.append(Vessel(str(name), entry.label, entry.length_m, entry.beam_m, entry.air_draft_m))
+    if problems:
+        raise InputError(source, problems)
+    return tuple(vessels)
+
+
+def load_vessels(path: Path) -> tuple[Vessel, ...]:
+    """Vessels from a JSON file as in Figure 7.2.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    return parse_vessels(load_json(path, "vessels file"), f"vessels file {path}")

@@ -1,0 +1,58 @@
+"""The scripts that set the checkout up and check it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SCRIPTS = ["script/setup", "script/demo", "script/test", ".ci/run"]
+
+
+def copy_of_setup(folder: Path) -> Path:
+    """A checkout's skeleton, so that no test touches the environment that it runs in."""
+    (folder / "script").mkdir()
+    shutil.copy(REPOSITORY / "pyproject.toml", folder)
+    return Path(shutil.copy(REPOSITORY / "script" / "setup", folder / "script"))
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_script_is_executable_and_parses(script: str) -> None:
+    path = REPOSITORY / script
+    assert os.access(path, os.X_OK)
+    subprocess.run(["bash", "-n", path], check=True)
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_script_stops_at_the_first_error(script: str) -> None:
+    assert "set -euo pipefail" in (REPOSITORY / script).read_text().splitlines()
+
+
+def test_setup_refuses_an_unknown_purpose(tmp_path: Path) -> None:
+    finished = subprocess.run([copy_of_setup(tmp_path), "everything"], capture_output=True, text=True)
+    assert finished.returncode == 2
+    assert finished.stderr == "usage: script/setup [demo|test]\n"
+
+
+def test_setup_refuses_an_unusable_python_in_one_line_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    finished = subprocess.run(
+        [copy_of_setup(tmp_path)], env={**os.environ, "PYTHON": "/bin/false"}, capture_output=True, text=True
+    )
+    assert finished.returncode == 1
+    assert finished.stderr == (
+        "script/setup: PYTHON=/bin/false does not run or is not Python 3.11, 3.12 or 3.13\n"
+    )
+    assert not (tmp_path / ".venv").exists()
+
+
+def test_setup_accepts_the_pythons_that_the_package_does() -> None:
+    asked = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["requires-python"]
+    lowest, above = re.findall(r"3\.\d+", asked)
+    accepted = f"({lowest.replace('.', ', ')}) <= sys.version_info[:2] <= (3, {int(above.split('.')[1]) - 1})"
+    assert accepted in (REPOSITORY / "script" / "setup").read_text()

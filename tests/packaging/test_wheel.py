@@ -1,0 +1,90 @@
+"""The wheel carries all it needs: it runs a shipped scene in an environment that never saw the repository."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def run(*command: str | Path, cwd: Path) -> str:
+    """The standard output of a command that must succeed, run without this process's Python settings."""
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    finished = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
+    assert finished.returncode == 0, f"{command} failed:\n{finished.stdout}\n{finished.stderr}"
+    return finished.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, REPOSITORY, cwd=folder)
+    (built,) = folder.glob("modsim3d-*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The `bin` folder of an environment with the wheel and this environment's other packages, not its modsim3d."""
+    folder = tmp_path_factory.mktemp("installed")
+    others = folder / "others"
+    others.mkdir()
+    for entry in Path(sysconfig.get_path("purelib")).iterdir():
+        if "modsim3d" not in entry.name:
+            (others / entry.name).symlink_to(entry)
+    environment = folder / "environment"
+    venv.create(environment, symlinks=True)
+    (site_packages,) = environment.glob("lib/python3*/site-packages")
+    (site_packages / "others.pth").write_text(f"{others}\n")
+    python = environment / "bin" / "python"
+    # Without an index, pip fails if the wheel asks for anything that is not there.
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-index", wheel, cwd=folder)
+    return environment / "bin"
+
+
+def files_of(wheel: Path) -> set[str]:
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+@pytest.mark.parametrize("kind", ["scenes", "meshes"])
+def test_wheel_carries_every_file_of(wheel: Path, kind: str) -> None:
+    tracked = run("git", "ls-files", kind, cwd=REPOSITORY).split()
+    shipped = [name for name in tracked if not name.endswith(".gitkeep")]
+    assert shipped
+    assert {f"modsim3d/_data/{name}" for name in shipped} <= files_of(wheel)
+
+
+def test_wheel_says_that_it_is_typed(wheel: Path) -> None:
+    assert "modsim3d/py.typed" in files_of(wheel)
+
+
+def test_wheel_carries_no_tests_and_no_build_leftovers(wheel: Path) -> None:
+    top_level = {Path(name).parts[0] for name in files_of(wheel)}
+    assert {name for name in top_level if not name.endswith(".dist-info")} == {"modsim3d"}
+    assert not [name for name in files_of(wheel) if name.endswith(".pyc")]
+
+
+def test_installed_wheel_is_what_python_imports(installed: Path, tmp_path: Path) -> None:
+    printed = run(installed / "python", "-c", "import modsim3d; print(modsim3d.__file__)", cwd=tmp_path)
+    assert Path(printed.strip()).is_relative_to(installed.parent / "lib")
+
+
+def test_installed_wheel_simulates_a_shipped_scene(installed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    run(installed / "modsim3d", "run", "simulation_1", "--steps", "3", "--out", out, cwd=tmp_path)
+    assert isinstance(json.loads((out / "run.json").read_text()), dict)
+    annotations = sorted(out.glob("annotations_*.json"))
+    assert annotations
+    assert [len(json.loads(file.read_text())) for file in annotations] == [3] * len(annotations)
+    for table in ("frames", "truth", "detections"):
+        assert (out / f"{table}.parquet").stat().st_size > 0
