@@ -80,6 +80,40 @@ class Truth:
         return list(zip(self.occluder[entries].tolist(), self.occluder_px[entries].tolist(), strict=True))
 
 
+@dataclass(frozen=True, eq=False)
+class Occlusion:
+    """What a source says is seen of n outlines; the columns of `Truth` with the same names.
+
+    Attributes:
+        full_boxes_px: Shape (n, 4).
+        visible_boxes_px: Shape (n, 4).
+        silhouette_px: Shape (n,).
+        visible_px: Shape (n,).
+        occluders: For each row, who hides how many of its pixels.
+    """
+
+    full_boxes_px: Array
+    visible_boxes_px: Array
+    silhouette_px: Array
+    visible_px: Array
+    occluders: tuple[tuple[tuple[int, float], ...], ...]
+
+    def visible_fraction(self) -> Array:
+        """visible_px / silhouette_px; NaN where there is no silhouette pixel, shape (n,)."""
+        whole = np.where(self.silhouette_px > 0, self.silhouette_px, np.nan)
+        return self.visible_px / whole
+
+    def occluder_columns(self) -> dict[str, NDArray[np.int64] | Array]:
+        """The occluders as offsets, indices and pixels."""
+        flat = [entry for entries in self.occluders for entry in entries]
+        counts = [len(entries) for entries in self.occluders]
+        return {
+            "occluder_offsets": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            "occluder": np.array([index for index, _ in flat], dtype=np.int64),
+            "occluder_px": np.array([pixels for _, pixels in flat], dtype=np.float64),
+        }
+
+
 OCCLUDER_COLUMNS = ("occluder_offsets", "occluder", "occluder_px")
 ROW_COLUMNS = tuple(field.name for field in fields(Truth) if field.name not in OCCLUDER_COLUMNS)
 

@@ -8,20 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of
+from modsim3d.annotate.record import Occlusion
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
-
-
-@dataclass(frozen=True, eq=False)
-class Occlusion:
-    """What is seen of the rows of `Outlines`; the columns of `Truth` with the same names."""
-
-    full_boxes_px: Array
-    visible_boxes_px: Array
-    silhouette_px: Array
-    visible_px: Array
-    occluders: tuple[tuple[tuple[int, float], ...], ...]
 
 
 def rendered_occlusion(outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer) -> Occlusion:

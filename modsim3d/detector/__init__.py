@@ -1,1 +1,20 @@
 """The statistical detector: state, dropout and class, box error, false positives, confidence."""
+
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.loader import load_detector, parse_detector
+from modsim3d.detector.model import DetectorModel, PerformanceState
+from modsim3d.detector.records import FALSE_POSITIVE, KINDS, TRUE, Detections, Frames, Targets
+
+__all__ = [
+    "FALSE_POSITIVE",
+    "KINDS",
+    "TRUE",
+    "Detections",
+    "Detector",
+    "DetectorModel",
+    "Frames",
+    "PerformanceState",
+    "Targets",
+    "load_detector",
+    "parse_detector",
+]

@@ -16,9 +16,12 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
+FOREIGN = ("PYTHONPATH", "VIRTUAL_ENV")
+
+
 def run(*command: str | Path, cwd: Path) -> str:
     """The standard output of a command that must succeed, run without this process's Python settings."""
-    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    environment = {key: value for key, value in os.environ.items() if key not in FOREIGN}
     finished = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
     assert finished.returncode == 0, f"{command} failed:\n{finished.stdout}\n{finished.stderr}"
     return finished.stdout
@@ -27,14 +30,15 @@ def run(*command: str | Path, cwd: Path) -> str:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, REPOSITORY, cwd=folder)
+    build = (sys.executable, "-m", "build", "--wheel", "--no-isolation")
+    run(*build, "--outdir", folder, REPOSITORY, cwd=folder)
     (built,) = folder.glob("modsim3d-*.whl")
     return built
 
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The `bin` folder of an environment with the wheel and this environment's other packages, not its modsim3d."""
+    """The `bin` folder of an environment with the wheel and this one's other packages, not its modsim3d."""
     folder = tmp_path_factory.mktemp("installed")
     others = folder / "others"
     others.mkdir()
@@ -47,7 +51,8 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (site_packages / "others.pth").write_text(f"{others}\n")
     python = environment / "bin" / "python"
     # Without an index, pip fails if the wheel asks for anything that is not there.
-    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-index", wheel, cwd=folder)
+    pip = (sys.executable, "-m", "pip", "--python", python)
+    run(*pip, "install", "--quiet", "--no-index", wheel, cwd=folder)
     return environment / "bin"
 
 

@@ -1,0 +1,191 @@
+"""The command line: parse, load, run, say what happened. Heavy imports come after parsing."""
+
+from __future__ import annotations
+
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modsim3d.errors import ModsimError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modsim3d.run import RunResult
+    from modsim3d.scene import Scene
+
+BAD_INPUT = 2
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="""Simulates cameras and their vessel detector in front of a multi-object tracker.
+
+[bold]Examples[/bold]
+
+  modsim3d run simulation_1 --mode 2          a shipped scene, occlusion from pixels
+
+  modsim3d run my/scene.yaml --out runs/mine  a scene of your own
+
+  modsim3d check my/scene.yaml                what is wrong with it, all at once
+
+  modsim3d scenes                             the scenes that come with it""",
+)
+
+
+class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
+    """Where the truth comes from."""
+
+    rendered = "rendered"
+    analytic = "analytic"
+
+
+SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"modsim3d {version('modsim3d')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("run")
+def run_command(
+    scene: SceneArgument,
+    out: Annotated[Path | None, typer.Option(help="Run directory.", show_default="runs/SCENE")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
+    seed: Annotated[int | None, typer.Option(min=0, help="In place of the scene's.")] = None,
+    mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
+    source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
+    sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
+) -> None:
+    """Run a scene: truth, detections and a contact sheet into a run directory.
+
+    Example: modsim3d run simulation_1 --mode 2 --out runs/first
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from modsim3d.run import run
+    from modsim3d.scene import load_scene
+
+    console = Console(stderr=True)
+    loaded = load_scene(scene, seed=seed, steps=steps, mode=mode, source=source.value if source else None)
+    folder = out if out is not None else Path("runs") / loaded.name
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(loaded.name, total=loaded.steps)
+        result = run(
+            loaded, folder, overwrite=overwrite, resume=resume, progress=lambda steps: bar.advance(task, steps)
+        )
+    if sheet:
+        from modsim3d.draw_run import draw_contact_sheet
+
+        draw_contact_sheet(loaded, folder)
+    _summarise(loaded, result, sheet)
+
+
+@app.command("check")
+def check_command(scene: SceneArgument) -> None:
+    """Read a scene and every file that it names, and say all that is wrong.
+
+    Example: modsim3d check my/scene.yaml
+    """
+    from modsim3d.scene import load_scene
+    from modsim3d.simulate import check_source
+
+    loaded = load_scene(scene)
+    check_source(loaded)
+    vessels, cameras = len(loaded.vessels), len(loaded.cameras)
+    typer.echo(
+        f"{loaded.path}: no problems found: {vessels} vessel{'s'[: vessels != 1]}, {cameras} "
+        f"camera{'s'[: cameras != 1]}, {loaded.steps} steps, annotation mode {loaded.annotation.mode}, "
+        f"source {loaded.annotation.source}"
+    )
+
+
+@app.command("scenes")
+def scenes_command() -> None:
+    """List the scenes that come with modsim3d.
+
+    Example: modsim3d scenes
+    """
+    from modsim3d.scene import shipped_scenes
+
+    for name, path in shipped_scenes().items():
+        first = path.read_text(encoding="utf-8").partition("\n")[0]
+        typer.echo(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")
+
+
+def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    counts = result.counts
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    table.add_column(style="dim")
+    true = max(counts.detected, 1)
+    known = scene.annotation.source == "rendered"
+    hidden = f"{counts.partly_hidden} partly, {counts.fully_hidden} fully" if known else "not asked"
+    rows: list[tuple[str, str, str]] = [
+        ("frames", str(counts.frames), f"{len(scene.cameras)} camera(s), {scene.steps} steps, mode {scene.annotation.mode}"),
+        ("vessels seen", str(counts.seen if known else counts.vessel_frames), "vessels in images, summed over frames"),
+        ("occlusions", hidden, ""),
+        ("annotated", str(counts.annotated), ""),
+        ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
+        ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "of annotated")),
+        ("false", str(counts.false_positives), _share(counts.false_positives, counts.detected + counts.false_positives, "of all detections")),
+        ("mislabelled", str(counts.mislabelled), ""),
+        ("IoU below 0.5", str(counts.below_half_iou), f"{counts.below_half_iou / true:.1%} of detections: a matching evaluation misses these"),
+        ("box redrawn", str(counts.redrawn), f"{counts.redrawn / true:.1%}: the first error left less than a pixel of the box"),
+        ("time per frame", f"{1e3 * result.seconds / max(counts.frames, 1):.2f} ms", f"{result.seconds:.1f} s in all"),
+    ]
+    if result.resumed_steps:
+        rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    console.print(f"\nrun directory  {result.folder}", highlight=False, soft_wrap=True)
+    if sheet:
+        console.print(f"contact sheet  {result.folder / 'contact_sheet.png'}", highlight=False, soft_wrap=True)
+
+
+def _share(part: int, whole: int, of: str) -> str:
+    return f"{part / whole:.1%} {of}" if whole else ""
+
+
+def main() -> None:
+    """Run the command line; a user's error is one message on standard error and exit status 2."""
+    try:
+        app()
+    except ModsimError as error:
+        typer.echo(f"modsim3d: {error}", err=True)
+        sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        typer.echo("\nmodsim3d: interrupted; what was finished is kept: go on with --resume", err=True)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

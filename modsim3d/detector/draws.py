@@ -1,0 +1,107 @@
+"""From uniform numbers to draws: whose number is whose, and inverse distribution functions.
+
+All of it works element by element. A matrix product may round differently with the number of rows, and how
+a run is split into chunks must not show in its output.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.random_streams import Streams
+
+_LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: stands for the 0 whose normal would be −∞
+
+
+def keyed_uniforms(
+    streams: Streams,
+    purpose: str,
+    frames: Frames,
+    frame: Indices,
+    owner: Indices,
+    owners: Sequence[str],
+    width: int,
+) -> Array:
+    """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step.
+
+    Args:
+        streams: Where they come from.
+        purpose: What they are for.
+        frames: The frames, for camera and steps.
+        frame: Index into them of each row, shape (n,).
+        owner: Index into `owners` of each row, shape (n,).
+        owners: Names.
+        width: Numbers a row.
+
+    Returns:
+        Shape (n, width).
+    """
+    result = np.empty((len(frame), width))
+    order = np.argsort(owner, kind="stable")
+    starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
+    for rows in np.split(order, starts[1:]) if len(order) else []:
+        first, last = int(frame[rows].min()), int(frame[rows].max())
+        draws = streams.uniforms(
+            purpose,
+            frames.camera,
+            owners[owner[rows[0]]],
+            first=frames.first_step + first,
+            count=last - first + 1,
+            width=width,
+        )
+        result[rows] = draws[frame[rows] - first]
+    return result
+
+
+def target_uniforms(streams: Streams, purpose: str, frames: Frames, targets: Targets, width: int) -> Array:
+    """Uniform numbers of each target's vessel at its step, shape (n, width)."""
+    return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids, width)
+
+
+def select(targets: Targets, rows: Indices) -> Targets:
+    """Some rows of the targets."""
+    columns = ("frame", "vessel", "label", "boxes_px", "visible_fraction", "depth_m")
+    return replace(targets, **{name: getattr(targets, name)[rows] for name in columns})
+
+
+def normals(uniforms: Array) -> Array:
+    """Standard normal numbers from uniform ones in [0, 1)."""
+    result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
+    return result
+
+
+def cumulative(probabilities: Array) -> Array:
+    """Distribution function along the last axis; its last entry is exactly one."""
+    sums: Array = np.cumsum(probabilities, axis=-1)
+    return sums / sums[..., -1:]
+
+
+def choose(distribution: Array, uniforms: Array) -> Indices:
+    """Inverse of a distribution function: what has probability zero is never chosen.
+
+    Args:
+        distribution: Distribution functions as from `cumulative`, shape (n, k) or (k,).
+        uniforms: In [0, 1), shape (n,).
+
+    Returns:
+        Indices below k, shape (n,).
+    """
+    chosen: Indices = np.sum(uniforms[:, None] >= distribution, axis=-1, dtype=np.int64)
+    return chosen
+
+
+def poisson_quantile(uniforms: Array, mean: Array) -> Indices:
+    """Least k with Pr(Poisson(mean) <= k) >= u; 0 where the mean is 0. Shapes (n,)."""
+    counts = np.zeros(len(uniforms), dtype=np.int64)
+    some = np.flatnonzero(mean > 0)
+    u, m = uniforms[some], mean[some]
+    upper = np.ceil(special.pdtrik(u, m))
+    lower = np.maximum(upper - 1, 0)
+    # The continuous inverse can land a hair above an integer: look one lower, as scipy.stats does.
+    counts[some] = np.where(special.pdtr(lower, m) >= u, lower, upper)
+    return counts

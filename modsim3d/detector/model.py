@@ -1,0 +1,73 @@
+"""A detector's statistics as the simulation uses them; `schema` has their form in a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modsim3d.detector.records import Array
+
+ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
+"""Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height, in pixels."""
+
+
+def read_only(values: ArrayLike) -> Array:
+    """A copy as doubles that cannot be written to."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class PerformanceState:
+    """How the detector behaves under one kind of conditions.
+
+    Attributes:
+        name: Such as `excellent`.
+        confusion: Pr(detected as i | label j), rows labels then background, shape (k + 1, k), columns sum
+            to one (Jessen & Mohr (2023), eq. 5.25).
+        false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
+        false_discovery_rate: False positives over all detections, in [0, 1).
+        box_error_mean_px: Shape (4,), in the order of `ERROR_COMPONENTS`.
+        box_error_covariance_px2: Shape (4, 4), symmetric and positive semi-definite.
+        confidence_mean: Before clipping to [threshold, 1].
+        confidence_std: Before clipping.
+    """
+
+    name: str
+    confusion: Array
+    false_positive_labels: Array
+    false_discovery_rate: float
+    box_error_mean_px: Array
+    box_error_covariance_px2: Array
+    confidence_mean: float
+    confidence_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorModel:
+    """Everything that a detector file says.
+
+    Attributes:
+        labels: Names of the k classes.
+        confidence_threshold: Least confidence of a detection.
+        initial_state: Index of the state at the first step.
+        transition_matrix: Pr(next is i | now is j), columns sum to one (Jessen & Mohr (2023), eq. 6.1).
+        states: In the order of the matrix's rows and columns.
+        transition_interval_s: Time between transitions; None means one at each step.
+        false_positives: Name of the model of false positives.
+    """
+
+    labels: tuple[str, ...]
+    confidence_threshold: float
+    initial_state: int
+    transition_matrix: Array
+    states: tuple[PerformanceState, ...]
+    transition_interval_s: float | None = None
+    false_positives: str = "calibrated"
+
+    def column(self, attribute: str) -> Array:
+        """One attribute of every state, stacked: shape (number of states, ...)."""
+        return read_only([getattr(state, attribute) for state in self.states])

@@ -1,0 +1,130 @@
+"""The form of a detector file. The names in it are known through the validation context, see `loader`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo
+
+from modsim3d.detector import checks
+from modsim3d.detector.clutter import CLUTTER_MODELS
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.validation import Number, Positive, Probability, Strict, nearest
+
+
+def _raise(problems: list[str]) -> None:
+    if problems:
+        raise ValueError("; ".join(problems))
+
+
+def _against(names_of: str, find: Callable[[Any, Sequence[str]], list[str]]) -> AfterValidator:
+    """A check that needs the file's labels or states; left out where those are broken themselves."""
+
+    def check(value: Any, info: ValidationInfo) -> Any:
+        names = (info.context or {}).get(names_of)
+        if names:
+            _raise(find(value, names))
+        return value
+
+    return AfterValidator(check)
+
+
+def _covariance(value: list[list[float]]) -> list[list[float]]:
+    _raise(checks.covariance_problems(value))
+    return value
+
+
+def _mean(value: list[float]) -> list[float]:
+    if len(value) != len(ERROR_COMPONENTS):
+        raise ValueError(f"has {len(value)} entries, must have 4: {', '.join(ERROR_COMPONENTS)}")
+    return value
+
+
+def _labels(value: list[str]) -> list[str]:
+    if not value:
+        raise ValueError("is empty, must name at least one label")
+    _raise([f"label '{name}' appears twice" for name in dict.fromkeys(value) if value.count(name) > 1])
+    return value
+
+
+def _false_discovery_rate(value: float) -> float:
+    if value == 1:
+        raise ValueError(
+            "is 1, must be below 1: it is the share of false positives among all detections, "
+            "and 1 would take infinitely many of them for each true one"
+        )
+    if not 0 <= value < 1:
+        raise ValueError(f"is {value:g}, must be at least 0 and below 1")
+    return value
+
+
+def _known_clutter(value: str) -> str:
+    if value not in CLUTTER_MODELS:
+        raise ValueError(f"unknown model '{value}' ({nearest(value, CLUTTER_MODELS)})")
+    return value
+
+
+def _unknown_state(value: str, states: Sequence[str]) -> list[str]:
+    return [] if value in states else [f"unknown state '{value}' ({nearest(value, states)})"]
+
+
+def _some_states(value: dict[str, StateSection]) -> dict[str, StateSection]:
+    if not value:
+        raise ValueError("is empty, must describe at least one state")
+    return value
+
+
+Name = Annotated[str, Field(strict=True, min_length=1)]
+Labels = Annotated[list[Name], AfterValidator(_labels)]
+Mean = Annotated[list[Number], AfterValidator(_mean)]
+Covariance = Annotated[list[list[Number]], AfterValidator(_covariance)]
+Transition = Annotated[list[list[Probability]], _against("states", checks.transition_problems)]
+Confusion = Annotated[list[list[Probability]], _against("labels", checks.confusion_problems)]
+LabelDistribution = Annotated[list[Probability], _against("labels", checks.distribution_problems)]
+StateName = Annotated[Name, _against("states", _unknown_state)]
+ClutterName = Annotated[Name, AfterValidator(_known_clutter)]
+FalseDiscoveryRate = Annotated[Number, AfterValidator(_false_discovery_rate)]
+
+
+class BoxErrorSection(Strict):
+    """Normal box error: mean and covariance of (e_x, e_y, e_w, e_h)."""
+
+    unit: Literal["px"]
+    mean: Mean
+    covariance: Covariance
+
+
+class ConfidenceSection(Strict):
+    """Normal confidence, before it is clipped to [threshold, 1]."""
+
+    mean: Probability
+    std: Annotated[Number, Field(ge=0)]
+
+
+class StateSection(Strict):
+    """One performance state."""
+
+    confusion: Confusion
+    false_positive_labels: LabelDistribution
+    false_discovery_rate: FalseDiscoveryRate
+    box_error: BoxErrorSection
+    confidence: ConfidenceSection
+
+
+class FalsePositivesSection(Strict):
+    """Which model makes false positives."""
+
+    model: ClutterName
+
+
+class DetectorFile(Strict):
+    """A whole detector file."""
+
+    labels: Labels
+    confidence_threshold: Probability
+    initial_state: StateName
+    transition_matrix: Transition
+    transition_interval_s: Positive | None = None
+    false_positives: FalsePositivesSection = FalsePositivesSection(model="calibrated")
+    states: Annotated[dict[Name, StateSection], AfterValidator(_some_states)]

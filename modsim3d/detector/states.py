@@ -1,0 +1,103 @@
+"""Which performance state the detector is in: a Markov chain, one for all cameras."""
+
+from __future__ import annotations
+
+import bisect
+
+import numpy as np
+
+from modsim3d.detector.draws import cumulative
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Array, Frames, Indices
+from modsim3d.errors import ModsimError
+from modsim3d.random_streams import Streams
+
+_BLOCK = 4096  # transitions drawn at a time
+_MOST_TRANSITIONS = 100_000_000
+_EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition at 0.6 s is due
+
+
+def step_distribution(transition_matrix: Array, distribution: Array, steps: int = 1) -> Array:
+    """State probabilities some steps later, A^steps · p (Jessen & Mohr (2023), eq. 6.10, 6.12).
+
+    Args:
+        transition_matrix: Columns sum to one, shape (n, n).
+        distribution: Probabilities now, shape (n,).
+        steps: How many transitions later.
+    """
+    return np.linalg.matrix_power(transition_matrix, steps) @ distribution
+
+
+def stationary_distribution(transition_matrix: Array) -> Array:
+    """The probabilities that a transition does not change, A · x = x (Jessen & Mohr (2023), eq. 6.19).
+
+    Args:
+        transition_matrix: Columns sum to one, shape (n, n).
+
+    Returns:
+        The eigenvector of eigenvalue one that sums to one, shape (n,).
+
+    Raises:
+        ModsimError: There is more than one such distribution: the chain has parts that it never leaves.
+    """
+    eigenvalues, eigenvectors = np.linalg.eig(transition_matrix)
+    ones = np.flatnonzero(np.abs(eigenvalues - 1) < 1e-9)
+    if len(ones) != 1:
+        raise ModsimError(
+            f"the transition matrix has {len(ones)} stationary distributions: "
+            "some of its states can never be reached from others"
+        )
+    vector = np.real(eigenvectors[:, ones[0]])
+    result: Array = vector / vector.sum()
+    return result
+
+
+class StateSequence:
+    """The states of a run, one realisation of the chain.
+
+    Transition k uses the k-th number of one stream, so the states at a time are the same for every camera,
+    whatever was asked before. What has been worked out is kept.
+    """
+
+    def __init__(self, model: DetectorModel, streams: Streams) -> None:
+        """Start in the model's initial state."""
+        self._streams = streams
+        self._interval_s = model.transition_interval_s
+        self._columns = cumulative(model.transition_matrix.T).tolist()
+        self._states = np.array([model.initial_state], dtype=np.int16)
+
+    def at(self, frames: Frames) -> Indices:
+        """Index of the state at each frame, shape (S,).
+
+        Raises:
+            ModsimError: The transition interval is so short that the transitions cannot be worked through.
+        """
+        transitions = self._transitions_before(frames)
+        if len(transitions):
+            self._extend(int(transitions.max()))
+        return self._states[transitions].astype(np.int64)
+
+    def _transitions_before(self, frames: Frames) -> Indices:
+        """Number of transitions up to each frame, shape (S,)."""
+        if self._interval_s is None:
+            return frames.first_step + np.arange(len(frames.times_s), dtype=np.int64)
+        return np.floor(frames.times_s / self._interval_s + _EARLY).astype(np.int64)
+
+    def _extend(self, last: int) -> None:
+        if last > _MOST_TRANSITIONS:
+            raise ModsimError(
+                f"the detector's state would change {last} times: choose a longer transition_interval_s"
+                + (f" than {self._interval_s:g}" if self._interval_s else "")
+            )
+        pieces = [self._states]
+        known, state = len(self._states), int(self._states[-1])
+        while known <= last:
+            # Transition k, from step k − 1 to step k, uses row k.
+            uniforms = self._streams.uniforms("detector.state", first=known, count=_BLOCK)[:, 0].tolist()
+            block = np.empty(_BLOCK, dtype=np.int16)
+            for k, uniform in enumerate(uniforms):
+                state = bisect.bisect_right(self._columns[state], uniform)
+                block[k] = state
+            pieces.append(block)
+            known += _BLOCK
+        self._states = np.concatenate(pieces)

@@ -1,0 +1,58 @@
+"""Pictures of a run: joins what was simulated with how it is drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.annotate.outlines import outline, triangles_of
+from modsim3d.block import frames_of
+from modsim3d.render.id_pass import IdRenderer, Ids, Region
+from modsim3d.scene import Scene
+from modsim3d.simulate import Simulation, open_renderer, truth_block
+from modsim3d.view.contact_sheet import contact_sheet
+from modsim3d.view.moments import Moment
+
+SHEET_FILE = "contact_sheet.png"
+
+
+def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -> Ids:
+    """The whole ID image of a camera at a step: vessel index + 1, zero where no vessel is."""
+    camera = scene.cameras[camera_index]
+    poses = scene.poses.poses(step, step + 1)
+    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
+    camera_poses = scene.camera_poses(camera, poses, step)
+    outlines = outline(
+        camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad
+    )
+    triangles = triangles_of(outlines, camera.intrinsics)
+    ids = outlines.vessel[triangles.row] + 1
+    return renderer.draw(
+        triangles.corners_px, triangles.inverse_depth, ids, Region(0, 0, *camera.intrinsics.image_size_px)
+    )
+
+
+def draw_contact_sheet(scene: Scene, folder: Path) -> Path:
+    """Draw a finished run's contact sheet into its folder.
+
+    Returns:
+        The PNG's path.
+    """
+    simulation = Simulation(scene)
+    names = [camera.name for camera in scene.cameras]
+    with open_renderer(scene) as renderer:
+
+        def look(moment: Moment):  # type: ignore[no-untyped-def]
+            index, step = names.index(moment.camera), moment.step
+            camera = scene.cameras[index]
+            block = simulation.detect(truth_block(scene, step, step + 1, renderer), step, step + 1)
+            frame = list(frames_of(block, scene))[index]
+            poses = scene.camera_poses(camera, scene.poses.poses(step, step + 1), step)
+            half_plane = camera.intrinsics.sea_half_plane(poses.camera_R_world[0])
+            ids = id_image(scene, index, step, renderer) if renderer else None
+            return frame, ids, half_plane, camera.intrinsics.image_size_px
+
+        title = f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
+        contact_sheet(folder, title, scene.vessel_names, look).save(folder / SHEET_FILE)
+    return folder / SHEET_FILE

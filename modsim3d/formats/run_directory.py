@@ -1,0 +1,162 @@
+"""A run directory: made, filled step by step, finished in one go, and continued after an interruption."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import numpy as np
+import orjson
+
+from modsim3d.annotate.record import ROW_COLUMNS, Truth
+from modsim3d.block import Block
+from modsim3d.errors import RunDirectoryError
+from modsim3d.formats import tables, thesis_json
+from modsim3d.scene import Scene
+
+UNFINISHED = "unfinished"
+"""The folder inside a run directory that holds what is written while the run goes on."""
+RUN_FILE, LOG_FILE = "run.json", "run.log"
+_PARQUET = {
+    "frames": (tables.FRAMES, tables.frame_table),
+    "truth": (tables.TRUTH, tables.truth_table),
+    "detections": (tables.DETECTIONS, tables.detection_table),
+}
+_JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+
+
+class RunDirectory:
+    """The folder of one run, while it is written.
+
+    Finished truth is kept block by block, so that an interrupted run can go on where it stopped. The files of the
+    detector, which is cheap, are written anew by a run that goes on.
+    """
+
+    def __init__(
+        self, folder: Path, scene: Scene, settings: dict[str, Any], *, overwrite: bool = False, resume: bool = False
+    ) -> None:
+        """Make the folder, or take up an interrupted run.
+
+        Args:
+            folder: Where.
+            scene: What is run.
+            settings: What decides the files' content; an interrupted run must have had the same.
+            overwrite: Replace a run that is there.
+            resume: Continue an interrupted run that is there.
+
+        Raises:
+            RunDirectoryError: The folder is taken, is no run directory, or cannot be written to.
+        """
+        self.folder = folder
+        self.work = folder / UNFINISHED
+        self._scene = scene
+        self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
+        try:
+            self._prepare(overwrite, resume)
+            self._writers = {
+                name: tables.TableWriter(self.work / f"{name}.parquet", schema)
+                for name, (schema, _) in _PARQUET.items()
+            }
+            self._lines: dict[tuple[str, int], IO[bytes]] = {
+                (kind, index): self._lines_path(kind, index).open("wb")
+                for kind in _JSON_LINES
+                for index in range(len(scene.cameras))
+            }
+        except OSError as error:
+            raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
+
+    def __enter__(self) -> RunDirectory:
+        """Nothing more to do: the folder is ready."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close what is open; what was written stays."""
+        for stream in self._lines.values():
+            stream.close()
+        for writer in self._writers.values():
+            writer.close()
+
+    def _prepare(self, overwrite: bool, resume: bool) -> None:
+        mine = (self.folder / RUN_FILE).exists() or self.work.is_dir()
+        taken = self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir()))
+        if resume and self.work.is_dir():
+            if (self.work / "settings.json").read_bytes() != self._settings:
+                raise RunDirectoryError(
+                    f"{self.folder} holds an interrupted run with another scene, seed, settings or version: "
+                    "resume it with the same, or use --overwrite"
+                )
+            return
+        if taken and not (overwrite and mine):
+            if not mine:
+                raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
+            state = "an interrupted run: use --resume or --overwrite" if self.work.is_dir() else "a run: use --overwrite"
+            raise RunDirectoryError(f"{self.folder} holds {state}, or choose another folder")
+        if mine:
+            shutil.rmtree(self.folder)
+        self.work.mkdir(parents=True)
+        (self.work / "settings.json").write_bytes(self._settings)
+
+    def _lines_path(self, kind: str, camera: int) -> Path:
+        return self.work / f"{kind}_{self._scene.cameras[camera].name}.jsonl"
+
+    def _truth_path(self, first: int, stop: int) -> Path:
+        return self.work / f"truth_{first:09d}_{stop:09d}.npz"
+
+    def finished_truth(self, first: int, stop: int) -> Truth | None:
+        """The truth of a block that an interrupted run had finished, or None."""
+        path = self._truth_path(first, stop)
+        if not path.exists():
+            return None
+        with np.load(path) as columns:
+            return Truth(**columns)
+
+    def keep_truth(self, truth: Truth, first: int, stop: int) -> None:
+        """Keep the truth of a finished block, for a run that goes on after an interruption."""
+        names = (*ROW_COLUMNS, "occluder_offsets", "occluder", "occluder_px")
+        path = self._truth_path(first, stop)
+        partial = path.with_suffix(".partial")
+        with partial.open("wb") as out:
+            np.savez(out, **{name: getattr(truth, name) for name in names})
+        partial.replace(path)
+
+    def write(self, block: Block) -> None:
+        """Add a block's rows and lines."""
+        for name, (_, table) in _PARQUET.items():
+            self._writers[name].write(table(block, self._scene))
+        for part in block.cameras:
+            for kind, lines in _JSON_LINES.items():
+                stream = self._lines[kind, part.camera]
+                stream.writelines(lines(block, part, self._scene))
+                stream.flush()
+
+    def finish(self, run: dict[str, Any]) -> None:
+        """Put every file in its place; `run.json` last, so that its presence means that all are complete.
+
+        Args:
+            run: What `run.json` holds.
+        """
+        self.__exit__(None, None, None)
+        for name in _PARQUET:
+            place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
+        for kind, camera in self._lines:
+            lines = self._lines_path(kind, camera)
+            joined = lines.with_suffix(".json")
+            with joined.open("wb") as out:
+                thesis_json.join_lines(lines, out)
+            place(joined, self.folder / joined.name)
+        partial = self.work / RUN_FILE
+        partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
+        place(partial, self.folder / RUN_FILE)
+        shutil.rmtree(self.work)
+
+
+def place(partial: Path, final: Path) -> None:
+    """Move a complete file to its place in one step, after it has reached the disk."""
+    with partial.open("rb+") as written:
+        os.fsync(written.fileno())
+    partial.replace(final)

@@ -1,0 +1,209 @@
+"""Parquet tables of a run: frames, truth, detections."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from modsim3d.block import Block, CameraBlock
+from modsim3d.detector.records import FALSE_POSITIVE, KINDS
+from modsim3d.formats.thesis_json import centre_form
+from modsim3d.frames import Array
+from modsim3d.scene import Scene
+
+ROW_GROUP_ROWS = 65_536
+
+_KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
+_BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+_OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
+
+
+def _doubles(*names: str) -> list[tuple[str, pa.DataType]]:
+    return [(name, pa.float64()) for name in names]
+
+
+FRAMES = pa.schema(
+    [
+        *_KEYS,
+        ("state", pa.string()),
+        *[(name, pa.int64()) for name in ("n_annotated", "n_detected", "n_false")],
+    ]
+)
+TRUTH = pa.schema(
+    [
+        *_KEYS,
+        ("vessel", pa.string()),
+        ("label", pa.string()),
+        *_doubles(*(f"full_{side}" for side in _BOX_SIDES), *(f"visible_{side}" for side in _BOX_SIDES)),
+        *_doubles("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m"),
+        ("occluded_by", _OCCLUDERS),
+        ("annotated", pa.bool_()),
+        ("detected", pa.bool_()),
+    ]
+)
+DETECTIONS = pa.schema(
+    [
+        *_KEYS,
+        ("detection", pa.int64()),
+        ("label", pa.string()),
+        *_doubles("confidence", "x_px", "y_px", "width_px", "height_px"),
+        ("state", pa.string()),
+        ("kind", pa.string()),
+        ("vessel", pa.string()),
+        *_doubles("e_x_px", "e_y_px", "e_w_px", "e_h_px"),
+    ]
+)
+
+
+def frame_table(block: Block, scene: Scene) -> pa.Table:
+    """One row for each step and camera: state and counts."""
+    states = [state.name for state in scene.detector.states]
+    length = len(block.timestamps)
+    return _in_order(
+        FRAMES,
+        [
+            {
+                **_keys(block, part, scene, np.arange(length)),
+                "state": _named(states, part.detections.states),
+                "n_annotated": np.bincount(part.truth.step[part.target_rows] - block.first, minlength=length),
+                "n_detected": _count(part, ~_false(part), length),
+                "n_false": _count(part, _false(part), length),
+            }
+            for part in block.cameras
+        ],
+    )
+
+
+def truth_table(block: Block, scene: Scene) -> pa.Table:
+    """One row for each step, camera and vessel whose silhouette is in the image."""
+    labels = [vessel.label for vessel in scene.vessels]
+    tables = []
+    for part in block.cameras:
+        truth = part.truth
+        tables.append(
+            {
+                **_keys(block, part, scene, truth.step - block.first),
+                "vessel": _named(scene.vessel_names, truth.vessel),
+                "label": _named(labels, truth.vessel),
+                **_box_columns("full", truth.full_boxes_px),
+                **_box_columns("visible", truth.visible_boxes_px),
+                **{name: _nullable(getattr(truth, name)) for name in _TRUTH_NUMBERS},
+                "occluded_by": _occluders(part, scene),
+                "annotated": truth.annotated,
+                "detected": part.detected(),
+            }
+        )
+    return _in_order(TRUTH, tables)
+
+
+_TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
+
+
+def detection_table(block: Block, scene: Scene) -> pa.Table:
+    """One row for each detection, with where it came from."""
+    states = [state.name for state in scene.detector.states]
+    tables = []
+    for part in block.cameras:
+        drawn, rows = part.detections, part.truth_row()
+        boxes = centre_form(drawn.boxes_px)
+        starts = np.searchsorted(drawn.frame, drawn.frame)
+        vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
+        tables.append(
+            {
+                **_keys(block, part, scene, drawn.frame),
+                "detection": np.arange(len(drawn)) - starts,
+                "label": _named(scene.detector.labels, drawn.label),
+                "confidence": drawn.confidence,
+                **dict(zip(("x_px", "y_px", "width_px", "height_px"), boxes.T, strict=True)),
+                "state": _named(states, drawn.states[drawn.frame]),
+                "kind": _named(KINDS, drawn.kind),
+                "vessel": _named(scene.vessel_names, vessels),
+                **{
+                    name: _nullable(column)
+                    for name, column in zip(
+                        ("e_x_px", "e_y_px", "e_w_px", "e_h_px"), drawn.errors_px.T, strict=True
+                    )
+                },
+            }
+        )
+    return _in_order(DETECTIONS, tables)
+
+
+def _false(part: CameraBlock) -> NDArray[np.bool_]:
+    return part.detections.kind == FALSE_POSITIVE
+
+
+def _count(part: CameraBlock, chosen: NDArray[np.bool_], length: int) -> NDArray[np.int64]:
+    return np.bincount(part.detections.frame[chosen], minlength=length)
+
+
+def _keys(block: Block, part: CameraBlock, scene: Scene, frame: NDArray[np.int64]) -> dict[str, Any]:
+    return {
+        "camera": _named([camera.name for camera in scene.cameras], np.full(len(frame), part.camera)),
+        "step": frame + block.first,
+        "timestamp": _named(block.timestamps, frame),
+    }
+
+
+def _named(names: tuple[str, ...] | list[str], indices: NDArray[np.int64]) -> pa.Array:
+    """Names by index; null where the index is negative."""
+    return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
+
+
+def _nullable(values: Array) -> pa.Array:
+    """Doubles with null for NaN."""
+    return pa.array(np.ascontiguousarray(values), from_pandas=True)
+
+
+def _box_columns(prefix: str, boxes_px: Array) -> dict[str, pa.Array]:
+    return {f"{prefix}_{side}": _nullable(boxes_px[:, i]) for i, side in enumerate(_BOX_SIDES)}
+
+
+def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
+    truth = part.truth
+    entries = pa.StructArray.from_arrays(
+        [_named(scene.occluder_names, truth.occluder), pa.array(truth.occluder_px)], names=["id", "px"]
+    )
+    return pa.ListArray.from_arrays(pa.array(truth.occluder_offsets, pa.int32()), entries)
+
+
+def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
+    """The cameras' tables as one, in order of step and then camera."""
+    joined = pa.concat_tables(
+        [pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables]
+    )
+    if len(tables) == 1:
+        return joined
+    return joined.take(pa.array(np.argsort(joined["step"].to_numpy(), kind="stable")))
+
+
+class TableWriter:
+    """Writes a Parquet file in row groups of one size, whatever the size of the tables it is given."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        """Open the file."""
+        self._writer = pq.ParquetWriter(path, schema, compression="zstd")
+        self._waiting: list[pa.Table] = []
+        self._rows = 0
+
+    def write(self, table: pa.Table) -> None:
+        """Add rows."""
+        self._waiting.append(table)
+        self._rows += len(table)
+        while self._rows >= ROW_GROUP_ROWS:
+            joined = pa.concat_tables(self._waiting)
+            self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS))
+            self._waiting = [joined.slice(ROW_GROUP_ROWS)]
+            self._rows -= ROW_GROUP_ROWS
+
+    def close(self) -> None:
+        """Write what is left and the footer."""
+        if self._waiting:
+            self._writer.write_table(pa.concat_tables(self._waiting))
+            self._waiting = []
+        self._writer.close()

@@ -1,0 +1,85 @@
+"""The thesis's JSON: annotations and detections by timestamp and vessel (Jessen & Mohr (2023), Figure 7.17).
+
+A file is written as JSON Lines while a run goes on, one line a time step, and becomes one JSON object at the end:
+the lines without their outer braces, joined by commas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import orjson
+
+from modsim3d.annotate.modes import annotation_boxes
+from modsim3d.block import Block, CameraBlock
+from modsim3d.detector.records import FALSE_POSITIVE
+from modsim3d.frames import Array
+from modsim3d.scene import Scene
+
+
+def centre_form(boxes_px: Array) -> Array:
+    """Centre x, centre y, width, height of boxes given as x_min, y_min, x_max, y_max, shape (n, 4)."""
+    size = boxes_px[:, 2:] - boxes_px[:, :2]
+    return np.concatenate([boxes_px[:, :2] + size / 2, size], axis=1)
+
+
+def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
+    """One line a step: timestamp → vessel ID → label and box with depth."""
+    truth, rows = part.truth, part.target_rows
+    boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows]).tolist()
+    vessels, depths = truth.vessel[rows].tolist(), truth.depth_m[rows].tolist()
+    names, labels = scene.vessel_names, [vessel.label for vessel in scene.vessels]
+    entries: list[dict[str, Any]] = [{} for _ in block.timestamps]
+    for frame, vessel, box, depth in zip((truth.step[rows] - block.first).tolist(), vessels, boxes, depths, strict=True):
+        entries[frame][names[vessel]] = {"label": labels[vessel], "bbox": {**_bbox(box), "depth": depth}}
+    return _lines(block, entries)
+
+
+def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
+    """One line a step: timestamp → vessel ID or `false_positive_<n>` → label, confidence, box."""
+    drawn, labels = part.detections, scene.detector.labels
+    boxes, confidence = centre_form(drawn.boxes_px).tolist(), drawn.confidence.tolist()
+    sources = np.where(drawn.kind == FALSE_POSITIVE, -1, part.truth_row()).tolist()
+    names, vessels = scene.vessel_names, part.truth.vessel
+    entries: list[dict[str, Any]] = [{} for _ in block.timestamps]
+    for i, (frame, row, label) in enumerate(zip(drawn.frame.tolist(), sources, drawn.label.tolist(), strict=True)):
+        entry = entries[frame]
+        entry[_free_key(entry, names[vessels[row]] if row >= 0 else None)] = {
+            "label": labels[label],
+            "confidenceScore": confidence[i],
+            "bbox": _bbox(boxes[i]),
+        }
+    return _lines(block, entries)
+
+
+def _free_key(entry: dict[str, Any], vessel: str | None) -> str:
+    """The key of a detection: false positives are counted, a second box of a vessel is `<vesselID>#2`."""
+    prefix, number = ("false_positive_", 1) if vessel is None else (f"{vessel}#", 2)
+    if vessel is not None and vessel not in entry:
+        return vessel
+    while f"{prefix}{number}" in entry:
+        number += 1
+    return f"{prefix}{number}"
+
+
+def _bbox(box: list[float]) -> dict[str, Any]:
+    return {"centre": {"x": box[0], "y": box[1]}, "height": box[3], "width": box[2]}
+
+
+def _lines(block: Block, entries: list[dict[str, Any]]) -> Iterator[bytes]:
+    return (
+        orjson.dumps({timestamp: entry}) + b"\n" for timestamp, entry in zip(block.timestamps, entries, strict=True)
+    )
+
+
+def join_lines(lines: Path, out: IO[bytes]) -> None:
+    """Write the one JSON object that a file of such lines makes."""
+    separator = b"{\n"
+    with lines.open("rb") as source:
+        for line in source:
+            out.write(separator + line.strip()[1:-1])
+            separator = b",\n"
+    out.write(b"{}\n" if separator == b"{\n" else b"\n}\n")

@@ -1,0 +1,299 @@
+"""A scene: its file, validated, and what is where at each step."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from modsim3d.annotate.modes import Annotation
+from modsim3d.camera import Camera, CameraPoses, Intrinsics, Mount, poses_ashore, poses_on_board
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.loader import load_detector
+from modsim3d.errors import InputError
+from modsim3d.frames import Array
+from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses
+from modsim3d.scene_file import CameraKeys, SceneKeys
+from modsim3d.validation import describe, load_yaml, nearest
+from modsim3d.vessels import Vessel, load_vessels, parse_vessels
+
+T = TypeVar("T")
+
+CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+OVERRIDES = {"seed": ("seed",), "steps": ("steps",), "mode": ("annotation", "mode"), "source": ("annotation", "source")}
+"""What a caller may change in a scene file without editing it, and where it stands."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A validated scene.
+
+    Attributes:
+        name: The file's name without its ending.
+        path: The scene file.
+        sha256: Of the scene file and every file that it names.
+        seed: Everything random comes from it.
+        steps: Number of time steps.
+        vessels: In the order of the vessels file.
+        poses: Where they are.
+        cameras: In the order of the scene file.
+        annotation: Mode, source and filters.
+        detector: The statistical detector's parameters.
+    """
+
+    name: str
+    path: Path
+    sha256: str
+    seed: int
+    steps: int
+    vessels: tuple[Vessel, ...]
+    poses: PoseSource
+    cameras: tuple[Camera, ...]
+    annotation: Annotation
+    detector: DetectorModel
+
+    @property
+    def vessel_names(self) -> tuple[str, ...]:
+        """IDs of the vessels."""
+        return tuple(vessel.name for vessel in self.vessels)
+
+    @property
+    def occluder_names(self) -> tuple[str, ...]:
+        """Names of what can hide a vessel: the vessels."""
+        return self.vessel_names
+
+    def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
+        """The text of the times of steps first to stop − 1."""
+        return tuple(self.poses.timestamps[first:stop])
+
+    def times_s(self, first: int, stop: int) -> Array:
+        """Times since the first step, shape (stop − first,)."""
+        start = float(self.poses.timestamps[0])
+        return np.array([float(text) for text in self.timestamps(first, stop)]) - start
+
+    def camera_poses(self, camera: Camera, poses: Poses, first: int) -> CameraPoses:
+        """Where a camera is at a run of steps.
+
+        Args:
+            camera: One of the scene's.
+            poses: Of the vessels at those steps.
+            first: The run's first step, for messages.
+
+        Raises:
+            InputError: The vessel that carries the camera is not there at a step.
+        """
+        mount = camera.mount
+        if mount.vessel is None:
+            return poses_ashore(mount, len(poses.present))
+        column = self.vessel_names.index(mount.vessel)
+        absent = np.flatnonzero(~poses.present[:, column])
+        if len(absent):
+            when = self.timestamps(first + int(absent[0]), first + int(absent[0]) + 1)[0]
+            raise InputError(
+                f"scene {self.path}",
+                [f"cameras.{camera.name}.mount.vessel: '{mount.vessel}' has no pose at time {when} s"],
+            )
+        return poses_on_board(mount, poses.positions_m[:, column], poses.headings_rad[:, column])
+
+
+def data_folder(kind: str) -> Path:
+    """The folder of shipped `scenes` or `meshes`: in the installed package, or at the top of the repository."""
+    package = Path(__file__).resolve().parent
+    installed = package / "_data" / kind
+    return installed if installed.is_dir() else package.parent / kind
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """Scenes that come with the package, by name."""
+    return {path.stem: path for path in sorted(data_folder("scenes").glob("*.yaml"))}
+
+
+def find_scene(scene: str | Path) -> Path:
+    """The scene file that a path or the name of a shipped scene means.
+
+    Raises:
+        InputError: There is neither.
+    """
+    path = Path(scene)
+    if path.exists():
+        return path
+    shipped = shipped_scenes()
+    if str(scene) in shipped:
+        return shipped[str(scene)]
+    raise InputError(f"scene {scene}", [f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"])
+
+
+def load_scene(
+    scene: str | Path,
+    *,
+    seed: int | None = None,
+    steps: int | None = None,
+    mode: int | None = None,
+    source: str | None = None,
+) -> Scene:
+    """Read and validate a scene and every file that it names.
+
+    Args:
+        scene: A scene file, or the name of a shipped scene.
+        seed: In place of the file's.
+        steps: In place of the file's.
+        mode: In place of the file's annotation mode.
+        source: In place of the file's annotation source.
+
+    Raises:
+        InputError: With every problem found, each with its path in the file.
+    """
+    path = find_scene(scene)
+    data = load_yaml(path, "scene")
+    if not isinstance(data, dict):
+        raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
+    for name, value in {"seed": seed, "steps": steps, "mode": mode, "source": source}.items():
+        if value is not None:
+            _override(data, OVERRIDES[name], value)
+    return _Reader(path, data).scene()
+
+
+def _override(data: dict[str, Any], keys: tuple[str, ...], value: object) -> None:
+    for key in keys[:-1]:
+        inner = data.get(key)
+        data[key] = dict(inner) if isinstance(inner, dict) else {} if inner is None else inner
+        data = data[key]
+    if isinstance(data, dict):
+        data[keys[-1]] = value
+
+
+class _Reader:
+    """Reads the parts of a scene one by one and collects what is wrong with each."""
+
+    def __init__(self, path: Path, data: dict[str, Any]) -> None:
+        self.path = path
+        self.data = data
+        self.folder = path.resolve().parent
+        self.problems: list[str] = []
+
+    def scene(self) -> Scene:
+        """The scene, or every problem at once."""
+        keys = self._keys()
+        vessels = self._vessels()
+        detector = self._detector()
+        if vessels is not None:
+            self._check_mounts({vessel.name for vessel in vessels})
+            if detector is not None:
+                self._check_labels(vessels, detector)
+        poses = self._poses(keys, vessels)
+        if keys is None or vessels is None or detector is None or poses is None or self.problems:
+            raise InputError(f"scene {self.path}", self.problems)
+        annotation = keys.annotation
+        return Scene(
+            name=self.path.stem,
+            path=self.path,
+            sha256=self._sha256(keys),
+            seed=keys.seed,
+            steps=keys.steps or len(poses.timestamps),
+            vessels=vessels,
+            poses=poses,
+            cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
+            annotation=Annotation(**annotation.model_dump()),
+            detector=detector,
+        )
+
+    def _collect(self, read: Callable[[], T]) -> T | None:
+        """What `read` gives, or None and its problems kept."""
+        try:
+            return read()
+        except InputError as error:
+            here = error.source == f"scene {self.path}"
+            self.problems += [problem if here else f"{error.source}: {problem}" for problem in error.problems]
+            return None
+
+    def _keys(self) -> SceneKeys | None:
+        cameras = self.data.get("cameras")
+        if isinstance(cameras, dict):
+            if not cameras:
+                self.problems.append("cameras: no cameras; a scene needs at least one")
+            self.problems += [
+                f"cameras.{name}: a camera's name goes into file names: letters, digits, '_', '-' and '.' only"
+                for name in cameras
+                if not CAMERA_NAME.fullmatch(str(name))
+            ]
+        try:
+            return SceneKeys.model_validate(self.data)
+        except ValidationError as error:
+            self.problems += describe(error, SceneKeys)
+            return None
+
+    def _vessels(self) -> tuple[Vessel, ...] | None:
+        entry = self.data.get("vessels")
+        if isinstance(entry, str):
+            return self._collect(lambda: load_vessels(self.folder / entry))
+        if isinstance(entry, dict):
+            return self._collect(lambda: parse_vessels(entry, f"scene {self.path}", "vessels"))
+        return None
+
+    def _detector(self) -> DetectorModel | None:
+        entry = self.data.get("detector")
+        return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
+
+    def _poses(self, keys: SceneKeys | None, vessels: tuple[Vessel, ...] | None) -> PoseSource | None:
+        entry = self.data.get("poses")
+        file = entry.get("file") if isinstance(entry, dict) else None
+        if isinstance(file, str) and vessels is not None:
+            names = [vessel.name for vessel in vessels]
+            recorded = self._collect(lambda: load_poses(self.folder / file, names))
+            asked = self.data.get("steps")
+            if recorded is not None and isinstance(asked, int) and asked > len(recorded.timestamps):
+                self.problems.append(f"steps: {asked} asked for, but the pose file has {len(recorded.timestamps)}")
+            return recorded
+        if keys is None or vessels is None or keys.poses.circular is None:
+            return None
+        circular, steps, interval = keys.poses.circular, keys.steps or 0, keys.time_step_s or 0.0
+        return self._collect(
+            lambda: circular_motion(
+                vessels, steps, interval, circular.centre_m, circular.radius_m, circular.rotation_rate_rad_s, keys.seed
+            )
+        )
+
+    def _check_mounts(self, names: set[str]) -> None:
+        cameras = self.data.get("cameras")
+        for name, camera in cameras.items() if isinstance(cameras, dict) else ():
+            mount = camera.get("mount") if isinstance(camera, dict) else None
+            vessel = mount.get("vessel") if isinstance(mount, dict) else None
+            if isinstance(vessel, str) and vessel not in names:
+                self.problems.append(
+                    f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, sorted(names))})"
+                )
+
+    def _check_labels(self, vessels: tuple[Vessel, ...], detector: DetectorModel) -> None:
+        for vessel in vessels:
+            if vessel.label not in detector.labels:
+                self.problems.append(
+                    f"vessels.{vessel.name}.label: '{vessel.label}' is not one of the detector's labels "
+                    f"({nearest(vessel.label, detector.labels)})"
+                )
+
+    def _sha256(self, keys: SceneKeys) -> str:
+        named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
+        digest = hashlib.sha256()
+        for path in [self.path, *(self.folder / name for name in named if name is not None)]:
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        return digest.hexdigest()
+
+
+def _camera(name: str, keys: CameraKeys) -> Camera:
+    intrinsics = Intrinsics.from_lens(
+        keys.focal_length_m,
+        keys.pixel_size_m,
+        keys.principal_point_px,
+        keys.image_size_px,
+        keys.skew,
+        keys.near_clip_m,
+    )
+    place = keys.mount or keys.pose
+    values: Mapping[str, Any] = place.model_dump() if place is not None else {}
+    return Camera(name, intrinsics, Mount(**values))

@@ -1,0 +1,185 @@
+"""The pipeline: scene in, frames out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.annotate.inside import check_cameras_outside
+from modsim3d.annotate.modes import annotated_rows, annotation_boxes
+from modsim3d.annotate.outlines import outline
+from modsim3d.annotate.record import Truth, concatenate
+from modsim3d.block import Block, CameraBlock, Frame, frames_of
+from modsim3d.camera import Camera
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.records import Frames, Targets
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.poses import Poses
+from modsim3d.scene import Scene
+
+if TYPE_CHECKING:
+    from modsim3d.render.id_pass import IdRenderer
+
+BLOCK_STEPS = 100
+"""Steps that are looked at together; no result depends on it."""
+
+
+@contextmanager
+def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
+    """The ID renderer that a scene's truth needs; None if its source needs none.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    if scene.annotation.source != "rendered":
+        yield None
+        return
+    from modsim3d.render.context import open_context  # no OpenGL where none is needed
+    from modsim3d.render.id_pass import IdRenderer
+
+    with open_context() as context:
+        yield IdRenderer(context)
+
+
+def check_source(scene: Scene) -> None:
+    """Refuse what the chosen source cannot answer.
+
+    Raises:
+        InputError: The analytic source is asked what is hidden.
+    """
+    if scene.annotation.source == "analytic" and scene.annotation.needs_visibility:
+        raise InputError(
+            f"scene {scene.path}",
+            [
+                f"annotation: mode {scene.annotation.mode} and its filters ask what is hidden, which source 'analytic' "
+                "does not tell yet: use mode 0 without visibility filters, or source 'rendered'"
+            ],
+        )
+
+
+def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
+    """What all cameras see at steps first to stop − 1.
+
+    Args:
+        scene: The scene.
+        first: First step.
+        stop: The step after the last.
+        renderer: For the rendered source.
+
+    Raises:
+        ModsimError: A camera is inside a vessel, or its own vessel is missing.
+    """
+    poses = scene.poses.poses(first, stop)
+    return concatenate(
+        [
+            _camera_truth(scene, index, camera, poses, first, renderer)
+            for index, camera in enumerate(scene.cameras)
+        ]
+    )
+
+
+def _camera_truth(
+    scene: Scene, index: int, camera: Camera, poses: Poses, first: int, renderer: IdRenderer | None
+) -> Truth:
+    camera_poses = scene.camera_poses(camera, poses, first)
+    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
+    if not scene.annotation.allow_camera_inside:
+        inside = check_cameras_outside(camera_poses.positions_m, scene.vessels, others, poses)
+        if inside is not None:
+            frame, vessel = inside
+            (when,) = scene.timestamps(first + frame, first + frame + 1)
+            raise ModsimError(
+                f"camera '{camera.name}' is inside vessel '{scene.vessels[vessel].name}' at time {when} s; move one of "
+                "them, or set annotation.allow_camera_inside: true"
+            )
+    outlines = outline(
+        camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad
+    )
+    if renderer is None:
+        occlusion = analytic_occlusion(outlines)
+    else:
+        from modsim3d.annotate.rendered import rendered_occlusion
+
+        occlusion = rendered_occlusion(outlines, camera.intrinsics, renderer)
+    truth = Truth(
+        step=first + outlines.frame,
+        camera=np.full(len(outlines), index),
+        vessel=outlines.vessel,
+        full_boxes_px=occlusion.full_boxes_px,
+        visible_boxes_px=occlusion.visible_boxes_px,
+        silhouette_px=occlusion.silhouette_px,
+        visible_px=occlusion.visible_px,
+        visible_fraction=occlusion.visible_fraction(),
+        in_frame_fraction=outlines.in_frame_fraction,
+        depth_m=outlines.depth_m,
+        annotated=np.zeros(len(outlines), dtype=bool),
+        **occlusion.occluder_columns(),
+    )
+    return truth.with_annotated(annotated_rows(truth, scene.annotation))
+
+
+class Simulation:
+    """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Set the detector up from the scene's seed."""
+        self.scene = scene
+        self._detector = Detector(scene.detector, scene.seed)
+        index = {label: i for i, label in enumerate(scene.detector.labels)}
+        self._labels: NDArray[np.int64] = np.array([index[vessel.label] for vessel in scene.vessels])
+
+    def detect(self, truth: Truth, first: int, stop: int) -> Block:
+        """Run the detector over the truth of steps first to stop − 1."""
+        scene = self.scene
+        poses = scene.poses.poses(first, stop)
+        times_s = scene.times_s(first, stop)
+        parts = []
+        for index, camera in enumerate(scene.cameras):
+            seen = truth.take(truth.camera == index)
+            rows = np.flatnonzero(seen.annotated)
+            camera_poses = scene.camera_poses(camera, poses, first)
+            frames = Frames(
+                camera=camera.name,
+                first_step=first,
+                times_s=times_s,
+                image_size_px=camera.intrinsics.image_size_px,
+                sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
+            )
+            targets = Targets(
+                frame=seen.step[rows] - first,
+                vessel=seen.vessel[rows],
+                label=self._labels[seen.vessel[rows]],
+                boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
+                visible_fraction=seen.visible_fraction[rows],
+                depth_m=seen.depth_m[rows],
+                vessel_ids=scene.vessel_names,
+            )
+            parts.append(CameraBlock(index, seen, rows, self._detector.detect(frames, targets)))
+        return Block(first, scene.timestamps(first, stop), tuple(parts))
+
+
+def block_ranges(steps: int, block_steps: int = BLOCK_STEPS) -> list[tuple[int, int]]:
+    """First step and the step after the last of each block of a run."""
+    return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
+
+
+def simulate(scene: Scene) -> Iterator[Frame]:
+    """Run a scene in memory, frame by frame, without writing anything.
+
+    Args:
+        scene: From `load_scene`.
+
+    Yields:
+        Each camera's frame at each step.
+    """
+    check_source(scene)
+    simulation = Simulation(scene)
+    with open_renderer(scene) as renderer:
+        for first, stop in block_ranges(scene.steps):
+            block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
+            yield from frames_of(block, scene)

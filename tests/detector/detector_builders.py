@@ -1,0 +1,152 @@
+"""Small detectors, frames and targets for the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from modsim3d.detector import Detections, Detector, DetectorModel, Frames, Targets
+
+IMAGE_PX = (3600, 2400)
+ALL_SEA = (0.0, 0.0, 1.0)
+MEAN_PX = [4.3, 6.8, -8.1, -0.9]
+COVARIANCE_PX2 = [
+    [2354, 206, 1157, -169],
+    [206, 390, -227, -389],
+    [1157, -227, 5404, 115],
+    [-169, -389, 115, 1225],
+]
+"""The thesis's `excellent` state, Jessen & Mohr (2023), Table 9.3."""
+
+
+def state_data(**changes: Any) -> dict[str, Any]:
+    state: dict[str, Any] = {
+        "confusion": [[0.7, 0.1], [0.1, 0.6], [0.2, 0.3]],
+        "false_positive_labels": [0.25, 0.75],
+        "false_discovery_rate": 0.2,
+        "box_error": {
+            "unit": "px",
+            "mean": list(MEAN_PX),
+            "covariance": [list(row) for row in COVARIANCE_PX2],
+        },
+        "confidence": {"mean": 0.67, "std": 0.1},
+    }
+    return state | changes
+
+
+def detector_data(**changes: Any) -> dict[str, Any]:
+    data: dict[str, Any] = {
+        "labels": ["sail", "motor"],
+        "confidence_threshold": 0.2,
+        "initial_state": "clear",
+        "transition_matrix": [[0.9, 0.2], [0.1, 0.8]],
+        "false_positives": {"model": "calibrated"},
+        "states": {
+            "clear": state_data(),
+            "fog": state_data(
+                confusion=[[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]],
+                false_discovery_rate=0.4,
+                confidence={"mean": 0.4, "std": 0.2},
+            ),
+        },
+    }
+    return data | changes
+
+
+def one_state_data(**changes: Any) -> dict[str, Any]:
+    return detector_data(
+        transition_matrix=[[1]], initial_state="only", states={"only": state_data(**changes)}
+    )
+
+
+def box_error(mean: Sequence[float], covariance: Any) -> dict[str, Any]:
+    return {"unit": "px", "mean": list(mean), "covariance": np.asarray(covariance, dtype=float).tolist()}
+
+
+def no_error() -> dict[str, Any]:
+    return box_error([0, 0, 0, 0], np.zeros((4, 4)))
+
+
+def make_frames(
+    count: int,
+    camera: str = "C0",
+    first_step: int = 0,
+    image_px: tuple[int, int] = IMAGE_PX,
+    sea: Sequence[float] = ALL_SEA,
+    time_step_s: float = 0.1,
+) -> Frames:
+    times_s = (first_step + np.arange(count)) * time_step_s
+    return Frames(camera, first_step, times_s, image_px, np.tile(np.asarray(sea, dtype=float), (count, 1)))
+
+
+def make_targets(boxes_px: Any, label: Any = 0, vessel_ids: Sequence[str] | None = None) -> Targets:
+    """Targets from boxes of shape (frames, vessels, 4); a row of NaN is a vessel that is not annotated."""
+    boxes = np.asarray(boxes_px, dtype=float)
+    frame, vessel = np.nonzero(~np.isnan(boxes[..., 0]))
+    ids = tuple(vessel_ids or (f"vessel{i}" for i in range(boxes.shape[1])))
+    labels = np.broadcast_to(label, boxes.shape[:2])[frame, vessel]
+    size = len(frame)
+    return Targets(
+        frame, vessel, labels, boxes[frame, vessel], np.full(size, np.nan), np.full(size, 100.0), ids
+    )
+
+
+def same_boxes(frames: int, vessels: int, box_px: Sequence[float]) -> np.ndarray:
+    return np.tile(np.asarray(box_px, dtype=float), (frames, vessels, 1))
+
+
+def centred(width: float, height: float, image_px: tuple[int, int] = IMAGE_PX) -> list[float]:
+    x, y = image_px[0] / 2, image_px[1] / 2
+    return [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
+
+
+def chunk(frames: Frames, targets: Targets, start: int, stop: int) -> tuple[Frames, Targets, int]:
+    """Some of the frames with their targets, and the row that the first of these targets has in the whole."""
+    first, last = np.searchsorted(targets.frame, [start, stop])
+    rows = slice(first, last)
+    part = Frames(
+        frames.camera,
+        frames.first_step + start,
+        frames.times_s[start:stop],
+        frames.image_size_px,
+        frames.sea_half_planes[start:stop],
+    )
+    return (
+        part,
+        Targets(
+            targets.frame[rows] - start,
+            targets.vessel[rows],
+            targets.label[rows],
+            targets.boxes_px[rows],
+            targets.visible_fraction[rows],
+            targets.depth_m[rows],
+            targets.vessel_ids,
+        ),
+        int(first),
+    )
+
+
+def detect_in_chunks(
+    detector: Detector, frames: Frames, targets: Targets, borders: Sequence[int]
+) -> Detections:
+    """One `Detections` from several calls, with `frame` and `target` counted over the whole."""
+    columns: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Detections)}
+    for start, stop in zip(borders[:-1], borders[1:], strict=True):
+        part, part_targets, first = chunk(frames, targets, start, stop)
+        found = detector.detect(part, part_targets)
+        for name, values in columns.items():
+            values.append(getattr(found, name))
+        columns["frame"][-1] = found.frame + start
+        columns["target"][-1] = np.where(found.target < 0, -1, found.target + first)
+    return Detections(**{name: np.concatenate(values) for name, values in columns.items()})
+
+
+def all_bytes(detections: Detections) -> dict[str, bytes]:
+    return {field.name: getattr(detections, field.name).tobytes() for field in fields(Detections)}
+
+
+def run(model: DetectorModel, frames: Frames, targets: Targets, seed: int = 1) -> Detections:
+    return Detector(model, seed).detect(frames, targets)

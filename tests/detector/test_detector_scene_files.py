@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from modsim3d.detector import DetectorModel, load_detector
+from modsim3d.detector.checks import covariance_problems
+
+ROOT = Path(__file__).resolve().parents[2]
+DETECTORS = ROOT / "scenes" / "detectors"
+NAMES = ["experiment_1", "thesis", "thesis_original", "three_labels"]
+
+
+def load(name: str) -> DetectorModel:
+    return load_detector(DETECTORS / f"{name}.yaml")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("detectors")
+    script = ROOT / "script" / "make_detectors"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, script, folder], check=True, env=environment)
+    return folder
+
+
+def test_the_script_writes_every_detector_file(written: Path) -> None:
+    assert sorted(path.stem for path in written.iterdir()) == NAMES
+    assert sorted(path.stem for path in DETECTORS.glob("*.yaml")) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_script_reproduces_the_file_byte_for_byte(written: Path, name: str) -> None:
+    assert (written / f"{name}.yaml").read_bytes() == (DETECTORS / f"{name}.yaml").read_bytes()
+
+
+def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
+    model = load("thesis")
+    assert model.labels == ("Vessel",)
+    assert model.false_positives == "calibrated"
+    assert [state.name for state in model.states] == ["excellent", "good", "bad", "terrible"]
+    np.testing.assert_allclose(
+        [state.confusion[1, 0] for state in model.states], [0.133, 0.151, 0.245, 0.381]
+    )
+    assert [state.false_discovery_rate for state in model.states] == [0.089, 0.113, 0.115, 0.255]
+    assert model.states[1].box_error_covariance_px2[0].tolist() == [3328, 87, -301, -220]
+    assert model.states[3].box_error_mean_px.tolist() == [4.0, 8.2, -24.1, -8.9]
+    assert model.transition_matrix[1, 0] == pytest.approx(0.0085)
+    assert {(state.confidence_mean, state.confidence_std) for state in model.states} == {(0.67, 0.1)}
+
+
+def test_the_original_differs_in_its_false_positives_only() -> None:
+    ours, original = (
+        yaml.safe_load((DETECTORS / f"{n}.yaml").read_text()) for n in ("thesis", "thesis_original")
+    )
+    assert original.pop("false_positives") == {"model": "thesis"}
+    del ours["false_positives"]
+    assert ours == original
+
+
+def test_three_labels_have_a_full_confusion_matrix_in_each_of_two_states() -> None:
+    model = load("three_labels")
+    assert model.labels == ("sailboat", "motorboat", "ferry")
+    assert [state.confusion.shape for state in model.states] == [(4, 3), (4, 3)]
+    assert all(np.all(state.confusion > 0) for state in model.states)
+
+
+def test_experiment_1_has_one_state() -> None:
+    (state,) = load("experiment_1").states
+    assert state.false_discovery_rate == 0.119
+    assert state.box_error_covariance_px2[1].tolist() == [1.6, 12.2, -0.2, -13.9]
+
+
+def test_every_published_covariance_is_one() -> None:
+    conditions = yaml.safe_load((DETECTORS / "data" / "detection_conditions.yaml").read_text())
+    for entry in conditions.values():
+        if "covariance_px2" in entry:
+            matrix = np.array(entry["covariance_px2"])
+        else:
+            c = entry["correlation"]
+            matrix = np.outer(entry["std_px"], entry["std_px"]) * [
+                [1, c["xy"], c["xw"], c["xh"]],
+                [c["xy"], 1, c["yw"], c["yh"]],
+                [c["xw"], c["yw"], 1, c["wh"]],
+                [c["xh"], c["yh"], c["wh"], 1],
+            ]
+        assert covariance_problems(matrix.tolist()) == []
+    assert len(conditions) == 17

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from detector_builders import detector_data, make_frames
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.detector import DetectorModel, parse_detector
+from modsim3d.detector.states import StateSequence, stationary_distribution, step_distribution
+from modsim3d.errors import ModsimError
+from modsim3d.random_streams import Streams
+
+# Jessen & Mohr (2023), eq. 6.8 to 6.10
+A = np.array([[1 / 3, 1 / 6, 1 / 20], [1 / 3, 2 / 3, 1 / 20], [1 / 3, 1 / 6, 9 / 10]])
+THESIS_A = np.array(
+    [
+        [0.99000, 0.00475, 0.00050, 0.00050],
+        [0.00850, 0.99000, 0.00475, 0.00100],
+        [0.00100, 0.00475, 0.99000, 0.00850],
+        [0.00050, 0.00050, 0.00475, 0.99000],
+    ]
+)  # eq. 9.1
+
+
+def sequence(model: DetectorModel, seed: int = 1) -> StateSequence:
+    return StateSequence(model, Streams(seed))
+
+
+def model(**changes: object) -> DetectorModel:
+    return parse_detector(detector_data(**changes))
+
+
+def test_a_step_multiplies_the_state_vector_by_the_transition_matrix() -> None:
+    after = step_distribution(A, np.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(after, [1 / 6, 2 / 3, 1 / 6], rtol=1e-14)
+
+
+def test_several_steps_are_that_power_of_the_matrix() -> None:
+    p = np.array([0.0, 1.0, 0.0])
+    slow = A @ (A @ (A @ (A @ p)))  # eq. 6.11
+    np.testing.assert_allclose(step_distribution(A, p, steps=4), slow, rtol=1e-13)
+
+
+@pytest.mark.parametrize("matrix", [A, THESIS_A, np.array([[1.0]]), np.array([[0.0, 1.0], [1.0, 0.0]])])
+def test_stationary_distribution_is_not_changed_by_a_step(matrix: np.ndarray) -> None:
+    x = stationary_distribution(matrix)
+    np.testing.assert_allclose(matrix @ x, x, atol=1e-12)  # eq. 6.19
+    assert x.sum() == pytest.approx(1, abs=1e-12)
+    assert np.all(x >= 0)
+
+
+def test_stationary_distribution_is_where_long_runs_end() -> None:
+    p = step_distribution(A, np.array([0.0, 1.0, 0.0]), steps=400)
+    np.testing.assert_allclose(stationary_distribution(A), p, atol=1e-12)
+
+
+def test_a_chain_in_two_parts_has_no_single_stationary_distribution() -> None:
+    with pytest.raises(ModsimError, match="2 stationary distributions"):
+        stationary_distribution(np.eye(2))
+
+
+def test_the_first_step_is_in_the_initial_state() -> None:
+    for seed in range(20):
+        assert sequence(model(initial_state="fog"), seed).at(make_frames(1)).tolist() == [1]
+
+
+def test_transitions_happen_as_often_as_the_columns_say() -> None:
+    states = sequence(model()).at(make_frames(100_000))
+    for now, column in enumerate([[0.9, 0.1], [0.2, 0.8]]):
+        following = states[1:][states[:-1] == now]
+        error = 4 * np.sqrt(0.9 * 0.1 / len(following)) if now == 0 else 4 * np.sqrt(0.16 / len(following))
+        assert abs(np.mean(following == 0) - column[0]) < error
+
+
+@given(starts=st.lists(st.integers(0, 9000), min_size=1, max_size=5))
+def test_states_are_the_same_in_whatever_order_they_are_asked_for(starts: list[int]) -> None:
+    whole, scattered = sequence(model()).at(make_frames(9010)), sequence(model())
+    for start in starts:
+        part = scattered.at(make_frames(10, camera="other", first_step=start))
+        assert np.array_equal(part, whole[start : start + 10])
+
+
+def test_states_hold_between_multiples_of_the_interval() -> None:
+    each_step = sequence(model()).at(make_frames(200))
+    slower = sequence(model(transition_interval_s=0.3)).at(make_frames(600, time_step_s=0.1))
+    assert np.array_equal(slower, np.repeat(each_step, 3))
+
+
+def test_the_frame_rate_does_not_change_the_weather() -> None:
+    fine = sequence(model(transition_interval_s=1.0)).at(make_frames(2000, time_step_s=0.05))
+    coarse = sequence(model(transition_interval_s=1.0)).at(make_frames(200, time_step_s=0.5))
+    assert np.array_equal(fine[::10], coarse)
+    assert 0 < coarse.mean() < 1
+
+
+def test_an_interval_far_too_short_is_refused() -> None:
+    with pytest.raises(ModsimError, match="longer transition_interval_s than 1e-09"):
+        sequence(model(transition_interval_s=1e-9)).at(make_frames(100))
+
+
+def test_no_frames_have_no_states() -> None:
+    assert sequence(model()).at(make_frames(0)).shape == (0,)
