@@ -200,9 +200,7 @@ def _frame(block: Block, part: CameraBlock, scene: Scene, step: int) -> Frame:
             confidence=detections.confidence[drawn],
             boxes_px=detections.boxes_px[drawn],
             kinds=tuple(KINDS[kind] for kind in detections.kind[drawn]),
-            vessels=tuple(
-                scene.vessels[truth.vessel[row]].name if row >= 0 else None for row in sources
-            ),
+            vessels=tuple(scene.vessels[truth.vessel[row]].name if row >= 0 else None for row in sources),
             errors_px=detections.errors_px[drawn],
         ),
     )

@@ -86,7 +86,7 @@ class Intrinsics:
         c1 = (pixel[..., 0] - a1 - self.skew * c2) / f1
         return np.stack([c1 * depth, c2 * depth, depth], axis=-1)
 
-    def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:  # noqa: N803
+    def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:
         """The side of the horizon on which the sea lies, for any roll and pitch; the sea is flat.
 
         A pixel's ray is K⁻¹ (x, y, 1); it meets the sea, or is parallel to a ray that does, where it points
@@ -188,8 +188,8 @@ def poses_on_board(mount: Mount, positions_m: Array, headings_rad: Array) -> Cam
     Returns:
         Poses of shapes (S, 3, 3) and (S, 3).
     """
-    world_R_vcf = world_R_vehicle(headings_rad)  # noqa: N806
-    camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)  # noqa: N806
+    world_R_vcf = world_R_vehicle(headings_rad)
+    camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
     centres = positions_m + world_R_vcf @ np.array(mount.position_m, dtype=np.float64)
     return CameraPoses(camera_R_vcf @ np.swapaxes(world_R_vcf, -1, -2), centres)
 

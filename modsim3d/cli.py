@@ -12,8 +12,6 @@ import typer
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
 
@@ -59,7 +57,8 @@ def _show_version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
     pass
@@ -94,7 +93,11 @@ def run_command(
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(loaded.name, total=loaded.steps)
         result = run(
-            loaded, folder, overwrite=overwrite, resume=resume, progress=lambda steps: bar.advance(task, steps)
+            loaded,
+            folder,
+            overwrite=overwrite,
+            resume=resume,
+            progress=lambda steps: bar.advance(task, steps),
         )
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
@@ -114,11 +117,9 @@ def check_command(scene: SceneArgument) -> None:
 
     loaded = load_scene(scene)
     check_source(loaded)
-    vessels, cameras = len(loaded.vessels), len(loaded.cameras)
     typer.echo(
-        f"{loaded.path}: no problems found: {vessels} vessel{'s'[: vessels != 1]}, {cameras} "
-        f"camera{'s'[: cameras != 1]}, {loaded.steps} steps, annotation mode {loaded.annotation.mode}, "
-        f"source {loaded.annotation.source}"
+        f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
+        f"steps: {loaded.steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
     )
 
 
@@ -148,17 +149,41 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
     known = scene.annotation.source == "rendered"
     hidden = f"{counts.partly_hidden} partly, {counts.fully_hidden} fully" if known else "not asked"
     rows: list[tuple[str, str, str]] = [
-        ("frames", str(counts.frames), f"{len(scene.cameras)} camera(s), {scene.steps} steps, mode {scene.annotation.mode}"),
-        ("vessels seen", str(counts.seen if known else counts.vessel_frames), "vessels in images, summed over frames"),
+        (
+            "frames",
+            str(counts.frames),
+            f"{len(scene.cameras)} camera(s), {scene.steps} steps, mode {scene.annotation.mode}",
+        ),
+        (
+            "vessels seen",
+            str(counts.seen if known else counts.vessel_frames),
+            "vessels in images, summed over frames",
+        ),
         ("occlusions", hidden, ""),
         ("annotated", str(counts.annotated), ""),
         ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
         ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "of annotated")),
-        ("false", str(counts.false_positives), _share(counts.false_positives, counts.detected + counts.false_positives, "of all detections")),
+        (
+            "false",
+            str(counts.false_positives),
+            _share(counts.false_positives, counts.detected + counts.false_positives, "of all detections"),
+        ),
         ("mislabelled", str(counts.mislabelled), ""),
-        ("IoU below 0.5", str(counts.below_half_iou), f"{counts.below_half_iou / true:.1%} of detections: a matching evaluation misses these"),
-        ("box redrawn", str(counts.redrawn), f"{counts.redrawn / true:.1%}: the first error left less than a pixel of the box"),
-        ("time per frame", f"{1e3 * result.seconds / max(counts.frames, 1):.2f} ms", f"{result.seconds:.1f} s in all"),
+        (
+            "IoU below 0.5",
+            str(counts.below_half_iou),
+            f"{counts.below_half_iou / true:.1%} of detections: a matching evaluation misses these",
+        ),
+        (
+            "box redrawn",
+            str(counts.redrawn),
+            f"{counts.redrawn / true:.1%}: the first error left less than a pixel of the box",
+        ),
+        (
+            "time per frame",
+            f"{1e3 * result.seconds / max(counts.frames, 1):.2f} ms",
+            f"{result.seconds:.1f} s in all",
+        ),
     ]
     if result.resumed_steps:
         rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))

@@ -23,9 +23,7 @@ def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -
     poses = scene.poses.poses(step, step + 1)
     others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
     camera_poses = scene.camera_poses(camera, poses, step)
-    outlines = outline(
-        camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad
-    )
+    outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
     triangles = triangles_of(outlines, camera.intrinsics)
     ids = outlines.vessel[triangles.row] + 1
     return renderer.draw(
@@ -53,6 +51,8 @@ def draw_contact_sheet(scene: Scene, folder: Path) -> Path:
             ids = id_image(scene, index, step, renderer) if renderer else None
             return frame, ids, half_plane, camera.intrinsics.image_size_px
 
-        title = f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
+        title = (
+            f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
+        )
         contact_sheet(folder, title, scene.vessel_names, look).save(folder / SHEET_FILE)
     return folder / SHEET_FILE

@@ -55,7 +55,7 @@ def attitude(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> A
     return rotation(2, roll_rad) @ rotation(0, pitch_rad) @ rotation(1, yaw_rad)
 
 
-def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:  # noqa: N802
+def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
     """Rotation from the frame that carries a camera (WCF ashore, VCF on board) to CCF (eq. 7.15).
 
     Args:
@@ -69,7 +69,7 @@ def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLik
     return attitude(roll_rad, pitch_rad, yaw_rad) @ BASE_R_WORLD
 
 
-def world_R_vehicle(heading_rad: ArrayLike) -> Array:  # noqa: N802
+def world_R_vehicle(heading_rad: ArrayLike) -> Array:
     """Rotation from the nominal vehicle frame to the world (Jessen & Mohr (2023), eq. 7.2).
 
     Args:

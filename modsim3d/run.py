@@ -86,7 +86,9 @@ class Counts:
 def _iou(a: Array, b: Array) -> Array:
     """Intersection over union of boxes, row by row, shape (n,)."""
     overlap = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
-    return overlap / ((a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - overlap)
+    union = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - overlap
+    ratio: Array = overlap / union
+    return ratio
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from modsim3d.annotate.modes import Annotation
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, Mount, poses_ashore, poses_on_board
-from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.loader import load_detector
+from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
 from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses
@@ -26,7 +26,12 @@ from modsim3d.vessels import Vessel, load_vessels, parse_vessels
 T = TypeVar("T")
 
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-OVERRIDES = {"seed": ("seed",), "steps": ("steps",), "mode": ("annotation", "mode"), "source": ("annotation", "source")}
+OVERRIDES = {
+    "seed": ("seed",),
+    "steps": ("steps",),
+    "mode": ("annotation", "mode"),
+    "source": ("annotation", "source"),
+}
 """What a caller may change in a scene file without editing it, and where it stands."""
 
 
@@ -126,7 +131,10 @@ def find_scene(scene: str | Path) -> Path:
     shipped = shipped_scenes()
     if str(scene) in shipped:
         return shipped[str(scene)]
-    raise InputError(f"scene {scene}", [f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"])
+    raise InputError(
+        f"scene {scene}",
+        [f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"],
+    )
 
 
 def load_scene(
@@ -255,7 +263,13 @@ class _Reader:
         circular, steps, interval = keys.poses.circular, keys.steps or 0, keys.time_step_s or 0.0
         return self._collect(
             lambda: circular_motion(
-                vessels, steps, interval, circular.centre_m, circular.radius_m, circular.rotation_rate_rad_s, keys.seed
+                vessels,
+                steps,
+                interval,
+                circular.centre_m,
+                circular.radius_m,
+                circular.rotation_rate_rad_s,
+                keys.seed,
             )
         )
 

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from modsim3d.validation import Count, Number, Positive, Probability, Strict
+from modsim3d.validation import Number, Probability, Strict, shown
 
-PositiveInt = Annotated[int, Field(strict=True, gt=0)]
+# Far beyond any scene, and near enough that no square or product of them overflows.
+MAX_COORDINATE_M = 1e9
+MAX_PX = 1e9
+MAX_STEPS = 10_000_000
+MAX_SEED = 2**63 - 1
+
+Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Pixels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_PX, le=MAX_PX)]
+Lens = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e3)]
+NearClip = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=MAX_COORDINATE_M)]
+Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
+Interval = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e9)]
+Steps = Annotated[int, Field(strict=True, gt=0, le=MAX_STEPS)]
+Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-Vector = tuple[Number, Number, Number]
+Vector = tuple[Metres, Metres, Metres]
 MAX_IMAGE_SIDE_PX = 12_000
 ImageSide = Annotated[int, Field(strict=True, gt=0, le=MAX_IMAGE_SIDE_PX)]
 
@@ -33,28 +46,30 @@ class MountKeys(PoseKeys):
 class CameraKeys(Strict):
     """A camera: lens, sensor, and either `pose` or `mount`."""
 
-    focal_length_m: Positive
-    pixel_size_m: tuple[Positive, Positive]
-    principal_point_px: tuple[Number, Number]
+    focal_length_m: Lens
+    pixel_size_m: tuple[Lens, Lens]
+    principal_point_px: tuple[Pixels, Pixels]
     image_size_px: tuple[ImageSide, ImageSide]
-    skew: Number = 0.0
-    near_clip_m: Positive = 0.1
+    skew: Pixels = 0.0
+    near_clip_m: NearClip = 0.1
     pose: PoseKeys | None = None
-    mount: MountKeys | None = None
+    mount: MountKeys | None = Field(default=None, validate_default=True)
 
-    @model_validator(mode="after")
-    def _one_place(self) -> CameraKeys:
-        if (self.pose is None) == (self.mount is None):
+    # On a field and not on the whole, which pydantic looks at only when all fields are right.
+    @field_validator("mount")
+    @classmethod
+    def _one_place(cls, mount: MountKeys | None, info: ValidationInfo) -> MountKeys | None:
+        if (info.data.get("pose", "given but wrong") is None) == (mount is None):
             raise ValueError("give exactly one of pose (ashore) and mount (on a vessel)")
-        return self
+        return mount
 
 
 class CircularKeys(Strict):
     """Vessels on concentric circles (Jessen & Mohr (2023), Table 9.4)."""
 
-    centre_m: tuple[Number, Number] = (0.0, 0.0)
-    radius_m: tuple[NotNegative, Positive]
-    rotation_rate_rad_s: tuple[Number, Number]
+    centre_m: tuple[Metres, Metres] = (0.0, 0.0)
+    radius_m: tuple[Annotated[Metres, Field(ge=0)], Annotated[Metres, Field(gt=0)]]
+    rotation_rate_rad_s: tuple[Rate, Rate]
 
     @model_validator(mode="after")
     def _ordered(self) -> CircularKeys:
@@ -69,19 +84,20 @@ class PosesKeys(Strict):
     """Where vessels are: exactly one source."""
 
     file: str | None = None
-    circular: CircularKeys | None = None
+    circular: CircularKeys | None = Field(default=None, validate_default=True)
 
-    @model_validator(mode="after")
-    def _one_source(self) -> PosesKeys:
-        if (self.file is None) == (self.circular is None):
+    @field_validator("circular")
+    @classmethod
+    def _one_source(cls, circular: CircularKeys | None, info: ValidationInfo) -> CircularKeys | None:
+        if (info.data.get("file", "given but wrong") is None) == (circular is None):
             raise ValueError("give exactly one of file and circular")
-        return self
+        return circular
 
 
 class AnnotationKeys(Strict):
     """Annotation mode, source and filters (Jessen & Mohr (2023), §7.5.1)."""
 
-    mode: Literal[0, 1, 2] = 0
+    mode: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
     source: Literal["rendered", "analytic"] = "rendered"
     min_visible_px: NotNegative = 0.0
     min_visible_fraction: Probability = 0.0
@@ -92,19 +108,30 @@ class AnnotationKeys(Strict):
 class SceneKeys(Strict):
     """A scene file. `vessels` is looked at apart from this: it may be a file."""
 
-    steps: PositiveInt | None = None
-    time_step_s: Positive | None = None
-    seed: Count = 0
+    steps: Steps | None = None
+    time_step_s: Interval | None = None
+    seed: Seed = 0
     vessels: str | dict[str, object]
     poses: PosesKeys
     cameras: dict[str, CameraKeys]
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 
-    @model_validator(mode="after")
-    def _times(self) -> SceneKeys:
-        if self.poses.circular is not None:
-            missing = [key for key in ("steps", "time_step_s") if getattr(self, key) is None]
+    @field_validator("vessels", mode="before")
+    @classmethod
+    def _file_or_mapping(cls, vessels: object) -> object:
+        if not isinstance(vessels, str | dict):
+            raise ValueError(f"a file or a mapping of vessel ID to vessel is needed (got {shown(vessels)})")
+        numbers = [shown(name) for name in vessels if not isinstance(name, str)]
+        if numbers:
+            raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers)} in quotes")
+        return vessels
+
+    @field_validator("poses")
+    @classmethod
+    def _times(cls, poses: PosesKeys, info: ValidationInfo) -> PosesKeys:
+        if poses.circular is not None:
+            missing = [key for key in ("steps", "time_step_s") if info.data.get(key, "given but wrong") is None]
             if missing:
-                raise ValueError(f"{' and '.join(missing)} needed: poses.circular generates its own times")
-        return self
+                raise ValueError(f"circular makes its own times: {' and '.join(missing)} must be given beside it")
+        return poses

@@ -76,10 +76,7 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
     """
     poses = scene.poses.poses(first, stop)
     return concatenate(
-        [
-            _camera_truth(scene, index, camera, poses, first, renderer)
-            for index, camera in enumerate(scene.cameras)
-        ]
+        [_camera_truth(scene, index, camera, poses, first, renderer) for index, camera in enumerate(scene.cameras)]
     )
 
 
@@ -97,28 +94,15 @@ def _camera_truth(
                 f"camera '{camera.name}' is inside vessel '{scene.vessels[vessel].name}' at time {when} s; move one of "
                 "them, or set annotation.allow_camera_inside: true"
             )
-    outlines = outline(
-        camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad
-    )
+    outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
     if renderer is None:
         occlusion = analytic_occlusion(outlines)
     else:
         from modsim3d.annotate.rendered import rendered_occlusion
 
         occlusion = rendered_occlusion(outlines, camera.intrinsics, renderer)
-    truth = Truth(
-        step=first + outlines.frame,
-        camera=np.full(len(outlines), index),
-        vessel=outlines.vessel,
-        full_boxes_px=occlusion.full_boxes_px,
-        visible_boxes_px=occlusion.visible_boxes_px,
-        silhouette_px=occlusion.silhouette_px,
-        visible_px=occlusion.visible_px,
-        visible_fraction=occlusion.visible_fraction(),
-        in_frame_fraction=outlines.in_frame_fraction,
-        depth_m=outlines.depth_m,
-        annotated=np.zeros(len(outlines), dtype=bool),
-        **occlusion.occluder_columns(),
+    truth = occlusion.truth(
+        first + outlines.frame, index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m
     )
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
 

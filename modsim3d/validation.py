@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
+import reprlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,7 +31,8 @@ class _Yaml12Loader(yaml.SafeLoader):
     """PyYAML with the numbers and booleans of YAML 1.2, and with repeated keys refused."""
 
 
-# PyYAML follows YAML 1.1: `1e-6` is a string, `no` is false, `1:30` is 90, and it makes dates of keys. Keep its other resolvers.
+# PyYAML follows YAML 1.1: `1e-6` is a string, `no` is false, `1:30` is 90, and it makes dates of keys.
+# Its other resolvers are kept.
 _Yaml12Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":bool", ":int", ":float", ":timestamp"))]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -56,15 +58,13 @@ def _construct_int(loader: _Yaml12Loader, node: yaml.ScalarNode) -> int:
 def _construct_mapping(loader: _Yaml12Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     seen: set[Any] = set()
     for key_node, _ in node.value:
+        if key_node.tag == "tag:yaml.org,2002:merge":
+            continue  # `<<: *base` is no key but brings keys, which flatten_mapping puts in
         key = loader.construct_object(key_node, deep=True)
         if not isinstance(key, str | int | float | bool):
-            raise yaml.constructor.ConstructorError(
-                None, None, "a key must be plain text", key_node.start_mark
-            )
+            raise yaml.constructor.ConstructorError(None, None, "a key must be plain text", key_node.start_mark)
         if key in seen:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"key '{key}' appears twice", key_node.start_mark
-            )
+            raise yaml.constructor.ConstructorError(None, None, f"key '{key}' appears twice", key_node.start_mark)
         seen.add(key)
     loader.flatten_mapping(node)
     return loader.construct_mapping(node, deep=True)
@@ -90,6 +90,8 @@ def read_text(path: Path, what: str) -> str:
         problem = f"cannot be read: {error.strerror}"
     except UnicodeDecodeError as error:
         problem = f"is not UTF-8 text (byte {error.start})"
+    except ValueError:
+        problem = "this cannot be a file's name"  # it holds a null character
     raise InputError(f"{what} {path}", [problem])
 
 
@@ -101,13 +103,45 @@ def load_yaml(path: Path, what: str) -> Any:
     """
     text = read_text(path, what)
     try:
-        return yaml.load(text, Loader=_Yaml12Loader)  # noqa: S506 (a SafeLoader)
+        return yaml.load(text, Loader=_Yaml12Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise InputError(f"{what} {path}", [f"{where}{error.problem}"]) from None
-    except (yaml.YAMLError, ValueError) as error:
-        raise InputError(f"{what} {path}", [str(error)]) from None
+        problem = ": ".join(part for part in (error.context, error.problem) if part)
+        raise InputError(f"{what} {path}", [f"{where}{problem}"]) from None
+    except yaml.reader.ReaderError as error:
+        line, column = _line_and_column(text, error.position)
+        problem = f"character {chr(error.character)!r} may not stand in YAML"
+        raise InputError(f"{what} {path}", [f"line {line}, column {column}: {problem}"]) from None
+    except RecursionError:
+        raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
+    except Exception as error:  # PyYAML's constructors raise many kinds: `!!bool x` is a KeyError
+        raise InputError(f"{what} {path}", [f"a value cannot be read: {error}"]) from None
+
+
+def _line_and_column(text: str, position: int) -> tuple[int, int]:
+    """Both from one."""
+    before = text[:position]
+    return before.count("\n") + 1, position - before.rfind("\n")
+
+
+class _Pairs(list[tuple[str, Any]]):
+    """A JSON object with its repeated keys still in it."""
+
+
+def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
+    """Paths of the keys that appear more than once in a JSON object."""
+    if not isinstance(content, list):
+        return []
+    pairs = content if isinstance(content, _Pairs) else list(enumerate(content))
+    seen: set[object] = set()
+    found: list[str] = []
+    for key, value in pairs:
+        if key in seen:
+            found.append(f"{join_path(*path, key)}: the key '{key}' appears twice")
+        seen.add(key)
+        found += _repeated_keys(value, (*path, key))
+    return found
 
 
 def load_json(path: Path, what: str) -> Any:
@@ -116,25 +150,30 @@ def load_json(path: Path, what: str) -> Any:
     Raises:
         InputError: The file cannot be read or is not valid JSON; the message names line and column.
     """
-    repeated: list[str] = []
+    repeated = False
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        nonlocal repeated
         result = dict(pairs)
-        if len(result) < len(pairs):
-            keys = [key for key, _ in pairs]
-            repeated.extend(sorted({key for key in keys if keys.count(key) > 1}))
+        repeated = repeated or len(result) < len(pairs)
         return result
 
-    text = read_text(path, what)
+    text = read_text(path, what).removeprefix("\ufeff")
+    if not text.strip():
+        raise InputError(f"{what} {path}", ["the file is empty"])
     try:
         content = json.loads(text, object_pairs_hook=mapping)
+        if repeated:
+            problems = _repeated_keys(json.loads(text, object_pairs_hook=_Pairs), ())
+            raise InputError(f"{what} {path}", list(dict.fromkeys(problems)))
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
-        raise InputError(f"{what} {path}", [f"{where}: {error.msg}"]) from None
+        cut = " (the file ends here: is it cut off?)" if error.pos >= len(text.rstrip()) else ""
+        raise InputError(f"{what} {path}", [f"{where}: {error.msg}{cut}"]) from None
     except RecursionError:
         raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
-    if repeated:
-        raise InputError(f"{what} {path}", [f"key '{key}' appears twice" for key in repeated])
+    except ValueError as error:  # an integer of thousands of digits
+        raise InputError(f"{what} {path}", [f"a value cannot be read: {error}"]) from None
     return content
 
 
@@ -171,6 +210,26 @@ def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[st
     return list(getattr(current, "model_fields", ()))
 
 
+_IN_OUR_WORDS = {
+    "dict_type": "a mapping of keys is needed",
+    "model_type": "a mapping of keys is needed",
+    "invalid_key": "a key must be text",
+    "list_type": "a list is needed",
+    "tuple_type": "a list is needed",
+    "too_long": "a list of {max_length} is needed",
+    "finite_number": "a finite number is needed",
+}
+"""What pydantic says in the words of Python, said for the reader of a YAML file."""
+
+_brief = reprlib.Repr()
+_brief.maxstring = _brief.maxother = _brief.maxlong = 60
+
+
+def shown(value: object) -> str:
+    """A value for a message, short however large it is: YAML's aliases can make a few lines enormous."""
+    return _brief.repr(value)
+
+
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
     """One line for each problem that pydantic found: path, what is wrong, the value.
 
@@ -186,14 +245,18 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
     for item in error.errors(include_url=False):
         location = item["loc"]
         path = join_path(*prefix, *location)
-        if item["type"] == "extra_forbidden":
+        if location and location[-1] == "[key]":
+            path = join_path(*prefix, *map(str, location[:-1]))
+            lines.append(f"{path}: a name must be text: put it in quotes")
+        elif item["type"] == "extra_forbidden":
             hint = nearest(str(location[-1]), _keys_at(model, location[:-1]))
             lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
         elif item["type"] == "missing":
             lines.append(f"{path}: missing")
+        elif item["type"] in ("value_error", "assertion_error"):
+            lines.append(f"{path}: {item['msg'].removeprefix('Value error, ')}")
         else:
-            message = item["msg"].removeprefix("Value error, ")
-            value = repr(item["input"])
-            told = item["type"] in ("value_error", "assertion_error")
-            lines.append(f"{path}: {message}" + ("" if told else f" (got {value[:80]})"))
+            ours = _IN_OUR_WORDS.get(item["type"])
+            message = ours.format(**item.get("ctx", {})) if ours else item["msg"]
+            lines.append(f"{path}: {message} (got {shown(item['input'])})")
     return lines

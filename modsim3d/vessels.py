@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
-from modsim3d.validation import Positive, Strict, describe, join_path, load_json
+from modsim3d.validation import Strict, describe, join_path, load_json
 
 
 @dataclass(frozen=True)
@@ -58,26 +59,39 @@ def shoebox() -> Solid:
     import trimesh  # heavy, and not needed to read a scene
 
     box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
-    vertices = np.asarray(box.vertices, dtype=np.float64) + (0.0, 0.0, 0.5)
+    vertices = np.asarray(box.vertices, dtype=np.float64) + np.array([0.0, 0.0, 0.5])
     faces = np.asarray(box.faces, dtype=np.int64)
     vertices.setflags(write=False)
     faces.setflags(write=False)
     return Solid(vertices, faces)
 
 
+MIN_EXTENT_M, MAX_EXTENT_M = 1e-3, 1e5
+Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_M, le=MAX_EXTENT_M)]
+
+
 class VesselEntry(Strict):
     """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2)."""
 
-    length_m: Positive
-    beam_m: Positive
-    air_draft_m: Positive
+    length_m: Extent
+    beam_m: Extent
+    air_draft_m: Extent
     label: str
+
+    @field_validator("label")
+    @classmethod
+    def _printable(cls, label: str) -> str:
+        if not label.isprintable():
+            raise ValueError(f"a label must be printable text (got {label!r})")
+        return label
 
 
 def name_problem(name: str) -> str | None:
     """Why a text cannot be a vessel's ID, or None if it can."""
     if not name:
         return "a vessel's ID must not be empty"
+    if not name.isprintable():
+        return f"a vessel's ID must be printable text (got {name!r})"
     if "#" in name:
         return "a vessel's ID must not hold '#', which marks a second box of a vessel"
     if name.startswith("false_positive_"):

@@ -49,7 +49,8 @@ def annotation_boxes(truth: Truth, mode: int) -> Array:
 def annotated_rows(truth: Truth, annotation: Annotation) -> NDArray[np.bool_]:
     """Whether the mode and the filters keep each row, shape (n,)."""
     boxes = annotation_boxes(truth, annotation.mode)
-    keep = (boxes[:, 2:] - boxes[:, :2] >= annotation.min_box_px).all(axis=1)  # a missing box is NaN: not kept
+    big_enough = boxes[:, 2:] - boxes[:, :2] >= annotation.min_box_px  # a missing box is NaN: not kept
+    keep: NDArray[np.bool_] = np.all(big_enough, axis=1)
     if annotation.needs_visibility:
         keep &= truth.visible_px >= annotation.min_visible_px
         keep &= np.nan_to_num(truth.visible_fraction) >= annotation.min_visible_fraction

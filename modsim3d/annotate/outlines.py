@@ -71,7 +71,8 @@ def corners_world(vessels: Sequence[Vessel], positions_m: Array, headings_rad: A
     extents = np.array([vessel.extents_m for vessel in vessels])
     body = solid.vertices * extents[:, None, :]
     turned = body @ np.swapaxes(world_R_vehicle(headings_rad), -1, -2)
-    return turned + positions_m[:, :, None, :]
+    corners: Array = turned + positions_m[:, :, None, :]
+    return corners
 
 
 def outline(
@@ -97,14 +98,14 @@ def outline(
     in_front = camera[..., 2] >= intrinsics.near_clip_m
     frame, vessel = np.nonzero(present & in_front.any(axis=-1))
     vertices, behind = camera[frame, vessel], ~in_front[frame, vessel]
-    crosses = behind.any(axis=-1)
+    crosses: NDArray[np.bool_] = np.any(behind, axis=-1)
     pixels = intrinsics.project(vertices)
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
-    touching = (boxes[:, :2] < intrinsics.image_size_px).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1) | crosses
     size = np.array(intrinsics.image_size_px, dtype=np.float64)
+    touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
     areas = _projected_areas(pixels, solid)
     fractions = np.where(crosses, np.nan, 1.0)
-    whole = (boxes[:, :2] >= 0).all(axis=1) & (boxes[:, 2:] <= size).all(axis=1) & ~crosses
+    whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
     cut = np.flatnonzero(touching & ~whole)
     if len(cut):
         silhouettes = silhouette_polygons(intrinsics, vertices[cut], pixels[cut], crosses[cut], solid)
@@ -129,14 +130,16 @@ def outline(
 
 def _least(pixels: Array) -> Array:
     """Least column and row of each vertex set; of those in front where the near plane cuts, shape (n, 2)."""
-    return np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
+    least: Array = np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
+    return least
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:
     """Area of each silhouette: every ray that meets a convex solid meets two of its faces, shape (n,)."""
     a, b, c = np.moveaxis(pixels[:, solid.faces], 2, 0)
     doubled = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
-    return np.abs(doubled).sum(axis=-1) / 4
+    areas: Array = np.abs(doubled).sum(axis=-1) / 4
+    return areas
 
 
 def silhouette_polygons(
@@ -184,17 +187,17 @@ def triangles_of(outlines: Outlines, intrinsics: Intrinsics) -> Triangles:
     width, height = intrinsics.image_size_px
     camera = outlines.vertices_camera[:, outlines.solid.faces]
     low, high = np.array([-GUARD_PX, -GUARD_PX]), np.array([width + GUARD_PX, height + GUARD_PX])
-    inside = ((outlines.vertices_px >= low) & (outlines.vertices_px <= high)).all(axis=(1, 2))  # NaN is not
+    inside = np.all((outlines.vertices_px >= low) & (outlines.vertices_px <= high), axis=(1, 2))  # NaN is not
     faces = len(outlines.solid.faces)
     rows = [np.repeat(np.flatnonzero(inside), faces)]
     parts = [camera[inside].reshape(-1, 3, 3)]
     planes = np.concatenate([near_plane(intrinsics), guard_planes(intrinsics, GUARD_PX)])
-    for row in np.flatnonzero(~inside):
-        clipped = clip_triangles(camera[row], planes)
+    for beyond in np.flatnonzero(~inside):
+        clipped = clip_triangles(camera[beyond], planes)
         clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
-        rows.append(np.full(len(clipped), row))
+        rows.append(np.full(len(clipped), beyond))
         parts.append(clipped)
-    row, corners = np.concatenate(rows), np.concatenate(parts)
+    row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
-    corners = corners[order]
+    corners = np.concatenate(parts)[order]
     return Triangles(row[order], intrinsics.project(corners), intrinsics.near_clip_m / corners[..., 2])

@@ -103,15 +103,34 @@ class Occlusion:
         whole = np.where(self.silhouette_px > 0, self.silhouette_px, np.nan)
         return self.visible_px / whole
 
-    def occluder_columns(self) -> dict[str, NDArray[np.int64] | Array]:
-        """The occluders as offsets, indices and pixels."""
+    def truth(self, step: Indices, camera: int, vessel: Indices, in_frame_fraction: Array, depth_m: Array) -> Truth:
+        """The truth record of one camera, with nothing annotated yet.
+
+        Args:
+            step: Of each row, shape (n,).
+            camera: Index into the scene's cameras.
+            vessel: Index into the scene's vessels, shape (n,).
+            in_frame_fraction: Shape (n,).
+            depth_m: Shape (n,).
+        """
         flat = [entry for entries in self.occluders for entry in entries]
         counts = [len(entries) for entries in self.occluders]
-        return {
-            "occluder_offsets": np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            "occluder": np.array([index for index, _ in flat], dtype=np.int64),
-            "occluder_px": np.array([pixels for _, pixels in flat], dtype=np.float64),
-        }
+        return Truth(
+            step=step,
+            camera=np.full(len(step), camera, dtype=np.int64),
+            vessel=vessel,
+            full_boxes_px=self.full_boxes_px,
+            visible_boxes_px=self.visible_boxes_px,
+            silhouette_px=self.silhouette_px,
+            visible_px=self.visible_px,
+            visible_fraction=self.visible_fraction(),
+            in_frame_fraction=in_frame_fraction,
+            depth_m=depth_m,
+            occluder_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            occluder=np.array([index for index, _ in flat], dtype=np.int64),
+            occluder_px=np.array([pixels for _, pixels in flat], dtype=np.float64),
+            annotated=np.zeros(len(step), dtype=bool),
+        )
 
 
 OCCLUDER_COLUMNS = ("occluder_offsets", "occluder", "occluder_px")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +64,9 @@ def mask_box(mask: NDArray[np.bool_], region: Region) -> Array:
         x_min, y_min, x_max, y_max, shape (4,).
     """
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    box = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], dtype=np.float64)
-    return box + (region.x, region.y, region.x, region.y)
+    left, top = columns[0] + region.x, rows[0] + region.y
+    right, bottom = columns[-1] + 1 + region.x, rows[-1] + 1 + region.y
+    return np.array([left, top, right, bottom], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +82,8 @@ class _Drawing:
 
 def _frames(outlines: Outlines) -> list[slice]:
     """The rows of each frame that has any."""
-    starts = np.flatnonzero(np.diff(outlines.frame, prepend=-1))
-    return [slice(int(a), int(b)) for a, b in zip(starts, [*starts[1:], len(outlines)], strict=True)]
+    edges = [*np.flatnonzero(np.diff(outlines.frame, prepend=-1)).tolist(), len(outlines)]
+    return [slice(first, stop) for first, stop in pairwise(edges)]
 
 
 def _region(outlines: Outlines, rows: slice, intrinsics: Intrinsics) -> Region:
@@ -90,9 +92,7 @@ def _region(outlines: Outlines, rows: slice, intrinsics: Intrinsics) -> Region:
     return Region.around(union, intrinsics.image_size_px)
 
 
-def _draw(
-    renderer: IdRenderer, triangles: Triangles, ids: NDArray[np.int64], rows: slice, region: Region
-) -> _Drawing:
+def _draw(renderer: IdRenderer, triangles: Triangles, ids: NDArray[np.int64], rows: slice, region: Region) -> _Drawing:
     first, stop = np.searchsorted(triangles.row, (rows.start, rows.stop))
     chosen = slice(first, stop)
     drawn = renderer.draw(

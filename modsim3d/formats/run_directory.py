@@ -36,7 +36,13 @@ class RunDirectory:
     """
 
     def __init__(
-        self, folder: Path, scene: Scene, settings: dict[str, Any], *, overwrite: bool = False, resume: bool = False
+        self,
+        folder: Path,
+        scene: Scene,
+        settings: dict[str, Any],
+        *,
+        overwrite: bool = False,
+        resume: bool = False,
     ) -> None:
         """Make the folder, or take up an interrupted run.
 
@@ -94,7 +100,9 @@ class RunDirectory:
         if taken and not (overwrite and mine):
             if not mine:
                 raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
-            state = "an interrupted run: use --resume or --overwrite" if self.work.is_dir() else "a run: use --overwrite"
+            state = (
+                "an interrupted run: use --resume or --overwrite" if self.work.is_dir() else "a run: use --overwrite"
+            )
             raise RunDirectoryError(f"{self.folder} holds {state}, or choose another folder")
         if mine:
             shutil.rmtree(self.folder)

@@ -125,9 +125,7 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
                 "vessel": _named(scene.vessel_names, vessels),
                 **{
                     name: _nullable(column)
-                    for name, column in zip(
-                        ("e_x_px", "e_y_px", "e_w_px", "e_h_px"), drawn.errors_px.T, strict=True
-                    )
+                    for name, column in zip(("e_x_px", "e_y_px", "e_w_px", "e_h_px"), drawn.errors_px.T, strict=True)
                 },
             }
         )
@@ -135,7 +133,8 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
 
 
 def _false(part: CameraBlock) -> NDArray[np.bool_]:
-    return part.detections.kind == FALSE_POSITIVE
+    false: NDArray[np.bool_] = part.detections.kind == FALSE_POSITIVE
+    return false
 
 
 def _count(part: CameraBlock, chosen: NDArray[np.bool_], length: int) -> NDArray[np.int64]:
@@ -174,9 +173,7 @@ def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
 
 def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
     """The cameras' tables as one, in order of step and then camera."""
-    joined = pa.concat_tables(
-        [pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables]
-    )
+    joined = pa.concat_tables([pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables])
     if len(tables) == 1:
         return joined
     return joined.take(pa.array(np.argsort(joined["step"].to_numpy(), kind="stable")))

@@ -33,7 +33,9 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[
     vessels, depths = truth.vessel[rows].tolist(), truth.depth_m[rows].tolist()
     names, labels = scene.vessel_names, [vessel.label for vessel in scene.vessels]
     entries: list[dict[str, Any]] = [{} for _ in block.timestamps]
-    for frame, vessel, box, depth in zip((truth.step[rows] - block.first).tolist(), vessels, boxes, depths, strict=True):
+    for frame, vessel, box, depth in zip(
+        (truth.step[rows] - block.first).tolist(), vessels, boxes, depths, strict=True
+    ):
         entries[frame][names[vessel]] = {"label": labels[vessel], "bbox": {**_bbox(box), "depth": depth}}
     return _lines(block, entries)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,10 +13,14 @@ import numpy as np
 
 from modsim3d.errors import InputError
 from modsim3d.poses.base import Poses
-from modsim3d.validation import join_path, load_json, nearest
+from modsim3d.validation import join_path, load_json, nearest, shown
 
 MAX_PROBLEMS = 20
 """A file with one mistake in every line should not fill the screen."""
+MAX_COORDINATE_M = 1e9
+"""Far beyond any scene, and near enough that no square of it overflows."""
+SECONDS = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+"""What a timestamp looks like; `float` takes more, such as `1_0`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +33,16 @@ class RecordedPoses:
     def poses(self, first: int, stop: int) -> Poses:
         """Poses at steps first to stop − 1."""
         taken = slice(first, stop)
-        return Poses(
-            self.recorded.present[taken], self.recorded.positions_m[taken], self.recorded.headings_rad[taken]
-        )
+        return Poses(self.recorded.present[taken], self.recorded.positions_m[taken], self.recorded.headings_rad[taken])
 
 
-def load_poses(path: Path, vessels: Sequence[str]) -> RecordedPoses:
+def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """Poses from a JSON file: timestamp → vessel ID → centre position and heading.
 
     Args:
         path: The file.
-        vessels: IDs of the scene's vessels; the result has a column for each.
+        vessels: IDs of the scene's vessels; the result has a column for each. None if they are not known, to look
+            at the rest of the file.
 
     Raises:
         InputError: With every problem found, up to 20.
@@ -46,10 +50,12 @@ def load_poses(path: Path, vessels: Sequence[str]) -> RecordedPoses:
     return parse_poses(load_json(path, "pose file"), f"pose file {path}", vessels)
 
 
-def parse_poses(data: Any, source: str, vessels: Sequence[str]) -> RecordedPoses:
+def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> RecordedPoses:
     """Poses from the mapping of Figure 7.3; see `load_poses`."""
     if not isinstance(data, dict) or not data:
         raise InputError(source, ["a mapping of timestamp to vessels is needed, with at least one timestamp"])
+    if vessels is None:
+        vessels = list({name: None for entries in data.values() if isinstance(entries, dict) for name in entries})
     problems = _time_problems(list(data))
     columns = {name: column for column, name in enumerate(vessels)}
     present = np.zeros((len(data), len(vessels)), dtype=bool)
@@ -57,7 +63,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str]) -> RecordedPoses
     headings = np.zeros((len(data), len(vessels)))
     for step, (timestamp, entries) in enumerate(data.items()):
         if not isinstance(entries, dict):
-            problems.append(f"{timestamp}: a mapping of vessel ID to pose is needed (got {entries!r:.60})")
+            problems.append(f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})")
             continue
         for name, entry in entries.items():
             if name not in columns:
@@ -83,10 +89,7 @@ def _time_problems(timestamps: list[str]) -> list[str]:
     problems: list[str] = []
     previous: tuple[str, float] | None = None
     for text in timestamps:
-        try:
-            time = float(text)
-        except ValueError:
-            time = math.nan
+        time = float(text) if SECONDS.fullmatch(text) else math.nan
         if not math.isfinite(time):
             problems.append(f"{text}: a timestamp must be a number of seconds (got {text!r})")
             continue
@@ -99,7 +102,7 @@ def _time_problems(timestamps: list[str]) -> list[str]:
 
 def _pose_problems(entry: Any, path: str) -> list[str]:
     if not isinstance(entry, dict):
-        return [f"{path}: a mapping with center_position_m and heading_rad is needed (got {entry!r:.60})"]
+        return [f"{path}: a mapping with center_position_m and heading_rad is needed (got {shown(entry)})"]
     known = ("center_position_m", "heading_rad")
     problems = [f"{path}.{key}: unknown key ({nearest(key, known)})" for key in entry if key not in known]
     problems += [f"{path}.{key}: missing" for key in known if key not in entry]
@@ -107,11 +110,18 @@ def _pose_problems(entry: Any, path: str) -> list[str]:
         return problems
     position, heading = entry["center_position_m"], entry["heading_rad"]
     if not isinstance(position, list) or len(position) != 3 or not all(map(_finite, position)):
-        problems.append(f"{path}.center_position_m: three finite numbers in metres are needed (got {position!r:.60})")
+        problems.append(f"{path}.center_position_m: three finite numbers in metres are needed (got {shown(position)})")
+    elif max(map(abs, position)) > MAX_COORDINATE_M:
+        problems.append(f"{path}.center_position_m: is farther than {MAX_COORDINATE_M:g} m (got {shown(position)})")
     if not _finite(heading):
-        problems.append(f"{path}.heading_rad: a finite number of radians is needed (got {heading!r:.60})")
+        problems.append(f"{path}.heading_rad: a finite number of radians is needed (got {shown(heading)})")
     return problems
 
 
 def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer beyond every float
+        return False

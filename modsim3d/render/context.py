@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 from modsim3d.errors import RendererError
 
@@ -18,6 +19,9 @@ LIBRARIES = {"osmesa": ("OSMesa", ("libOSMesa.so.8", "libOSMesa.so.6")), "egl": 
 
 EGL_PLATFORM_SURFACELESS_MESA = 0x31DD
 GL_LOWER_LEFT, GL_ZERO_TO_ONE = 0x8CA1, 0x935F
+
+GetAddress = Any
+"""A ctypes function that gives the address of an OpenGL function."""
 
 INSTALL_HINT = """no OpenGL software renderer was found ({wanted}). Install one:
   Debian, Ubuntu: apt install libosmesa6 (where that is gone: libegl1 libegl-mesa0 libopengl0)
@@ -117,7 +121,7 @@ def _prepare_environment(backend: str) -> None:
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
 
-def _use_reversed_depth(get_address: ctypes._CFuncPtr) -> None:
+def _use_reversed_depth(get_address: GetAddress) -> None:
     """Map depth to [0, 1] without the usual halving, so that a float depth near/c3 keeps its relative precision."""
     get_address.restype = ctypes.c_void_p
     get_address.argtypes = [ctypes.c_char_p]
@@ -128,7 +132,7 @@ def _use_reversed_depth(get_address: ctypes._CFuncPtr) -> None:
 
 
 @contextmanager
-def _osmesa_context() -> Iterator[ctypes._CFuncPtr]:
+def _osmesa_context() -> Iterator[GetAddress]:
     import numpy as np
     from OpenGL import GL, arrays, osmesa
     from OpenGL.platform import PLATFORM
@@ -152,7 +156,7 @@ def _osmesa_context() -> Iterator[ctypes._CFuncPtr]:
 
 
 @contextmanager
-def _egl_context() -> Iterator[ctypes._CFuncPtr]:
+def _egl_context() -> Iterator[GetAddress]:
     from OpenGL import EGL
     from OpenGL.EGL.EXT.platform_base import eglGetPlatformDisplayEXT
     from OpenGL.platform import PLATFORM

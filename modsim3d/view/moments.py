@@ -35,11 +35,26 @@ def pick_moments(folder: Path) -> list[Moment]:
     truth = pq.read_table(folder / "truth.parquet").to_pylist()
     detections = pq.read_table(folder / "detections.parquet").to_pylist()
     candidates = [
-        _best(truth, lambda r: _hidden(r) and r["annotated"] and r["detected"], lambda r: abs(_fraction(r) - 0.5), _hider),
+        _best(
+            truth,
+            lambda r: _hidden(r) and r["annotated"] and r["detected"],
+            lambda r: abs(_fraction(r) - 0.5),
+            _hider,
+        ),
         _best(truth, lambda r: _hidden(r) and r["annotated"] and not r["detected"], _fraction, _hider),
-        _best(truth, lambda r: r["visible_px"] == 0 and r["silhouette_px"] > 0, lambda r: -r["silhouette_px"], _hider),
+        _best(
+            truth,
+            lambda r: r["visible_px"] == 0 and r["silhouette_px"] > 0,
+            lambda r: -r["silhouette_px"],
+            _hider,
+        ),
         _best(truth, lambda r: _clear(r) and r["detected"], lambda r: -r["silhouette_px"], lambda r: "detected"),
-        _best(truth, lambda r: _clear(r) and not r["detected"], lambda r: -r["silhouette_px"], lambda r: "missed, though in plain view"),
+        _best(
+            truth,
+            lambda r: _clear(r) and not r["detected"],
+            lambda r: -r["silhouette_px"],
+            lambda r: "missed, though in plain view",
+        ),
         _false_alarm(truth, detections),
     ]
     return [moment for moment in candidates if moment is not None]
@@ -51,7 +66,7 @@ def _best(rows: list[dict[str, Any]], wanted: Any, rank: Any, say: Any) -> Momen
     if chosen is None:
         return None
     box = tuple(chosen[f"full_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max"))
-    return Moment(chosen["step"], chosen["camera"], box, f"{chosen['vessel']}: {say(chosen)}")  # type: ignore[arg-type]
+    return Moment(chosen["step"], chosen["camera"], box, f"{chosen['vessel']}: {say(chosen)}")
 
 
 def _fraction(row: dict[str, Any]) -> float:

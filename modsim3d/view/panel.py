@@ -70,7 +70,7 @@ def background(window: Window, sea_half_plane: Array, ids: NDArray[np.uint32] | 
     rows = window.y + (np.arange(height) + 0.5) / window.scale
     a, b, c = sea_half_plane
     sea = a * columns[None, :] + b * rows[:, None] + c >= 0
-    picture = np.where(sea[..., None], np.uint8(palette.SEA), np.uint8(palette.SKY))
+    picture = np.where(sea[..., None], np.array(palette.SEA, dtype=np.uint8), np.array(palette.SKY, dtype=np.uint8))
     if ids is not None:
         i = np.clip(rows.astype(int), 0, ids.shape[0] - 1)
         j = np.clip(columns.astype(int), 0, ids.shape[1] - 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
@@ -134,7 +135,7 @@ def detect_in_chunks(
 ) -> Detections:
     """One `Detections` from several calls, with `frame` and `target` counted over the whole."""
     columns: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Detections)}
-    for start, stop in zip(borders[:-1], borders[1:], strict=True):
+    for start, stop in itertools.pairwise(borders):
         part, part_targets, first = chunk(frames, targets, start, stop)
         found = detector.detect(part, part_targets)
         for name, values in columns.items():

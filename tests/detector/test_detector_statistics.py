@@ -1,4 +1,4 @@
-"""What comes out of the detector has the statistics that went in, over 200,000 boxes that are never truncated."""
+"""What comes out of the detector has the statistics that went in, over 200,000 untruncated boxes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,7 +22,7 @@ def test_a_step_has_the_same_numbers_however_steps_are_split(
     streams, edges = Streams(3), [0, *sorted(borders), 60]
     parts = [
         streams.uniforms("noise", "C0", first=first + a, count=b - a, width=width)
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in itertools.pairwise(edges)
     ]
     assert np.array_equal(np.concatenate(parts), whole)
 

@@ -1,0 +1,43 @@
+"""modsim3d: simulates cameras and their vessel detector in front of a multi-object tracker.
+
+    import modsim3d
+
+    scene = modsim3d.load_scene("simulation_1", mode=2)
+    for frame in modsim3d.simulate(scene):
+        frame.truth.boxes_px, frame.detections.boxes_px
+
+Importing this imports no OpenGL, plotting or tracking library; the names below are loaded at first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from modsim3d.errors import ModsimError
+    from modsim3d.run import run
+    from modsim3d.scene import Scene, load_scene
+    from modsim3d.simulate import simulate
+
+__all__ = ["ModsimError", "Scene", "load_scene", "run", "simulate"]
+
+_HOMES = {
+    "ModsimError": "modsim3d.errors",
+    "Scene": "modsim3d.scene",
+    "load_scene": "modsim3d.scene",
+    "run": "modsim3d.run",
+    "simulate": "modsim3d.simulate",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("modsim3d")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'modsim3d' has no attribute '{name}'")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value  # `modsim3d.run` and `modsim3d.simulate` are also modules: the function wins
+    return value

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.camera import (
+    Intrinsics,
+    Mount,
+    clip_triangles,
+    guard_planes,
+    near_plane,
+    poses_ashore,
+    poses_on_board,
+)
+from modsim3d.frames import camera_R_parent
+
+LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
+SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)
+
+
+def image_of(point, mount, intrinsics=LEGACY):
+    return intrinsics.project(poses_ashore(mount, 1).to_camera(np.array([point], dtype=float)))[0]
+
+
+@pytest.mark.parametrize(
+    ("mount", "expected"),
+    [
+        # Jessen & Mohr (2023), §7.4.2; a 20 cm shift moves the point 0.2 / 20 · 5000 = 50 px, not 5.
+        (Mount((0, 0, 0)), (1800, 1200)),
+        (Mount((0.2, 0, 0)), (1800, 1200)),
+        (Mount((0, 0.2, 0)), (1850, 1200)),
+        (Mount((0, 0, 0.2)), (1800, 1250)),
+        (Mount((0, 0, 0), pitch_rad=np.pi / 40), (1800, 806.49)),
+        (Mount((0, 0, 0), yaw_rad=np.pi / 40), (2193.51, 1200)),
+        (Mount((0, 0, 0), roll_rad=np.pi / 40), (1800, 1200)),
+    ],
+)
+def test_worked_examples_of_the_source(mount, expected):
+    np.testing.assert_allclose(image_of((20, 0, 0), mount), expected, atol=0.005)
+
+
+def test_positive_yaw_turns_to_port_pitch_down_and_roll_lowers_port():
+    ahead, port = (100, 0, 0), (100, 10, 0)
+    assert image_of(ahead, Mount((0, 0, 0), yaw_rad=0.1))[0] > 1800
+    assert image_of(ahead, Mount((0, 0, 0), pitch_rad=0.1))[1] < 1200
+    assert image_of(port, Mount((0, 0, 0), roll_rad=0.1))[1] < 1200  # the world rises on the side that sinks
+
+
+@given(st.floats(-2000, 3000), st.floats(-2000, 3000), st.floats(0.2, 1e5))
+def test_unproject_then_project_is_the_identity(x, y, depth):
+    np.testing.assert_allclose(SKEWED.project(SKEWED.unproject([x, y], depth)), [x, y], rtol=1e-9, atol=1e-6)
+
+
+def test_project_is_the_matrix_k():
+    point = np.array([1.5, -0.7, 9.0])
+    homogeneous = SKEWED.matrix @ point
+    np.testing.assert_allclose(SKEWED.project(point), homogeneous[:2] / homogeneous[2])
+
+
+def test_points_behind_the_camera_or_before_the_near_plane_have_no_image():
+    points = [[0.1, 0.1, -5.0], [0.1, 0.1, 0.0], [0.1, 0.1, 0.0999], [0.1, 0.1, 0.1]]
+    assert np.isnan(LEGACY.project(points)).all(axis=1).tolist() == [True, True, True, False]
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), st.floats(-3, 3), st.floats(0.01, 1.5))
+def test_points_far_away_on_the_sea_are_below_the_horizon_and_in_the_sky_above_it(roll, pitch, yaw, bearing, dip):
+    rotation = camera_R_parent(roll, pitch, yaw)
+    a, b, c = SKEWED.sea_half_plane(rotation)
+    for sign in (-1, 1):
+        ray = rotation @ [np.cos(bearing) * np.cos(dip), np.sin(bearing) * np.cos(dip), sign * np.sin(dip)]
+        if ray[2] > 0.01:
+            x, y = SKEWED.project(1e3 * ray)
+            assert (a * x + b * y + c > 0) == (sign < 0)
+
+
+def test_horizon_of_a_level_camera_is_its_principal_row_whatever_the_skew():
+    a, b, c = SKEWED.sea_half_plane(camera_R_parent(0, 0, 1.0))
+    np.testing.assert_allclose([a, b, c], [0, 1, -290], atol=1e-12)
+
+
+def test_camera_that_looks_straight_down_sees_only_sea():
+    np.testing.assert_allclose(LEGACY.sea_half_plane(camera_R_parent(0, np.pi / 2, 0)), [0, 0, 1], atol=1e-9)
+
+
+def test_mounted_camera_moves_and_turns_with_its_vessel():
+    mount = Mount((4.0, 2.0, 1.0), pitch_rad=0.1, yaw_rad=0.3, vessel="own")
+    poses = poses_on_board(mount, np.array([[10.0, 20.0, 0.0]]), np.array([np.pi / 2]))
+    np.testing.assert_allclose(poses.positions_m[0], [10 - 2, 20 + 4, 1], atol=1e-12)
+    # Without waves the heading adds to the yaw (Jessen & Mohr (2023), eq. 7.20).
+    np.testing.assert_allclose(poses.camera_R_world[0], camera_R_parent(0, 0.1, 0.3 + np.pi / 2), atol=1e-12)
+
+
+def test_near_clipping_keeps_the_part_beyond_the_plane():
+    triangle = np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [0.0, 0.0, -2.0]]])
+    clipped = clip_triangles(triangle, near_plane(LEGACY))
+    assert clipped[..., 2].min() == pytest.approx(0.1)
+    area = 0.5 * np.linalg.norm(np.cross(clipped[:, 1] - clipped[:, 0], clipped[:, 2] - clipped[:, 0]), axis=1).sum()
+    assert area == pytest.approx(2.0 - 0.5 * 2.1 * 2.1 / 4)
+
+
+def test_clipping_leaves_what_is_inside_and_drops_what_is_outside():
+    inside = np.array([[[0.0, 0.0, 2.0], [0.1, 0.1, 2.0], [0.0, 0.1, 3.0]]])
+    np.testing.assert_array_equal(clip_triangles(inside, near_plane(LEGACY)), inside)
+    assert clip_triangles(-inside, near_plane(LEGACY)).shape == (0, 3, 3)
+
+
+def test_guard_planes_cut_at_the_guard_band():
+    triangle = np.array([[[-50.0, -3.0, 5.0], [60.0, 2.0, 5.0], [0.0, 70.0, 5.0]]])
+    planes = np.concatenate([near_plane(SKEWED), guard_planes(SKEWED, 100.0)])
+    pixels = SKEWED.project(clip_triangles(triangle, planes))
+    np.testing.assert_allclose([pixels[..., 0].min(), pixels[..., 0].max()], [-100, 900], atol=1e-6)
+    assert pixels[..., 1].max() == pytest.approx(700)

@@ -1,0 +1,67 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from modsim3d import cli
+
+
+def call(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return stopped.value.code
+
+
+def test_run_writes_a_contact_sheet_and_says_what_happened(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert call(monkeypatch, "run", "simulation_1", "--mode", 2, "--steps", 300, "--out", out) == 0
+    said = capsys.readouterr().out
+    for word in ("frames", "vessels seen", "occlusions", "detections", "missed", "false", "time per frame", str(out)):
+        assert word in said
+    with Image.open(out / "contact_sheet.png") as sheet:
+        assert sheet.size[0] > 1000
+        colours = np.unique(np.asarray(sheet.convert("RGB")).reshape(-1, 3), axis=0)
+        assert len(colours) > 20
+
+
+def test_contact_sheet_is_the_same_bytes_again(monkeypatch, tmp_path):
+    for name in ("a", "b"):
+        call(monkeypatch, "run", "simulation_1", "--mode", 2, "--steps", 160, "--out", tmp_path / name)
+    assert (tmp_path / "a/contact_sheet.png").read_bytes() == (tmp_path / "b/contact_sheet.png").read_bytes()
+
+
+def test_run_in_mode_zero_needs_no_renderer_with_the_analytic_source(tmp_path):
+    command = [sys.executable, "-m", "modsim3d.cli", "run", "simulation_1", "--steps", "20", "--source", "analytic"]
+    script = (
+        "import sys; sys.modules['OpenGL'] = None\n"
+        f"sys.argv = {command[2:]!r} + ['--out', {str(tmp_path / 'run')!r}]\n"
+        "from modsim3d.cli import main\nmain()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "truth.parquet").exists()
+
+
+def test_check_and_scenes(monkeypatch, capsys):
+    assert call(monkeypatch, "check", "simulation_1") == 0
+    assert "no problems found" in capsys.readouterr().out
+    assert call(monkeypatch, "scenes") == 0
+    assert "simulation_1" in capsys.readouterr().out
+
+
+def test_version_and_help(monkeypatch, capsys):
+    assert call(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out.startswith("modsim3d 0.")
+    assert call(monkeypatch, "run", "--help") == 0
+    assert "Example" in capsys.readouterr().out
+
+
+def test_run_is_not_overwritten_unasked(monkeypatch, tmp_path, capsys):
+    arguments = ("run", "simulation_1", "--steps", 5, "--no-sheet", "--out", tmp_path / "run")
+    assert call(monkeypatch, *arguments) == 0
+    assert call(monkeypatch, *arguments) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert call(monkeypatch, *arguments, "--overwrite") == 0

@@ -1,0 +1,44 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.frames import BASE_R_WORLD, attitude, camera_R_parent, heading_of, rotation, world_R_vehicle
+
+angles = st.floats(-10, 10)
+
+
+@given(angles, angles, angles)
+def test_camera_rotation_is_orthonormal_and_right_handed(roll, pitch, yaw):
+    matrix = camera_R_parent(roll, pitch, yaw)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    assert abs(np.linalg.det(matrix) - 1) < 1e-12
+
+
+def test_base_pose_is_two_quarter_turns():
+    """Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2)."""
+    np.testing.assert_allclose(rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), BASE_R_WORLD, atol=1e-15)
+
+
+def test_base_pose_looks_along_w1_with_right_along_minus_w2_and_down_along_minus_w3():
+    np.testing.assert_array_equal(BASE_R_WORLD @ [1, 0, 0], [0, 0, 1])
+    np.testing.assert_array_equal(BASE_R_WORLD @ [0, -1, 0], [1, 0, 0])
+    np.testing.assert_array_equal(BASE_R_WORLD @ [0, 0, -1], [0, 1, 0])
+
+
+def test_heading_is_counter_clockwise_from_w1_and_port_is_v2():
+    np.testing.assert_allclose(world_R_vehicle(np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(world_R_vehicle(np.pi / 2) @ [0, 1, 0], [-1, 0, 0], atol=1e-15)
+
+
+@given(angles)
+def test_heading_of_recovers_the_sign_that_arccos_loses(heading):
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    assert np.isclose(np.angle(np.exp(1j * (heading_of(direction) - heading))), 0, atol=1e-9)
+
+
+def test_attitude_broadcasts_over_steps():
+    angle = np.linspace(-1, 1, 7)
+    stacked = attitude(angle, 2 * angle, 3 * angle)
+    assert stacked.shape == (7, 3, 3)
+    for i, a in enumerate(angle):
+        np.testing.assert_allclose(stacked[i], rotation(2, a) @ rotation(0, 2 * a) @ rotation(1, 3 * a), atol=1e-15)

@@ -1,0 +1,146 @@
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.render.id_pass import Region
+from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
+
+WHOLE = Region(0, 0, 800, 600)
+
+
+def draw(renderer, triangles, ids, region=WHOLE, depth=0.5):
+    corners = np.array(triangles, dtype=float)
+    return renderer.draw(corners, np.full(corners.shape[:2], depth), np.array(ids), region)
+
+
+def test_pixel_is_hit_exactly_if_its_centre_is(renderer):
+    """A right triangle whose edges pass between pixel centres, against the half-planes themselves."""
+    image = draw(renderer, [[[10.2, 10.3], [60.7, 10.3], [10.2, 45.9]]], [7], Region(0, 0, 80, 60))
+    x, y = np.meshgrid(np.arange(80) + 0.5, np.arange(60) + 0.5)
+    inside = (x > 10.2) & (y > 10.3) & ((x - 10.2) / 50.5 + (y - 10.3) / 35.6 < 1)
+    np.testing.assert_array_equal(image == 7, inside)
+
+
+def test_ids_beyond_sixteen_bits_come_back_exactly(renderer):
+    for number in (1, 255, 256, 65_535, 65_536, 2**24 - 1):
+        image = draw(renderer, [[[0, 0], [100, 0], [0, 100]]], [number], Region(0, 0, 8, 8))
+        assert np.unique(image).tolist() == [number]
+
+
+def test_region_holds_the_pixels_of_the_whole_image(renderer):
+    rng = np.random.default_rng(1)
+    corners = rng.uniform(-300, 1100, (60, 3, 2))
+    depth, ids = rng.uniform(0.01, 1, (60, 3)), np.arange(1, 61)
+    whole = renderer.draw(corners, depth, ids, WHOLE)
+    for _ in range(25):
+        x, y = rng.integers(0, 700), rng.integers(0, 500)
+        region = Region(int(x), int(y), int(rng.integers(1, 800 - x)), int(rng.integers(1, 600 - y)))
+        part = renderer.draw(corners, depth, ids, region)
+        np.testing.assert_array_equal(part, whole[y : y + region.height, x : x + region.width])
+
+
+def test_drawing_leaves_nothing_for_the_next(renderer):
+    draw(renderer, [[[0, 0], [800, 0], [0, 600]]], [3])
+    image = draw(renderer, [[[0, 0], [8, 0], [0, 8]]], [4])
+    assert set(np.unique(image)) == {0, 4}
+
+
+def test_empty_drawing_is_all_zero(renderer):
+    none = np.empty((0, 3, 2))
+    assert not renderer.draw(none, none[..., 0], np.empty(0, dtype=int), Region(0, 0, 5, 4)).any()
+    assert draw(renderer, [[[0, 0], [8, 0], [0, 8]]], [4], Region(3, 3, 0, 7)).shape == (7, 0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(-50, 900), min_size=4, max_size=4))
+def test_region_around_a_box_holds_every_pixel_it_touches_inside_the_image(sides):
+    box = np.array([min(sides[:2]), min(sides[2:]), max(sides[:2]), max(sides[2:])])
+    region = Region.around(box, (800, 600), margin_px=0)
+    columns, rows = np.arange(800), np.arange(600)
+    touched = columns[(columns + 1 > box[0]) & (columns < box[2])]
+    assert set(touched) <= set(range(region.x, region.x + region.width))
+    touched = rows[(rows + 1 > box[1]) & (rows < box[3])]
+    assert set(touched) <= set(range(region.y, region.y + region.height))
+
+
+def test_depth_orders_boxes_a_metre_apart_at_five_kilometres_beside_a_boat_at_five_metres(renderer):
+    from modsim3d.annotate.rendered import rendered_occlusion
+    from modsim3d.camera import Intrinsics
+
+    lens = Intrinsics((20000.0, 20000.0), (400.0, 300.0), (800, 600))
+    front, back = vessel("front", 10, 30, 20), vessel("back", 10, 30, 20)
+    boat = vessel("boat", 2, 0.1, 9.99)
+    places = [(back, (5011.0, 0.0), 0.0), (front, (5000.0, 0.0), 0.0), (boat, (5.0, 0.06), 0.0)]
+    outlines = outlines_of(places, lens)
+    occlusion = rendered_occlusion(outlines, lens, renderer)
+    by_name = dict(zip(outlines.vessel.tolist(), occlusion.visible_px / occlusion.silhouette_px, strict=True))
+    assert by_name[1] > 0.5
+    assert by_name[0] < 0.02  # the front one, 1 m nearer and of one size, leaves at most a rim
+    assert by_name[2] == 1
+
+
+def id_images(backend: str) -> bytes:
+    script = (
+        "import sys, numpy as np\n"
+        "from tests.scenes import *\n"
+        "from modsim3d.annotate.outlines import triangles_of\n"
+        "from modsim3d.render.context import open_context\n"
+        "from modsim3d.render.id_pass import IdRenderer, Region\n"
+        "with open_context() as context:\n"
+        "    renderer = IdRenderer(context)\n"
+        "    print(context.description, file=sys.stderr)\n"
+        "    for seed in range(12):\n"
+        "        outlines = outlines_of(random_places(np.random.default_rng(seed), 25))\n"
+        "        t = triangles_of(outlines, INTRINSICS)\n"
+        "        ids = outlines.vessel[t.row] + 1\n"
+        "        image = renderer.draw(t.corners_px, t.inverse_depth, ids, Region(0, 0, 800, 600))\n"
+        "        sys.stdout.buffer.write(image.tobytes())\n"
+    )
+    environment = {**os.environ, "MODSIM3D_GL": backend}
+    environment.pop("PYOPENGL_PLATFORM", None)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    assert backend in done.stderr.decode()
+    return done.stdout
+
+
+def test_osmesa_and_egl_give_the_same_id_images():
+    osmesa, egl = id_images("osmesa"), id_images("egl")
+    assert len(osmesa) == 12 * 800 * 600 * 4
+    assert len(np.unique(np.frombuffer(osmesa, dtype=np.uint32))) > 15
+    assert osmesa == egl
+
+
+def test_context_can_be_opened_again_after_it_was_closed():
+    script = (
+        "import numpy as np\n"
+        "from modsim3d.render.context import open_context\n"
+        "from modsim3d.render.id_pass import IdRenderer, Region\n"
+        "for _ in range(3):\n"
+        "    with open_context() as context:\n"
+        "        image = IdRenderer(context).draw(np.array([[[0., 0], [9, 0], [0, 9]]]), np.ones((1, 3)),"
+        " np.array([5]), Region(0, 0, 4, 4))\n"
+        "        assert image.max() == 5\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_importing_the_package_loads_no_opengl_plotting_or_parquet():
+    script = "import sys, modsim3d, modsim3d.cli; print([m for m in ('OpenGL', 'matplotlib', 'PIL', 'pyarrow') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
+    from modsim3d.annotate.outlines import triangles_of
+
+    outlines = outlines_of(random_places(np.random.default_rng(seed), 10))
+    triangles = triangles_of(outlines, INTRINSICS)
+    image = renderer.draw(triangles.corners_px, triangles.inverse_depth, outlines.vessel[triangles.row] + 1, WHOLE)
+    assert set(np.unique(image)) <= {0, *(outlines.vessel + 1)}

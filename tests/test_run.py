@@ -1,0 +1,253 @@
+"""Run directories: complete, repeatable, in the formats that were promised."""
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import modsim3d
+from modsim3d.errors import RunDirectoryError
+from modsim3d.run import run
+from modsim3d.scene import data_folder, load_scene
+from modsim3d.simulate import Simulation, block_ranges, simulate, truth_block
+
+STEPS = 270
+FILES = {
+    "run.json",
+    "run.log",
+    "annotations_C0.json",
+    "detections_C0.json",
+    "frames.parquet",
+    "truth.parquet",
+    "detections.parquet",
+}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("simulation_1", mode=2, steps=STEPS)
+
+
+@pytest.fixture(scope="module")
+def finished(scene, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    run(scene, folder)
+    return folder
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "run.log"}
+
+
+def test_run_directory_holds_what_is_promised_and_nothing_else(finished):
+    assert {path.name for path in finished.iterdir()} == FILES
+
+
+def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished, tmp_path):
+    run(scene, tmp_path / "again")
+    assert content(tmp_path / "again") == content(finished)
+    run(load_scene("simulation_1", mode=2, steps=STEPS, seed=1), tmp_path / "other")
+    other = content(tmp_path / "other")
+    assert all(other[name] != data for name, data in content(finished).items())
+
+
+def test_run_json_holds_no_time_and_no_host(finished):
+    data = json.loads((finished / "run.json").read_text())
+    assert data["seed"] == 0
+    assert data["counts"]["frames"] == STEPS
+    assert len(data["scene_sha256"]) == 64
+    assert data["versions"]["modsim3d"] == modsim3d.__version__
+    assert {"format", "backend", "annotation", "steps"} <= set(data)
+    assert not {"time", "date", "host", "seconds"} & {key.lower() for key in data}
+
+
+def test_thesis_json_has_a_key_for_every_step_and_the_figures_fields(finished):
+    annotations = json.loads((finished / "annotations_C0.json").read_text())
+    detections = json.loads((finished / "detections_C0.json").read_text())
+    expected = list(load_scene("simulation_1").timestamps(0, STEPS))
+    assert list(annotations) == list(detections) == expected
+    for entry in annotations["0.2"].values():
+        assert set(entry) == {"label", "bbox"}
+        assert set(entry["bbox"]) == {"centre", "height", "width", "depth"}
+        assert set(entry["bbox"]["centre"]) == {"x", "y"}
+    found = [entry for step in detections.values() for entry in step.values()]
+    assert found
+    for entry in found:
+        assert set(entry) == {"label", "confidenceScore", "bbox"}
+        assert set(entry["bbox"]) == {"centre", "height", "width"}
+        assert 0.2 <= entry["confidenceScore"] <= 1
+
+
+def test_tables_and_json_tell_the_same(finished):
+    truth = pq.read_table(finished / "truth.parquet").to_pylist()
+    annotations = json.loads((finished / "annotations_C0.json").read_text())
+    assert sum(row["annotated"] for row in truth) == sum(map(len, annotations.values()))
+    for row in truth:
+        if row["annotated"]:
+            box = annotations[row["timestamp"]][row["vessel"]]["bbox"]
+            assert box["centre"]["x"] == (row["visible_x_min_px"] + row["visible_x_max_px"]) / 2
+            assert box["height"] == row["visible_y_max_px"] - row["visible_y_min_px"]
+            assert box["depth"] == row["depth_m"]
+    drawn = pq.read_table(finished / "detections.parquet").to_pylist()
+    detections = json.loads((finished / "detections_C0.json").read_text())
+    assert len(drawn) == sum(map(len, detections.values()))
+    for row in drawn:
+        entries = detections[row["timestamp"]].values()
+        assert [row["x_px"], row["width_px"], row["confidence"]] in [
+            [e["bbox"]["centre"]["x"], e["bbox"]["width"], e["confidenceScore"]] for e in entries
+        ]
+
+
+def test_frames_table_counts_what_the_others_hold(finished):
+    frames = pq.read_table(finished / "frames.parquet").to_pylist()
+    truth = pq.read_table(finished / "truth.parquet")
+    detections = pq.read_table(finished / "detections.parquet")
+    assert [row["step"] for row in frames] == list(range(STEPS))
+    steps, annotated = truth["step"].to_numpy(), truth["annotated"].to_numpy()
+    detected = truth["detected"].to_numpy()
+    kinds = np.array(detections["kind"].to_pylist())
+    for row in frames[::17]:
+        here = steps == row["step"]
+        drawn = detections["step"].to_numpy() == row["step"]
+        assert row["n_annotated"] == (here & annotated).sum()
+        assert row["n_detected"] == (here & detected).sum() == (drawn & (kinds == "true")).sum()
+        assert row["n_false"] == (drawn & (kinds == "false_positive")).sum()
+
+
+def test_truth_table_obeys_its_own_arithmetic(finished):
+    rows = pq.read_table(finished / "truth.parquet").to_pylist()
+    hidden = [row for row in rows if row["occluded_by"]]
+    assert hidden
+    for row in rows:
+        covered = sum(entry["px"] for entry in row["occluded_by"])
+        assert row["visible_px"] + covered == row["silhouette_px"]
+        assert math.isclose(row["visible_fraction"], row["visible_px"] / row["silhouette_px"])
+        assert (row["visible_x_min_px"] is None) == (row["visible_px"] == 0)
+        assert row["annotated"] == (row["visible_px"] > 0)
+        assert row["annotated"] or not row["detected"]
+
+
+@pytest.mark.parametrize("mode", [0, 1, 2])
+def test_modes_annotate_what_they_say(mode, renderer):
+    scene = load_scene("simulation_1", mode=mode, steps=1500)
+    simulation = Simulation(scene)
+    truth = truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
+    assert (truth.visible_px == 0).any()
+    part = simulation.detect(truth, 1200, 1300).cameras[0]
+    if mode == 0:
+        assert truth.annotated.all()
+    else:
+        np.testing.assert_array_equal(truth.annotated, truth.visible_px > 0)
+    boxes = truth.visible_boxes_px if mode == 2 else truth.full_boxes_px
+    assert np.isfinite(boxes[part.target_rows]).all()
+    partly = (truth.visible_fraction > 0) & (truth.visible_fraction < 0.7)
+    assert (boxes[partly] != truth.full_boxes_px[partly]).any() == (mode == 2)
+
+
+def test_blocks_of_any_size_give_the_same_frames(renderer):
+    scene = load_scene("simulation_1", mode=2, steps=130)
+
+    def boxes(block_steps):
+        simulation = Simulation(scene)
+        parts = []
+        for first, stop in block_ranges(scene.steps, block_steps):
+            block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
+            parts.append(block.cameras[0].detections.boxes_px)
+        return np.concatenate(parts)
+
+    np.testing.assert_array_equal(boxes(1), boxes(64))
+    np.testing.assert_array_equal(boxes(130), boxes(64))
+
+
+def test_interrupted_run_goes_on_to_the_same_bytes(scene, finished, tmp_path, monkeypatch):
+    folder = tmp_path / "killed"
+    done = []
+
+    def stop_after_two_blocks(steps):
+        done.append(steps)
+        if len(done) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(scene, folder, progress=stop_after_two_blocks)
+    assert not (folder / "run.json").exists()
+    lines = (folder / "unfinished" / "detections_C0.jsonl").read_text().splitlines()
+    assert len(lines) == 200
+    assert all(json.loads(line) for line in lines)
+    with pytest.raises(RunDirectoryError, match="--resume or --overwrite"):
+        run(scene, folder)
+    result = run(scene, folder, resume=True)
+    assert result.resumed_steps == 200
+    assert content(folder) == content(finished)
+
+
+def test_interrupted_run_is_not_continued_with_other_settings(scene, tmp_path):
+    folder = tmp_path / "killed"
+
+    def stop(steps):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(scene, folder, progress=stop)
+    with pytest.raises(RunDirectoryError, match="another scene, seed, settings or version"):
+        run(load_scene("simulation_1", mode=2, steps=STEPS, seed=5), folder, resume=True)
+
+
+def test_python_way_gives_the_same_as_the_files(scene, finished):
+    drawn = pq.read_table(finished / "detections.parquet").to_pylist()
+    frames = list(simulate(scene))
+    assert len(frames) == STEPS
+    boxes = np.concatenate([frame.detections.boxes_px for frame in frames])
+    np.testing.assert_allclose(boxes[:, 0], [row["x_px"] - row["width_px"] / 2 for row in drawn], atol=1e-9)
+    frame = frames[151]
+    assert frame.timestamp == "30.2"
+    assert frame.truth.vessels == tuple(f"vessel{i}" for i in range(1, 6))
+    assert frame.truth.occluded_by[4].keys() == {"vessel2"}
+    assert frame.truth.boxes_px.shape == (5, 4)
+    sources = [vessel for vessel in frame.detections.vessels if vessel is not None]
+    assert sorted(sources) == [v for v, found in zip(frame.truth.vessels, frame.truth.detected, strict=True) if found]
+
+
+def test_own_files_run(tmp_path):
+    """A user's vessels and poses as in the source's Figures 7.2 and 7.3, with a camera on one of the vessels."""
+    vessels = {
+        "own": {"air_draft_m": 3.0, "beam_m": 4, "length_m": 10, "label": "Vessel"},
+        "other": {"air_draft_m": 5.0, "beam_m": 4.0, "length_m": 12.0, "label": "Vessel"},
+    }
+    poses = {
+        f"{1700000000 + t}.50": {
+            "own": {"center_position_m": [2.0 * t, 0.0, 0.0], "heading_rad": 0.0},
+            "other": {"center_position_m": [80.0, 2.0 * t - 3, 0.0], "heading_rad": 1.5707963267948966},
+        }
+        for t in range(5)
+    }
+    (tmp_path / "vessels.json").write_text(json.dumps(vessels))
+    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", tmp_path / "detector.yaml")
+    (tmp_path / "scene.yaml").write_text(
+        "vessels: vessels.json\nposes: {file: poses.json}\ndetector: detector.yaml\n"
+        "cameras:\n  bow:\n    focal_length_m: 0.0237\n    pixel_size_m: [1.0e-5, 0.83e-5]\n"
+        "    principal_point_px: [1232, 1028]\n    image_size_px: [2464, 2056]\n"
+        "    mount: {vessel: own, position_m: [4, 0, 3], pitch_rad: 0.02}\n"
+        "annotation: {mode: 2}\n"
+    )
+    result = run(load_scene(tmp_path / "scene.yaml"), tmp_path / "out")
+    assert result.counts.frames == 5
+    assert result.counts.annotated == 5
+    annotations = json.loads((tmp_path / "out" / "annotations_bow.json").read_text())
+    assert list(annotations) == list(poses)
+    # At step t the other's near side is 74 − 2t m ahead of the camera at most; it moves to port: columns fall.
+    columns = [annotations[time]["other"]["bbox"]["centre"]["x"] for time in poses]
+    assert columns == sorted(columns, reverse=True)
+
+
+def test_small_errors_match_and_large_errors_are_counted(scene, finished):
+    counts = json.loads((finished / "run.json").read_text())["counts"]
+    assert counts["detected"] + counts["missed"] == counts["annotated"]
+    # The source's errors have a standard deviation of 40–85 px on boxes of 10–80 px.
+    assert counts["below_half_iou"] > 0.9 * counts["detected"]
+    assert 0 < counts["redrawn"] < counts["detected"]

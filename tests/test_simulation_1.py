@@ -1,0 +1,56 @@
+"""The source's Simulation 1 as shipped (Jessen & Mohr (2023), Tables 9.4, 9.5)."""
+
+import numpy as np
+import pytest
+
+from modsim3d.annotate.outlines import outline
+from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.poses.circular import swept_ring
+from modsim3d.scene import load_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("simulation_1")
+
+
+def test_scene_follows_the_tables(scene):
+    assert scene.steps == 1500
+    assert scene.timestamps(0, 4) == ("0.0", "0.2", "0.4", "0.6")
+    sizes = [(v.air_draft_m, v.beam_m, v.length_m) for v in scene.vessels]
+    assert sizes == [(20, 4, 14)] * 2 + [(4, 3, 7)] * 3
+    assert {v.label for v in scene.vessels} == {"Vessel"}
+    (camera,) = scene.cameras
+    assert camera.intrinsics.image_size_px == (3600, 2400)
+    np.testing.assert_allclose(camera.intrinsics.focal_px, (5000, 5000))
+    assert camera.intrinsics.principal_point_px == (1800, 1200)
+    assert camera.mount.position_m == (2444, 1000, 20)
+    assert (camera.mount.roll_rad, camera.mount.pitch_rad, camera.mount.yaw_rad) == (0, 0.008, np.pi)
+    assert scene.annotation.mode == 0
+    assert scene.detector.confidence_threshold == 0.2
+    assert [state.name for state in scene.detector.states] == ["excellent", "good", "bad", "terrible"]
+
+
+def test_hulls_can_never_touch(scene):
+    rings = sorted(swept_ring(r, v.length_m, v.beam_m) for r, v in zip(scene.poses.radii_m, scene.vessels, strict=True))
+    assert all(outer < inner for (_, outer), (inner, _) in zip(rings[:-1], rings[1:], strict=True))
+
+
+def test_rendered_and_projected_full_boxes_agree_within_a_pixel_over_the_whole_simulation(scene, renderer):
+    camera = scene.cameras[0]
+    worst, compared = 0.0, 0
+    for first in range(0, scene.steps, 250):
+        poses = scene.poses.poses(first, first + 250)
+        outlines = outline(
+            camera.intrinsics,
+            scene.camera_poses(camera, poses, first),
+            scene.vessels,
+            poses.present,
+            poses.positions_m,
+            poses.headings_rad,
+        )
+        seen = rendered_occlusion(outlines, camera.intrinsics, renderer)
+        difference = np.abs(seen.full_boxes_px - outlines.boxes_px)
+        worst, compared = max(worst, float(difference.max())), compared + len(outlines)
+    assert compared > 7000
+    assert worst <= 1.0
