@@ -42,9 +42,7 @@ class Streams:
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
 
-    def uniforms(
-        self, purpose: str, *names: str, first: int, count: int, width: int = 1
-    ) -> NDArray[np.float64]:
+    def uniforms(self, purpose: str, *names: str, first: int, count: int, width: int = 1) -> NDArray[np.float64]:
         """Uniform numbers for consecutive steps; ask for one width only under one purpose.
 
         Args:

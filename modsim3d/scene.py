@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
+from modsim3d.annotate.inside import check_cameras_outside
 from modsim3d.annotate.modes import Annotation
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, Mount, poses_ashore, poses_on_board
 from modsim3d.detector.loader import load_detector
@@ -20,12 +21,14 @@ from modsim3d.errors import InputError
 from modsim3d.frames import Array
 from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses
 from modsim3d.scene_file import CameraKeys, SceneKeys
-from modsim3d.validation import describe, load_yaml, nearest
-from modsim3d.vessels import Vessel, load_vessels, parse_vessels
+from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
+from modsim3d.vessels import Vessel, parse_vessels
 
 T = TypeVar("T")
 
-CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+CHECKED_STEPS = 1000
+"""Steps whose camera positions are looked at together; it bounds the memory."""
 OVERRIDES = {
     "seed": ("seed",),
     "steps": ("steps",),
@@ -125,10 +128,13 @@ def find_scene(scene: str | Path) -> Path:
     Raises:
         InputError: There is neither.
     """
-    path = Path(scene)
-    if path.exists():
+    path, shipped = Path(scene), shipped_scenes()
+    try:
+        exists, folder = path.exists(), path.is_dir()
+    except OSError as error:
+        raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {error.strerror}"]) from None
+    if exists and not (folder and str(scene) in shipped):
         return path
-    shipped = shipped_scenes()
     if str(scene) in shipped:
         return shipped[str(scene)]
     raise InputError(
@@ -188,17 +194,20 @@ class _Reader:
     def scene(self) -> Scene:
         """The scene, or every problem at once."""
         keys = self._keys()
-        vessels = self._vessels()
+        entries = self._vessel_entries()
+        vessels = self._vessels(entries)
         detector = self._detector()
-        if vessels is not None:
-            self._check_mounts({vessel.name for vessel in vessels})
-            if detector is not None:
-                self._check_labels(vessels, detector)
-        poses = self._poses(keys, vessels)
+        # The names, and not the vessels: one that is wrong must not keep the rest from being looked at.
+        names = [str(name) for name in entries] if isinstance(entries, dict) else None
+        if names:
+            self._check_mounts(names)
+        if detector is not None:
+            self._check_labels(entries, detector)
+        poses = self._poses(keys, names, vessels)
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
-        return Scene(
+        scene = Scene(
             name=self.path.stem,
             path=self.path,
             sha256=self._sha256(keys),
@@ -210,6 +219,10 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
         )
+        self._check_places(scene)
+        if self.problems:
+            raise InputError(f"scene {self.path}", self.problems)
+        return scene
 
     def _collect(self, read: Callable[[], T]) -> T | None:
         """What `read` gives, or None and its problems kept."""
@@ -226,7 +239,8 @@ class _Reader:
             if not cameras:
                 self.problems.append("cameras: no cameras; a scene needs at least one")
             self.problems += [
-                f"cameras.{name}: a camera's name goes into file names: letters, digits, '_', '-' and '.' only"
+                f"cameras.{name}: a camera's name goes into file names: at most 100 letters, digits, '_', '-' and '.' "
+                "only, the first a letter or digit"
                 for name in cameras
                 if not CAMERA_NAME.fullmatch(str(name))
             ]
@@ -236,23 +250,38 @@ class _Reader:
             self.problems += describe(error, SceneKeys)
             return None
 
-    def _vessels(self) -> tuple[Vessel, ...] | None:
+    def _vessels_source(self) -> tuple[str, tuple[str, ...]]:
+        """What to call the place where the vessels stand, and the path there."""
         entry = self.data.get("vessels")
         if isinstance(entry, str):
-            return self._collect(lambda: load_vessels(self.folder / entry))
-        if isinstance(entry, dict):
-            return self._collect(lambda: parse_vessels(entry, f"scene {self.path}", "vessels"))
-        return None
+            return f"vessels file {self.folder / entry}", ()
+        return f"scene {self.path}", ("vessels",)
+
+    def _vessel_entries(self) -> object:
+        """The mapping of vessels as it stands in its file."""
+        entry = self.data.get("vessels")
+        return (
+            self._collect(lambda: load_json(self.folder / entry, "vessels file")) if isinstance(entry, str) else entry
+        )
+
+    def _vessels(self, entries: object) -> tuple[Vessel, ...] | None:
+        if not isinstance(entries, dict) and not isinstance(self.data.get("vessels"), str):
+            return None  # the scene's own keys say what is wrong
+        if entries is None:
+            return None  # the file could not be read
+        source, path = self._vessels_source()
+        return self._collect(lambda: parse_vessels(entries, source, *path))
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")
         return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
 
-    def _poses(self, keys: SceneKeys | None, vessels: tuple[Vessel, ...] | None) -> PoseSource | None:
+    def _poses(
+        self, keys: SceneKeys | None, names: list[str] | None, vessels: tuple[Vessel, ...] | None
+    ) -> PoseSource | None:
         entry = self.data.get("poses")
         file = entry.get("file") if isinstance(entry, dict) else None
-        if isinstance(file, str) and vessels is not None:
-            names = [vessel.name for vessel in vessels]
+        if isinstance(file, str):
             recorded = self._collect(lambda: load_poses(self.folder / file, names))
             asked = self.data.get("steps")
             if recorded is not None and isinstance(asked, int) and asked > len(recorded.timestamps):
@@ -273,23 +302,38 @@ class _Reader:
             )
         )
 
-    def _check_mounts(self, names: set[str]) -> None:
+    def _check_mounts(self, names: list[str]) -> None:
         cameras = self.data.get("cameras")
         for name, camera in cameras.items() if isinstance(cameras, dict) else ():
             mount = camera.get("mount") if isinstance(camera, dict) else None
             vessel = mount.get("vessel") if isinstance(mount, dict) else None
             if isinstance(vessel, str) and vessel not in names:
+                self.problems.append(f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})")
+
+    def _check_labels(self, entries: object, detector: DetectorModel) -> None:
+        source, path = self._vessels_source()
+        where = "" if path else f"{source}: "
+        for name, entry in entries.items() if isinstance(entries, dict) else ():
+            label = entry.get("label") if isinstance(entry, dict) else None
+            if isinstance(label, str) and label not in detector.labels:
                 self.problems.append(
-                    f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, sorted(names))})"
+                    f"{where}{join_path(*path, str(name))}.label: '{label}' is not one of the detector's labels "
+                    f"({nearest(label, detector.labels)})"
                 )
 
-    def _check_labels(self, vessels: tuple[Vessel, ...], detector: DetectorModel) -> None:
-        for vessel in vessels:
-            if vessel.label not in detector.labels:
-                self.problems.append(
-                    f"vessels.{vessel.name}.label: '{vessel.label}' is not one of the detector's labels "
-                    f"({nearest(vessel.label, detector.labels)})"
-                )
+    def _check_places(self, scene: Scene) -> None:
+        """Whether each camera has a place at each step, and no vessel around it."""
+        found: set[str] = set()
+        for first in range(0, scene.steps, CHECKED_STEPS):
+            poses = scene.poses.poses(first, min(first + CHECKED_STEPS, scene.steps))
+            for camera in scene.cameras:
+                if camera.name in found:
+                    continue
+                try:
+                    _check_place(scene, camera, poses, first)
+                except InputError as error:
+                    self.problems += error.problems
+                    found.add(camera.name)
 
     def _sha256(self, keys: SceneKeys) -> str:
         named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
@@ -297,6 +341,25 @@ class _Reader:
         for path in [self.path, *(self.folder / name for name in named if name is not None)]:
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         return digest.hexdigest()
+
+
+def _check_place(scene: Scene, camera: Camera, poses: Poses, first: int) -> None:
+    camera_poses = scene.camera_poses(camera, poses, first)
+    if scene.annotation.allow_camera_inside:
+        return
+    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
+    inside = check_cameras_outside(camera_poses.positions_m, scene.vessels, others, poses)
+    if inside is None:
+        return
+    frame, vessel = inside
+    (when,) = scene.timestamps(first + frame, first + frame + 1)
+    raise InputError(
+        f"scene {scene.path}",
+        [
+            f"cameras.{camera.name}: is inside vessel '{scene.vessels[vessel].name}' at time {when} s: move one of "
+            "them, or set annotation.allow_camera_inside: true"
+        ],
+    )
 
 
 def _camera(name: str, keys: CameraKeys) -> Camera:

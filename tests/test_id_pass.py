@@ -131,7 +131,8 @@ def test_context_can_be_opened_again_after_it_was_closed():
 
 
 def test_importing_the_package_loads_no_opengl_plotting_or_parquet():
-    script = "import sys, modsim3d, modsim3d.cli; print([m for m in ('OpenGL', 'matplotlib', 'PIL', 'pyarrow') if m in sys.modules])"
+    heavy = ("OpenGL", "matplotlib", "PIL", "pyarrow")
+    script = f"import sys, modsim3d, modsim3d.cli; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -41,7 +43,7 @@ def test_circular_motion_follows_the_source():
 def test_rings_swept_by_the_hulls_are_disjoint(seed):
     circle = motion(seed, radius=(5.0, 60.0))
     rings = sorted(swept_ring(r, s.length_m, s.beam_m) for r, s in zip(circle.radii_m, SHIPS, strict=True))
-    assert all(outer < inner for (_, outer), (inner, _) in zip(rings[:-1], rings[1:], strict=True))
+    assert all(outer < inner for (_, outer), (inner, _) in pairwise(rings))
     assert ((circle.radii_m >= 5) & (circle.radii_m <= 60)).all()
     assert ((circle.rates_rad_s >= 0.005) & (circle.rates_rad_s <= 0.03)).all()
 

@@ -1,5 +1,7 @@
 """The source's Simulation 1 as shipped (Jessen & Mohr (2023), Tables 9.4, 9.5)."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -33,7 +35,7 @@ def test_scene_follows_the_tables(scene):
 
 def test_hulls_can_never_touch(scene):
     rings = sorted(swept_ring(r, v.length_m, v.beam_m) for r, v in zip(scene.poses.radii_m, scene.vessels, strict=True))
-    assert all(outer < inner for (_, outer), (inner, _) in zip(rings[:-1], rings[1:], strict=True))
+    assert all(outer < inner for (_, outer), (inner, _) in pairwise(rings))
 
 
 def test_rendered_and_projected_full_boxes_agree_within_a_pixel_over_the_whole_simulation(scene, renderer):
