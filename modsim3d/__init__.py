@@ -3,7 +3,7 @@
     import modsim3d
 
     scene = modsim3d.load_scene("simulation_1", mode=2)
-    for frame in modsim3d.simulate(scene):
+    for frame in modsim3d.simulate_frames(scene):
         frame.truth.boxes_px, frame.detections.boxes_px
 
 Importing this imports no OpenGL, plotting or tracking library; the names below are loaded at first use.
@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from modsim3d.errors import ModsimError
-    from modsim3d.run import run
+    from modsim3d.run import run_scene
     from modsim3d.scene import Scene, load_scene
-    from modsim3d.simulate import simulate
+    from modsim3d.simulate import simulate_frames
 
-__all__ = ["ModsimError", "Scene", "load_scene", "run", "simulate"]
+__all__ = ["ModsimError", "Scene", "load_scene", "run_scene", "simulate_frames"]
 
 _HOMES = {
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene",
     "load_scene": "modsim3d.scene",
-    "run": "modsim3d.run",
-    "simulate": "modsim3d.simulate",
+    "run_scene": "modsim3d.run",
+    "simulate_frames": "modsim3d.simulate",
 }
 
 
@@ -38,6 +38,4 @@ def __getattr__(name: str) -> Any:
         return version("modsim3d")
     if name not in _HOMES:
         raise AttributeError(f"module 'modsim3d' has no attribute '{name}'")
-    value = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = value  # `modsim3d.run` and `modsim3d.simulate` are also modules: the function wins
-    return value
+    return getattr(import_module(_HOMES[name]), name)

@@ -41,6 +41,7 @@ class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
 
     rendered = "rendered"
     analytic = "analytic"
+    rectangles = "rectangles"
 
 
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
@@ -83,7 +84,7 @@ def run_command(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from modsim3d.run import run
+    from modsim3d.run import run_scene
     from modsim3d.scene import load_scene
 
     console = Console(stderr=True)
@@ -92,7 +93,7 @@ def run_command(
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(loaded.name, total=loaded.steps)
-        result = run(
+        result = run_scene(
             loaded,
             folder,
             overwrite=overwrite,
@@ -113,10 +114,8 @@ def check_command(scene: SceneArgument) -> None:
     Example: modsim3d check my/scene.yaml
     """
     from modsim3d.scene import load_scene
-    from modsim3d.simulate import check_source
 
     loaded = load_scene(scene)
-    check_source(loaded)
     typer.echo(
         f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
         f"steps: {loaded.steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
@@ -206,6 +205,9 @@ def main() -> None:
         app()
     except ModsimError as error:
         typer.echo(f"modsim3d: {error}", err=True)
+        sys.exit(BAD_INPUT)
+    except OSError as error:
+        typer.echo(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
         sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
         typer.echo("\nmodsim3d: interrupted; what was finished is kept: go on with --resume", err=True)

@@ -17,7 +17,7 @@ from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
-from modsim3d.simulate import Simulation, block_ranges, check_source, open_renderer, truth_block
+from modsim3d.simulate import Simulation, block_ranges, open_renderer, truth_block
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
@@ -108,7 +108,7 @@ class RunResult:
     resumed_steps: int
 
 
-def run(
+def run_scene(
     scene: Scene,
     folder: Path,
     *,
@@ -128,7 +128,6 @@ def run(
     Raises:
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
-    check_source(scene)
     started = time.perf_counter()
     simulation, counts, resumed = Simulation(scene), Counts(), 0
     with open_renderer(scene) as renderer:

@@ -21,8 +21,8 @@ from modsim3d.errors import InputError
 from modsim3d.frames import Array
 from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses
 from modsim3d.scene_file import CameraKeys, SceneKeys
-from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
-from modsim3d.vessels import Vessel, parse_vessels
+from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
+from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 
 T = TypeVar("T")
 
@@ -198,10 +198,10 @@ class _Reader:
         vessels = self._vessels(entries)
         detector = self._detector()
         # The names, and not the vessels: one that is wrong must not keep the rest from being looked at.
-        names = [str(name) for name in entries] if isinstance(entries, dict) else None
+        names = None if entries is None else [str(name) for name in entries]
         if names:
             self._check_mounts(names)
-        if detector is not None:
+        if entries is not None and detector is not None:
             self._check_labels(entries, detector)
         poses = self._poses(keys, names, vessels)
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
@@ -257,18 +257,16 @@ class _Reader:
             return f"vessels file {self.folder / entry}", ()
         return f"scene {self.path}", ("vessels",)
 
-    def _vessel_entries(self) -> object:
-        """The mapping of vessels as it stands in its file."""
+    def _vessel_entries(self) -> dict[Any, Any] | None:
+        """The mapping of vessels as it stands in its file; None if there is no such thing."""
         entry = self.data.get("vessels")
-        return (
-            self._collect(lambda: load_json(self.folder / entry, "vessels file")) if isinstance(entry, str) else entry
-        )
+        if isinstance(entry, str):
+            return self._collect(lambda: load_mapping(self.folder / entry))
+        return entry if isinstance(entry, dict) else None  # the scene's own keys say what is wrong
 
-    def _vessels(self, entries: object) -> tuple[Vessel, ...] | None:
-        if not isinstance(entries, dict) and not isinstance(self.data.get("vessels"), str):
-            return None  # the scene's own keys say what is wrong
+    def _vessels(self, entries: dict[Any, Any] | None) -> tuple[Vessel, ...] | None:
         if entries is None:
-            return None  # the file could not be read
+            return None
         source, path = self._vessels_source()
         return self._collect(lambda: parse_vessels(entries, source, *path))
 
@@ -310,10 +308,10 @@ class _Reader:
             if isinstance(vessel, str) and vessel not in names:
                 self.problems.append(f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})")
 
-    def _check_labels(self, entries: object, detector: DetectorModel) -> None:
+    def _check_labels(self, entries: dict[Any, Any], detector: DetectorModel) -> None:
         source, path = self._vessels_source()
         where = "" if path else f"{source}: "
-        for name, entry in entries.items() if isinstance(entries, dict) else ():
+        for name, entry in entries.items():
             label = entry.get("label") if isinstance(entry, dict) else None
             if isinstance(label, str) and label not in detector.labels:
                 self.problems.append(

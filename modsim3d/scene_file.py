@@ -98,7 +98,8 @@ class AnnotationKeys(Strict):
     """Annotation mode, source and filters (Jessen & Mohr (2023), §7.5.1)."""
 
     mode: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
-    source: Literal["rendered", "analytic"] = "rendered"
+    source: Literal["rendered", "analytic", "rectangles"] = "rendered"
+    supersample: Annotated[int, Field(strict=True, ge=1, le=8)] = 1
     min_visible_px: NotNegative = 0.0
     min_visible_fraction: Probability = 0.0
     min_box_px: NotNegative = 0.0

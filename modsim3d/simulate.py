@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.inside import check_cameras_outside
-from modsim3d.annotate.modes import annotated_rows, annotation_boxes
-from modsim3d.annotate.outlines import outline
-from modsim3d.annotate.record import Truth, concatenate
+from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
+from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.annotate.record import Occlusion, Truth, concatenate
+from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
-from modsim3d.camera import Camera
+from modsim3d.camera import Camera, Intrinsics
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.records import Frames, Targets
-from modsim3d.errors import InputError, ModsimError
+from modsim3d.errors import ModsimError
 from modsim3d.poses import Poses
 from modsim3d.scene import Scene
 
@@ -44,22 +45,6 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
 
     with open_context() as context:
         yield IdRenderer(context)
-
-
-def check_source(scene: Scene) -> None:
-    """Refuse what the chosen source cannot answer.
-
-    Raises:
-        InputError: The analytic source is asked what is hidden.
-    """
-    if scene.annotation.source == "analytic" and scene.annotation.needs_visibility:
-        raise InputError(
-            f"scene {scene.path}",
-            [
-                f"annotation: mode {scene.annotation.mode} and its filters ask what is hidden, which source 'analytic' "
-                "does not tell yet: use mode 0 without visibility filters, or source 'rendered'"
-            ],
-        )
 
 
 def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
@@ -95,16 +80,26 @@ def _camera_truth(
                 "them, or set annotation.allow_camera_inside: true"
             )
     outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
-    if renderer is None:
-        occlusion = analytic_occlusion(outlines)
-    else:
-        from modsim3d.annotate.rendered import rendered_occlusion
-
-        occlusion = rendered_occlusion(outlines, camera.intrinsics, renderer)
+    occlusion = _occlusion(outlines, camera.intrinsics, scene.annotation, renderer)
     truth = occlusion.truth(
         first + outlines.frame, index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m
     )
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
+
+
+def _occlusion(
+    outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
+) -> Occlusion:
+    """What the scene's source says is seen."""
+    if annotation.source == "analytic":
+        return analytic_occlusion(outlines, intrinsics)
+    if annotation.source == "rectangles":
+        return rectangle_occlusion(outlines)
+    if renderer is None:
+        raise ModsimError("the rendered source needs a renderer: use open_renderer(scene)")
+    from modsim3d.annotate.rendered import rendered_occlusion
+
+    return rendered_occlusion(outlines, intrinsics, renderer, annotation.supersample)
 
 
 class Simulation:
@@ -152,7 +147,7 @@ def block_ranges(steps: int, block_steps: int = BLOCK_STEPS) -> list[tuple[int, 
     return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
 
 
-def simulate(scene: Scene) -> Iterator[Frame]:
+def simulate_frames(scene: Scene) -> Iterator[Frame]:
     """Run a scene in memory, frame by frame, without writing anything.
 
     Args:
@@ -161,7 +156,6 @@ def simulate(scene: Scene) -> Iterator[Frame]:
     Yields:
         Each camera's frame at each step.
     """
-    check_source(scene)
     simulation = Simulation(scene)
     with open_renderer(scene) as renderer:
         for first, stop in block_ranges(scene.steps):

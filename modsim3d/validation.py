@@ -8,7 +8,7 @@ import re
 import reprlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -29,6 +29,17 @@ class Strict(BaseModel):
 
 class _Yaml12Loader(yaml.SafeLoader):
     """PyYAML with the numbers and booleans of YAML 1.2, and with repeated keys refused."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """The value of a node; PyYAML's own constructors raise errors without a place, such as KeyError."""
+        try:
+            return super().construct_object(node, deep)
+        except (yaml.YAMLError, RecursionError):
+            raise
+        except Exception:
+            kind = node.tag.rpartition(":")[2]
+            problem = f"{shown(node.value)} cannot be read as {kind}"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
 
 
 # PyYAML follows YAML 1.1: `1e-6` is a string, `no` is false, `1:30` is 90, and it makes dates of keys.
@@ -115,8 +126,6 @@ def load_yaml(path: Path, what: str) -> Any:
         raise InputError(f"{what} {path}", [f"line {line}, column {column}: {problem}"]) from None
     except RecursionError:
         raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
-    except Exception as error:  # PyYAML's constructors raise many kinds: `!!bool x` is a KeyError
-        raise InputError(f"{what} {path}", [f"a value cannot be read: {error}"]) from None
 
 
 def _line_and_column(text: str, position: int) -> tuple[int, int]:
@@ -198,15 +207,15 @@ def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[st
     """The keys that the section at a location accepts, for the hint beside an unknown key."""
     current: Any = model
     for part in location:
-        fields = getattr(current, "model_fields", None)
-        if fields is None or part not in fields:
+        if get_origin(current) is dict:
+            current = get_args(current)[1]
+        elif part in getattr(current, "model_fields", {}):
+            current = current.model_fields[part].annotation
+        else:
             return []
-        annotation = fields[part].annotation
-        candidates = [annotation, *getattr(annotation, "__args__", ())]
-        models = [c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)]
-        if len(models) != 1:
-            return []
-        current = models[0]
+        options = [option for option in get_args(current) if hasattr(option, "model_fields")]
+        if get_origin(current) is not dict and len(options) == 1:
+            (current,) = options  # `MountKeys | None`
     return list(getattr(current, "model_fields", ()))
 
 
@@ -223,6 +232,7 @@ _IN_OUR_WORDS = {
 
 _brief = reprlib.Repr()
 _brief.maxstring = _brief.maxother = _brief.maxlong = 60
+_brief.maxlevel, _brief.maxlist, _brief.maxdict = 3, 4, 4
 
 
 def shown(value: object) -> str:

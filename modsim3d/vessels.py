@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
-from modsim3d.validation import Strict, describe, join_path, load_json
+from modsim3d.validation import Strict, describe, join_path, load_json, shown
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,7 @@ def shoebox() -> Solid:
     return Solid(vertices, faces)
 
 
+MAPPING_NEEDED = "a mapping of vessel ID to vessel is needed"
 MIN_EXTENT_M, MAX_EXTENT_M = 1e-3, 1e5
 Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_M, le=MAX_EXTENT_M)]
 
@@ -113,7 +114,7 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
         InputError: With every problem found.
     """
     if not isinstance(data, dict):
-        raise InputError(source, [f"{join_path(*prefix) or 'top level'}: a mapping of vessel ID to vessel is needed"])
+        raise InputError(source, [f"{join_path(*prefix) or 'top level'}: {MAPPING_NEEDED} (got {shown(data)})"])
     problems = [] if data else [f"{join_path(*prefix) or 'top level'}: no vessels; a scene needs at least one"]
     vessels = []
     for name, raw in data.items():
@@ -130,10 +131,22 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
     return tuple(vessels)
 
 
+def load_mapping(path: Path) -> dict[str, Any]:
+    """The mapping in a vessels file, whatever its vessels are like.
+
+    Raises:
+        InputError: The file cannot be read or holds no mapping.
+    """
+    data = load_json(path, "vessels file")
+    if not isinstance(data, dict):
+        raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {shown(data)})"])
+    return data
+
+
 def load_vessels(path: Path) -> tuple[Vessel, ...]:
     """Vessels from a JSON file as in Figure 7.2.
 
     Raises:
         InputError: With every problem found.
     """
-    return parse_vessels(load_json(path, "vessels file"), f"vessels file {path}")
+    return parse_vessels(load_mapping(path), f"vessels file {path}")

@@ -11,9 +11,9 @@ import pytest
 
 import modsim3d
 from modsim3d.errors import RunDirectoryError
-from modsim3d.run import run
+from modsim3d.run import run_scene
 from modsim3d.scene import data_folder, load_scene
-from modsim3d.simulate import Simulation, block_ranges, simulate, truth_block
+from modsim3d.simulate import Simulation, block_ranges, simulate_frames, truth_block
 
 STEPS = 270
 FILES = {
@@ -35,7 +35,7 @@ def scene():
 @pytest.fixture(scope="module")
 def finished(scene, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "first"
-    run(scene, folder)
+    run_scene(scene, folder)
     return folder
 
 
@@ -48,9 +48,9 @@ def test_run_directory_holds_what_is_promised_and_nothing_else(finished):
 
 
 def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished, tmp_path):
-    run(scene, tmp_path / "again")
+    run_scene(scene, tmp_path / "again")
     assert content(tmp_path / "again") == content(finished)
-    run(load_scene("simulation_1", mode=2, steps=STEPS, seed=1), tmp_path / "other")
+    run_scene(load_scene("simulation_1", mode=2, steps=STEPS, seed=1), tmp_path / "other")
     other = content(tmp_path / "other")
     assert all(other[name] != data for name, data in content(finished).items())
 
@@ -173,14 +173,14 @@ def test_interrupted_run_goes_on_to_the_same_bytes(scene, finished, tmp_path, mo
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(scene, folder, progress=stop_after_two_blocks)
+        run_scene(scene, folder, progress=stop_after_two_blocks)
     assert not (folder / "run.json").exists()
     lines = (folder / "unfinished" / "detections_C0.jsonl").read_text().splitlines()
     assert len(lines) == 200
     assert all(json.loads(line) for line in lines)
     with pytest.raises(RunDirectoryError, match="--resume or --overwrite"):
-        run(scene, folder)
-    result = run(scene, folder, resume=True)
+        run_scene(scene, folder)
+    result = run_scene(scene, folder, resume=True)
     assert result.resumed_steps == 200
     assert content(folder) == content(finished)
 
@@ -192,14 +192,14 @@ def test_interrupted_run_is_not_continued_with_other_settings(scene, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(scene, folder, progress=stop)
+        run_scene(scene, folder, progress=stop)
     with pytest.raises(RunDirectoryError, match="another scene, seed, settings or version"):
-        run(load_scene("simulation_1", mode=2, steps=STEPS, seed=5), folder, resume=True)
+        run_scene(load_scene("simulation_1", mode=2, steps=STEPS, seed=5), folder, resume=True)
 
 
 def test_python_way_gives_the_same_as_the_files(scene, finished):
     drawn = pq.read_table(finished / "detections.parquet").to_pylist()
-    frames = list(simulate(scene))
+    frames = list(simulate_frames(scene))
     assert len(frames) == STEPS
     boxes = np.concatenate([frame.detections.boxes_px for frame in frames])
     np.testing.assert_allclose(boxes[:, 0], [row["x_px"] - row["width_px"] / 2 for row in drawn], atol=1e-9)
@@ -235,7 +235,7 @@ def test_own_files_run(tmp_path):
         "    mount: {vessel: own, position_m: [4, 0, 3], pitch_rad: 0.02}\n"
         "annotation: {mode: 2}\n"
     )
-    result = run(load_scene(tmp_path / "scene.yaml"), tmp_path / "out")
+    result = run_scene(load_scene(tmp_path / "scene.yaml"), tmp_path / "out")
     assert result.counts.frames == 5
     assert result.counts.annotated == 5
     annotations = json.loads((tmp_path / "out" / "annotations_bow.json").read_text())

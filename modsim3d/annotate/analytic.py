@@ -1,24 +1,84 @@
-"""Truth from corner projection alone, without a renderer."""
+"""Truth from geometry alone, without a renderer: exact occlusion of shoeboxes.
+
+The visible region of a vessel is its silhouette less the silhouettes of those that can hide it. Areas and boxes are
+of sub-pixel exactness. Intersecting boxes have no order; what is visible of them is left open (NaN).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import shapely
 
-from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.ordering import Order, order_of
+from modsim3d.annotate.outlines import Outlines, silhouette_polygons
 from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, occluder_lists, visible_of
+from modsim3d.camera import Intrinsics
 
 
-def analytic_occlusion(outlines: Outlines) -> Occlusion:
-    """Full boxes and silhouette areas; what is visible is left open (NaN).
+@dataclass(frozen=True, eq=False)
+class Regions:
+    """Silhouettes in the image and what is visible of them, as polygons.
+
+    Attributes:
+        silhouettes: Shape (n,).
+        visible: Shape (n,).
+        hiding: Who can hide whom.
+        order: Where that is known from.
+    """
+
+    silhouettes: Polygons
+    visible: Polygons
+    hiding: Hiding
+    order: Order
+
+
+def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> Regions:
+    """What is visible of each silhouette: the silhouette less those of the solids that can hide it."""
+    silhouettes = image_silhouettes(outlines, intrinsics)
+    order = order_of(outlines)
+    hiding = Hiding.of(
+        np.concatenate([order.second[order.first_can_hide], order.first[order.second_can_hide]]),
+        np.concatenate([order.first[order.first_can_hide], order.second[order.second_can_hide]]),
+    )
+    return Regions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
+
+
+def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
+    """Full and visible boxes, areas and occluders of every outline.
 
     Args:
         outlines: The vessels in front of the camera.
+        intrinsics: Of the camera.
     """
-    unknown = np.full(len(outlines), np.nan)
+    return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
+
+
+def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
+    """The truth columns of regions; see `analytic_occlusion`."""
+    order = regions.order
+    boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
+    pairs = np.column_stack([order.first, order.second])[order.intersecting]
+    boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
+    areas = hidden_areas(regions.silhouettes, regions.hiding)
     return Occlusion(
         full_boxes_px=outlines.boxes_px,
-        visible_boxes_px=np.full((len(outlines), 4), np.nan),
+        visible_boxes_px=boxes,
         silhouette_px=outlines.areas_px,
-        visible_px=unknown,
-        occluders=((),) * len(outlines),
+        visible_px=visible_px,
+        occluders=occluder_lists(regions.hiding, areas, outlines.vessel),
+        intersecting=pairs,
     )
+
+
+def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
+    """Silhouettes cut at the image edge, shape (n,)."""
+    silhouettes = silhouette_polygons(
+        intrinsics, outlines.vertices_camera, outlines.vertices_px, outlines.crosses_near, outlines.solid
+    )
+    cut = ~(outlines.in_frame_fraction == 1.0)
+    image = shapely.box(0, 0, *map(float, intrinsics.image_size_px))
+    silhouettes[cut] = shapely.intersection(silhouettes[cut], image)
+    return silhouettes

@@ -11,7 +11,7 @@ from modsim3d.annotate.record import Truth
 from modsim3d.frames import Array
 
 MODES = (0, 1, 2)
-SOURCES = ("rendered", "analytic")
+SOURCES = ("rendered", "analytic", "rectangles")
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,8 @@ class Annotation:
     Attributes:
         mode: 0: the full box of every vessel in the image, hidden or not; 1: the full box of every vessel with a
             visible pixel; 2: the visible box of every vessel with a visible pixel.
-        source: Where the truth comes from: `rendered` or `analytic`.
+        source: Where the truth comes from: one of `SOURCES`.
+        supersample: ID buffer pixels for each image pixel and axis (rendered source).
         min_visible_px: Least number of visible pixels.
         min_visible_fraction: Least visible fraction.
         min_box_px: Least width and height of the annotated box.
@@ -30,15 +31,11 @@ class Annotation:
 
     mode: int = 0
     source: str = "rendered"
+    supersample: int = 1
     min_visible_px: float = 0.0
     min_visible_fraction: float = 0.0
     min_box_px: float = 0.0
     allow_camera_inside: bool = False
-
-    @property
-    def needs_visibility(self) -> bool:
-        """Whether this asks what is hidden."""
-        return self.mode > 0 or self.min_visible_px > 0 or self.min_visible_fraction > 0
 
 
 def annotation_boxes(truth: Truth, mode: int) -> Array:
@@ -51,9 +48,11 @@ def annotated_rows(truth: Truth, annotation: Annotation) -> NDArray[np.bool_]:
     boxes = annotation_boxes(truth, annotation.mode)
     big_enough = boxes[:, 2:] - boxes[:, :2] >= annotation.min_box_px  # a missing box is NaN: not kept
     keep: NDArray[np.bool_] = np.all(big_enough, axis=1)
-    if annotation.needs_visibility:
+    # What cannot be told (NaN) is kept only if nobody asks.
+    if annotation.min_visible_px > 0:
         keep &= truth.visible_px >= annotation.min_visible_px
-        keep &= np.nan_to_num(truth.visible_fraction) >= annotation.min_visible_fraction
+    if annotation.min_visible_fraction > 0:
+        keep &= truth.visible_fraction >= annotation.min_visible_fraction
     if annotation.mode > 0:
         keep &= truth.visible_px > 0
     return keep

@@ -160,11 +160,32 @@ def silhouette_polygons(
     polygons = np.empty(len(pixels), dtype=object)
     polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
     for row in np.flatnonzero(crosses):
-        clipped = clip_triangles(vertices[row][solid.faces], near_plane(intrinsics))
-        # A corner put on the plane by the cut may come out a rounding error before it.
-        clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
+        clipped = cut_near(vertices[row][solid.faces], intrinsics)
         polygons[row] = shapely.convex_hull(shapely.multipoints(intrinsics.project(clipped.reshape(-1, 3))))
     return polygons
+
+
+def cut_near(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
+    """The triangles of a convex solid beyond the near plane, and the section that closes the solid there.
+
+    Without the section one would look into the solid, and see the faces of what touches it from behind.
+
+    Args:
+        triangles_camera: In CCF, shape (T, 3, 3).
+        intrinsics: Of the camera.
+
+    Returns:
+        Triangles in CCF, shape (T', 3, 3).
+    """
+    near = intrinsics.near_clip_m
+    clipped = clip_triangles(triangles_camera, near_plane(intrinsics))
+    # A corner put on the plane by the cut may come out a rounding error before it.
+    clipped[..., 2] = np.maximum(clipped[..., 2], near)
+    section = np.unique(clipped[clipped[..., 2] == near], axis=0)
+    offset = section - section.mean(axis=0) if len(section) else section
+    around = section[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
+    fan = [[around[0], around[i], around[i + 1]] for i in range(1, len(around) - 1)]
+    return np.concatenate([clipped, np.array(fan).reshape(-1, 3, 3)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +212,10 @@ def triangles_of(outlines: Outlines, intrinsics: Intrinsics) -> Triangles:
     faces = len(outlines.solid.faces)
     rows = [np.repeat(np.flatnonzero(inside), faces)]
     parts = [camera[inside].reshape(-1, 3, 3)]
-    planes = np.concatenate([near_plane(intrinsics), guard_planes(intrinsics, GUARD_PX)])
+    guard = guard_planes(intrinsics, GUARD_PX)
     for beyond in np.flatnonzero(~inside):
-        clipped = clip_triangles(camera[beyond], planes)
+        beyond_near = cut_near(camera[beyond], intrinsics) if outlines.crosses_near[beyond] else camera[beyond]
+        clipped = clip_triangles(beyond_near, guard)
         clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
         rows.append(np.full(len(clipped), beyond))
         parts.append(clipped)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ class Truth:
         occluder: Index into `occluder_names` of the scene, shape (m,).
         occluder_px: How many of its pixels that one hides, shape (m,).
         annotated: Whether the annotation mode and filters keep it, shape (n,).
+        intersections: Step, camera and two vessels that overlap in the image and in space, so that the analytic
+            source knows nothing of what is visible of them, shape (k, 4).
     """
 
     step: Indices
@@ -50,6 +52,7 @@ class Truth:
     occluder: Indices
     occluder_px: Array
     annotated: NDArray[np.bool_]
+    intersections: Indices
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -68,6 +71,7 @@ class Truth:
             occluder_offsets=offsets,
             occluder=self.occluder[entries],
             occluder_px=self.occluder_px[entries],
+            intersections=self.intersections,
         )
 
     def with_annotated(self, annotated: NDArray[np.bool_]) -> Truth:
@@ -90,6 +94,7 @@ class Occlusion:
         silhouette_px: Shape (n,).
         visible_px: Shape (n,).
         occluders: For each row, who hides how many of its pixels.
+        intersecting: Pairs of rows whose solids intersect, shape (k, 2).
     """
 
     full_boxes_px: Array
@@ -97,6 +102,7 @@ class Occlusion:
     silhouette_px: Array
     visible_px: Array
     occluders: tuple[tuple[tuple[int, float], ...], ...]
+    intersecting: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
 
     def visible_fraction(self) -> Array:
         """visible_px / silhouette_px; NaN where there is no silhouette pixel, shape (n,)."""
@@ -130,11 +136,16 @@ class Occlusion:
             occluder=np.array([index for index, _ in flat], dtype=np.int64),
             occluder_px=np.array([pixels for _, pixels in flat], dtype=np.float64),
             annotated=np.zeros(len(step), dtype=bool),
+            intersections=np.column_stack(
+                [step[self.intersecting[:, 0]], np.full(len(self.intersecting), camera), vessel[self.intersecting]]
+            ),
         )
 
 
-OCCLUDER_COLUMNS = ("occluder_offsets", "occluder", "occluder_px")
-ROW_COLUMNS = tuple(field.name for field in fields(Truth) if field.name not in OCCLUDER_COLUMNS)
+COLUMNS = tuple(field.name for field in fields(Truth))
+ROW_COLUMNS = tuple(
+    name for name in COLUMNS if name not in ("occluder_offsets", "occluder", "occluder_px", "intersections")
+)
 
 
 def concatenate(parts: Sequence[Truth]) -> Truth:
@@ -150,5 +161,6 @@ def concatenate(parts: Sequence[Truth]) -> Truth:
         occluder_offsets=np.concatenate([[0], np.cumsum(counts)]),
         occluder=np.concatenate([part.occluder for part in parts]),
         occluder_px=np.concatenate([part.occluder_px for part in parts]),
+        intersections=np.concatenate([part.intersections for part in parts]),
     )
     return truth.take(np.lexsort((truth.vessel, truth.camera, truth.step)))

@@ -23,9 +23,7 @@ def clip(boxes_px: Array, image_size_px: tuple[int, int]) -> Array:
 def move(boxes_px: Array, errors_px: Array) -> Array:
     """Boxes with (e_x, e_y, e_w, e_h) added to centre, width and height; without error exactly the same."""
     shift, half_growth = errors_px[..., :2], errors_px[..., 2:] / 2
-    return np.concatenate(
-        [boxes_px[..., :2] + (shift - half_growth), boxes_px[..., 2:] + (shift + half_growth)], -1
-    )
+    return np.concatenate([boxes_px[..., :2] + (shift - half_growth), boxes_px[..., 2:] + (shift + half_growth)], -1)
 
 
 def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int]) -> Array:

@@ -112,9 +112,7 @@ class Thesis:
         rate = setting.false_discovery_rate
         trials = np.rint(rate * setting.n_kept - setting.confidence_threshold)
         frame, ordinal = _rows(np.maximum(trials, 0).astype(np.int64))
-        uniforms = _ordinal_uniforms(
-            setting.streams, "detector.clutter_trial", setting.frames, frame, ordinal, width=1
-        )
+        uniforms = _ordinal_uniforms(setting.streams, "detector.clutter_trial", setting.frames, frame, ordinal, width=1)
         successes = frame[uniforms[:, 0] < rate[frame]]
         return np.bincount(successes, minlength=len(rate)).astype(np.int64)
 

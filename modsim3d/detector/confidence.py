@@ -28,9 +28,7 @@ class NormalConfidence:
     @classmethod
     def from_model(cls, model: DetectorModel) -> NormalConfidence:
         """The confidence of a detector model."""
-        return cls(
-            model.column("confidence_mean"), model.column("confidence_std"), model.confidence_threshold
-        )
+        return cls(model.column("confidence_mean"), model.column("confidence_std"), model.confidence_threshold)
 
     def score(self, state: Indices, uniforms: Array) -> Array:
         """Confidence of detections made in these states, from one uniform number each; shapes (m,)."""

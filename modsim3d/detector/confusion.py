@@ -35,11 +35,7 @@ def probabilistic_confusion(counts: ArrayLike) -> tuple[Array, Array]:
         raise InputError("confusion counts", ["every count must be finite and at least 0"])
     if not np.all(columns > 0):
         empty = ", ".join(str(column) for column in np.flatnonzero(columns == 0))
-        raise InputError(
-            "confusion counts", [f"nothing was there in column {empty}: no rate can be estimated"]
-        )
+        raise InputError("confusion counts", [f"nothing was there in column {empty}: no rate can be estimated"])
     background = table[:-1, -1]
-    clutter = (
-        background / background.sum() if background.any() else np.full(len(background), 1 / len(background))
-    )
+    clutter = background / background.sum() if background.any() else np.full(len(background), 1 / len(background))
     return table[:, :-1] / columns, clutter

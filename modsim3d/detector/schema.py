@@ -48,14 +48,20 @@ def _labels(value: list[str]) -> list[str]:
     return value
 
 
+GREATEST_FALSE_DISCOVERY_RATE = 0.99
+
+
 def _false_discovery_rate(value: float) -> float:
     if value == 1:
         raise ValueError(
             "is 1, must be below 1: it is the share of false positives among all detections, "
             "and 1 would take infinitely many of them for each true one"
         )
-    if not 0 <= value < 1:
-        raise ValueError(f"is {value:g}, must be at least 0 and below 1")
+    if not 0 <= value <= GREATEST_FALSE_DISCOVERY_RATE:
+        raise ValueError(
+            f"is {value:g}, must be from 0 to {GREATEST_FALSE_DISCOVERY_RATE}, which already makes 99 false positives "
+            "for each true detection"
+        )
     return value
 
 

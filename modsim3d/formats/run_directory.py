@@ -11,7 +11,7 @@ from typing import IO, Any
 import numpy as np
 import orjson
 
-from modsim3d.annotate.record import ROW_COLUMNS, Truth
+from modsim3d.annotate.record import COLUMNS, Truth
 from modsim3d.block import Block
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats import tables, thesis_json
@@ -19,7 +19,7 @@ from modsim3d.scene import Scene
 
 UNFINISHED = "unfinished"
 """The folder inside a run directory that holds what is written while the run goes on."""
-RUN_FILE, LOG_FILE = "run.json", "run.log"
+RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
 _PARQUET = {
     "frames": (tables.FRAMES, tables.frame_table),
     "truth": (tables.TRUTH, tables.truth_table),
@@ -44,7 +44,7 @@ class RunDirectory:
         overwrite: bool = False,
         resume: bool = False,
     ) -> None:
-        """Make the folder, or take up an interrupted run.
+        """Make the folder, or take up an interrupted run; a run that is replaced stays until the new one is finished.
 
         Args:
             folder: Where.
@@ -81,33 +81,69 @@ class RunDirectory:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close what is open; what was written stays."""
-        for stream in self._lines.values():
-            stream.close()
-        for writer in self._writers.values():
-            writer.close()
+        """Close what is open; what was written stays.
+
+        Raises:
+            RunDirectoryError: The disk is full, or the files cannot be written for another reason.
+        """
+        try:
+            for stream in self._lines.values():
+                stream.close()
+            for writer in self._writers.values():
+                writer.close()
+        except OSError as failure:
+            raise self._unwritable(failure) from failure
+        if isinstance(error, OSError):
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> RunDirectoryError:
+        return RunDirectoryError(
+            f"{self.folder} cannot be written to: {error.strerror or error}; what was finished is kept: go on with "
+            "--resume"
+        )
 
     def _prepare(self, overwrite: bool, resume: bool) -> None:
-        mine = (self.folder / RUN_FILE).exists() or self.work.is_dir()
+        interrupted, finished = _is_ours(self.work / SETTINGS_FILE), _is_ours(self.folder / RUN_FILE)
         taken = self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir()))
-        if resume and self.work.is_dir():
-            if (self.work / "settings.json").read_bytes() != self._settings:
+        if resume and interrupted:
+            if (self.work / SETTINGS_FILE).read_bytes() == self._settings:
+                return
+            if not overwrite:
                 raise RunDirectoryError(
                     f"{self.folder} holds an interrupted run with another scene, seed, settings or version: "
                     "resume it with the same, or use --overwrite"
                 )
-            return
-        if taken and not (overwrite and mine):
-            if not mine:
-                raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
-            state = (
-                "an interrupted run: use --resume or --overwrite" if self.work.is_dir() else "a run: use --overwrite"
-            )
+        if taken and not (interrupted or finished or self._hardly_begun()):
+            raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
+        if not overwrite and (interrupted or finished):
+            state = "an interrupted run: use --resume or --overwrite" if interrupted else "a run: use --overwrite"
             raise RunDirectoryError(f"{self.folder} holds {state}, or choose another folder")
-        if mine:
-            shutil.rmtree(self.folder)
+        if self.work.is_dir():
+            shutil.rmtree(self.work)
         self.work.mkdir(parents=True)
-        (self.work / "settings.json").write_bytes(self._settings)
+        partial = self.work / f"{SETTINGS_FILE}.partial"
+        partial.write_bytes(self._settings)
+        partial.replace(self.work / SETTINGS_FILE)
+
+    def _hardly_begun(self) -> bool:
+        """Whether a run was killed before it had written what it is."""
+        names = {path.name for path in self.work.iterdir()} if self.work.is_dir() else {"none"}
+        return names <= {f"{SETTINGS_FILE}.partial"} and {path.name for path in self.folder.iterdir()} == {UNFINISHED}
+
+    def _remove_replaced(self) -> None:
+        """Remove the run that this one replaces; `run.json` first, as it says that the others are complete."""
+        replaced = self.work / "replaced.json"
+        if (self.folder / RUN_FILE).exists():
+            (self.folder / RUN_FILE).replace(replaced)
+        if not replaced.exists():
+            return
+        for path in self.folder.iterdir():
+            if path == self.work:
+                continue
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
 
     def _lines_path(self, kind: str, camera: int) -> Path:
         return self.work / f"{kind}_{self._scene.cameras[camera].name}.jsonl"
@@ -125,11 +161,10 @@ class RunDirectory:
 
     def keep_truth(self, truth: Truth, first: int, stop: int) -> None:
         """Keep the truth of a finished block, for a run that goes on after an interruption."""
-        names = (*ROW_COLUMNS, "occluder_offsets", "occluder", "occluder_px")
         path = self._truth_path(first, stop)
         partial = path.with_suffix(".partial")
         with partial.open("wb") as out:
-            np.savez(out, **{name: getattr(truth, name) for name in names})
+            np.savez(out, **{name: getattr(truth, name) for name in COLUMNS})
         partial.replace(path)
 
     def write(self, block: Block) -> None:
@@ -149,6 +184,7 @@ class RunDirectory:
             run: What `run.json` holds.
         """
         self.__exit__(None, None, None)
+        self._remove_replaced()
         for name in _PARQUET:
             place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
         for kind, camera in self._lines:
@@ -161,6 +197,15 @@ class RunDirectory:
         partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
         place(partial, self.folder / RUN_FILE)
         shutil.rmtree(self.work)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file is a run's own `run.json` or `settings.json`, and not another program's of the same name."""
+    try:
+        content = orjson.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and "scene_sha256" in content and "format" in content
 
 
 def place(partial: Path, final: Path) -> None:

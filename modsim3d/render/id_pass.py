@@ -66,6 +66,13 @@ class Region:
         width, height = np.maximum(high - low, 0)
         return cls(int(low[0]), int(low[1]), int(width), int(height))
 
+    def common(self, other: Region) -> Region:
+        """The pixels of both; empty if there are none."""
+        x, y = max(self.x, other.x), max(self.y, other.y)
+        right = min(self.x + self.width, other.x + other.width)
+        bottom = min(self.y + self.height, other.y + other.height)
+        return Region(x, y, max(right - x, 0), max(bottom - y, 0))
+
 
 class IdRenderer:
     """Draws triangles into ID buffers of 32-bit integers with a float depth buffer.

@@ -44,7 +44,7 @@ def pick_moments(folder: Path) -> list[Moment]:
         _best(truth, lambda r: _hidden(r) and r["annotated"] and not r["detected"], _fraction, _hider),
         _best(
             truth,
-            lambda r: r["visible_px"] == 0 and r["silhouette_px"] > 0,
+            lambda r: r["visible_px"] == 0 and r["occluded_by"],
             lambda r: -r["silhouette_px"],
             _hider,
         ),
@@ -74,7 +74,7 @@ def _fraction(row: dict[str, Any]) -> float:
 
 
 def _hidden(row: dict[str, Any]) -> bool:
-    return 0 < _fraction(row) < 1
+    return bool(row["occluded_by"]) and 0 < _fraction(row) < 1
 
 
 def _clear(row: dict[str, Any]) -> bool:

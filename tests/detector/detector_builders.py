@@ -58,9 +58,7 @@ def detector_data(**changes: Any) -> dict[str, Any]:
 
 
 def one_state_data(**changes: Any) -> dict[str, Any]:
-    return detector_data(
-        transition_matrix=[[1]], initial_state="only", states={"only": state_data(**changes)}
-    )
+    return detector_data(transition_matrix=[[1]], initial_state="only", states={"only": state_data(**changes)})
 
 
 def box_error(mean: Sequence[float], covariance: Any) -> dict[str, Any]:
@@ -90,9 +88,7 @@ def make_targets(boxes_px: Any, label: Any = 0, vessel_ids: Sequence[str] | None
     ids = tuple(vessel_ids or (f"vessel{i}" for i in range(boxes.shape[1])))
     labels = np.broadcast_to(label, boxes.shape[:2])[frame, vessel]
     size = len(frame)
-    return Targets(
-        frame, vessel, labels, boxes[frame, vessel], np.full(size, np.nan), np.full(size, 100.0), ids
-    )
+    return Targets(frame, vessel, labels, boxes[frame, vessel], np.full(size, np.nan), np.full(size, 100.0), ids)
 
 
 def same_boxes(frames: int, vessels: int, box_px: Sequence[float]) -> np.ndarray:
@@ -130,9 +126,7 @@ def chunk(frames: Frames, targets: Targets, start: int, stop: int) -> tuple[Fram
     )
 
 
-def detect_in_chunks(
-    detector: Detector, frames: Frames, targets: Targets, borders: Sequence[int]
-) -> Detections:
+def detect_in_chunks(detector: Detector, frames: Frames, targets: Targets, borders: Sequence[int]) -> Detections:
     """One `Detections` from several calls, with `frame` and `target` counted over the whole."""
     columns: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Detections)}
     for start, stop in itertools.pairwise(borders):

@@ -90,9 +90,7 @@ def test_a_detector_without_errors_gives_the_truth_exactly(box_px: list[float]) 
         ([3600, 2400, 3600, 2400], [3599, 2399, 3600, 2400]),
     ],
 )
-def test_a_truth_box_thinner_than_a_pixel_is_the_pixel_it_is_in(
-    box_px: list[float], pixel: list[float]
-) -> None:
+def test_a_truth_box_thinner_than_a_pixel_is_the_pixel_it_is_in(box_px: list[float], pixel: list[float]) -> None:
     assert misplaced(box_px, no_error()).boxes_px.tolist() == [pixel]
 
 

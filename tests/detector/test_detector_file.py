@@ -100,12 +100,8 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "message"), BAD, ids=[f"{p}-{i}" for i, (p, _, _) in enumerate(BAD)]
-)
-def test_a_bad_value_is_told_with_its_path_and_what_would_be_right(
-    path: str, value: Any, message: str
-) -> None:
+@pytest.mark.parametrize(("path", "value", "message"), BAD, ids=[f"{p}-{i}" for i, (p, _, _) in enumerate(BAD)])
+def test_a_bad_value_is_told_with_its_path_and_what_would_be_right(path: str, value: Any, message: str) -> None:
     assert message in "\n".join(problems(changed(path, value)))
 
 
@@ -171,9 +167,7 @@ def test_singular_and_zero_covariances_are_accepted() -> None:
 
 
 def test_columns_that_lack_a_few_digits_are_completed() -> None:
-    model = parse_detector(
-        changed("states.fog.confusion", [[0.3333333, 0.2], [0.3333333, 0.4], [0.3333333, 0.4]])
-    )
+    model = parse_detector(changed("states.fog.confusion", [[0.3333333, 0.2], [0.3333333, 0.4], [0.3333333, 0.4]]))
     assert abs(model.states[1].confusion.sum(axis=0) - 1).max() < 1e-15
 
 

@@ -45,9 +45,7 @@ def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
     assert model.labels == ("Vessel",)
     assert model.false_positives == "calibrated"
     assert [state.name for state in model.states] == ["excellent", "good", "bad", "terrible"]
-    np.testing.assert_allclose(
-        [state.confusion[1, 0] for state in model.states], [0.133, 0.151, 0.245, 0.381]
-    )
+    np.testing.assert_allclose([state.confusion[1, 0] for state in model.states], [0.133, 0.151, 0.245, 0.381])
     assert [state.false_discovery_rate for state in model.states] == [0.089, 0.113, 0.115, 0.255]
     assert model.states[1].box_error_covariance_px2[0].tolist() == [3328, 87, -301, -220]
     assert model.states[3].box_error_mean_px.tolist() == [4.0, 8.2, -24.1, -8.9]
@@ -56,9 +54,7 @@ def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
 
 
 def test_the_original_differs_in_its_false_positives_only() -> None:
-    ours, original = (
-        yaml.safe_load((DETECTORS / f"{n}.yaml").read_text()) for n in ("thesis", "thesis_original")
-    )
+    ours, original = (yaml.safe_load((DETECTORS / f"{n}.yaml").read_text()) for n in ("thesis", "thesis_original"))
     assert original.pop("false_positives") == {"model": "thesis"}
     del ours["false_positives"]
     assert ours == original

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from detector_builders import detector_data, make_frames
@@ -85,6 +87,24 @@ def test_states_hold_between_multiples_of_the_interval() -> None:
     each_step = sequence(model()).at(make_frames(200))
     slower = sequence(model(transition_interval_s=0.3)).at(make_frames(600, time_step_s=0.1))
     assert np.array_equal(slower, np.repeat(each_step, 3))
+
+
+def test_a_transition_is_due_at_a_multiple_of_the_interval_in_spite_of_rounding() -> None:
+    times_s = np.array([round(0.2 * k, 1) for k in range(2000)])
+    assert np.any(np.floor(times_s / 0.2) < np.arange(2000))  # 0.6 / 0.2 is 2.9999999999999996
+    frames = dataclasses.replace(make_frames(2000), times_s=times_s)
+    each_step = sequence(model()).at(frames)
+    assert np.array_equal(sequence(model(transition_interval_s=0.2)).at(frames), each_step)
+
+
+def test_transition_k_uses_the_kth_number_of_the_stream() -> None:
+    chain = model()
+    uniforms = Streams(5).uniforms("detector.state", first=0, count=5000)[:, 0]
+    state, slow = 0, [0]
+    for u in uniforms[1:]:
+        state = 0 if u < chain.transition_matrix[0, state] else 1
+        slow.append(state)
+    assert sequence(chain, seed=5).at(make_frames(5000)).tolist() == slow
 
 
 def test_the_frame_rate_does_not_change_the_weather() -> None:

@@ -15,14 +15,11 @@ from modsim3d.random_streams import Streams
     width=st.integers(1, 9),
     first=st.integers(0, 2**40),
 )
-def test_a_step_has_the_same_numbers_however_steps_are_split(
-    borders: list[int], width: int, first: int
-) -> None:
+def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], width: int, first: int) -> None:
     whole = Streams(3).uniforms("noise", "C0", first=first, count=60, width=width)
     streams, edges = Streams(3), [0, *sorted(borders), 60]
     parts = [
-        streams.uniforms("noise", "C0", first=first + a, count=b - a, width=width)
-        for a, b in itertools.pairwise(edges)
+        streams.uniforms("noise", "C0", first=first + a, count=b - a, width=width) for a, b in itertools.pairwise(edges)
     ]
     assert np.array_equal(np.concatenate(parts), whole)
 
@@ -55,9 +52,7 @@ def test_numbers_do_not_depend_on_what_was_asked_for_before() -> None:
         (3, "noisea", ("b",)),
     ],
 )
-def test_another_seed_purpose_or_name_gives_other_numbers(
-    seed: int, purpose: str, names: tuple[str, ...]
-) -> None:
+def test_another_seed_purpose_or_name_gives_other_numbers(seed: int, purpose: str, names: tuple[str, ...]) -> None:
     ours = Streams(3).uniforms("noise", "a", "b", first=0, count=100)
     theirs = Streams(seed).uniforms(purpose, *names, first=0, count=100)
     assert not np.intersect1d(ours, theirs).size

@@ -1,0 +1,40 @@
+"""The thesis's own occlusion rule, kept for comparison (Jessen & Mohr (2023), §7.5.1, Figures 7.14–7.16).
+
+A box is hidden by the union of the rectangles of boxes with smaller depth. Mode 1 drops a box that is wholly covered.
+Mode 2 also cuts a side of which both corners are covered, to the part that is not covered: this is the bounding box of
+what is left of the rectangle, since a side can only move when all of it, both its corners with it, is covered.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.regions import Hiding, boxes_and_areas, hidden_areas, occluder_lists, visible_of
+
+
+def rectangle_occlusion(outlines: Outlines) -> Occlusion:
+    """Occlusion of boxes by boxes; silhouette and visible pixels are areas of rectangles.
+
+    Args:
+        outlines: The vessels in front of the camera.
+    """
+    rectangles = shapely.box(*outlines.boxes_px.T)
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    nearer = outlines.depth_m[first] < outlines.depth_m[second]
+    farther = outlines.depth_m[first] > outlines.depth_m[second]  # of equal depth, neither hides the other
+    hiding = Hiding.of(
+        np.concatenate([second[nearer], first[farther]]), np.concatenate([first[nearer], second[farther]])
+    )
+    areas = shapely.area(rectangles)
+    boxes, visible_px = boxes_and_areas(visible_of(rectangles, hiding), outlines.boxes_px, areas)
+    return Occlusion(
+        full_boxes_px=outlines.boxes_px,
+        visible_boxes_px=boxes,
+        silhouette_px=areas,
+        visible_px=visible_px,
+        occluders=occluder_lists(hiding, hidden_areas(rectangles, hiding), outlines.vessel),
+    )
