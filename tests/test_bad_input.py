@@ -256,7 +256,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ),
     ("detector", "transition_matrix", [[0.9, 0.3], [0.1, 0.8]], ("column 'fog' sums to 1.1, must sum to 1",)),
     ("detector", state("false_discovery_rate"), 1, ("states.clear.false_discovery_rate: is 1, must be below 1",)),
-    ("detector", state("false_discovery_rate"), -0.1, ("false_discovery_rate: is -0.1, must be at least 0",)),
+    ("detector", state("false_discovery_rate"), -0.1, ("false_discovery_rate: is -0.1, must be from 0 to 0.99",)),
     ("detector", state("false_positive_labels"), [0.7], ("states.clear.false_positive_labels: sums to 0.7",)),
     # covariance
     (

@@ -144,9 +144,7 @@ def compare_with_analytic(
             # A box that is short of what the silhouette's own tip takes is short by that tip.
             kind = Verdict.SHARP_TIP if np.array_equal(visible_side[row], full_side[row]) else Verdict.SLIVER
             visible[row] = _verdict(fits, rendered.visible_boxes_px[row], analytic.visible_boxes_px[row], kind)
-    return Comparison(
-        full_side, visible_side, fraction, bound, seen_differs, full, visible, full_off | visible_off
-    )
+    return Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, full_off | visible_off)
 
 
 def _verdict(fits: bool, rendered_box: Array, analytic_box: Array, smaller: Verdict) -> int:
@@ -155,7 +153,7 @@ def _verdict(fits: bool, rendered_box: Array, analytic_box: Array, smaller: Verd
         return Verdict.UNEXPLAINED
     nothing_drawn, nothing_exact = bool(np.isnan(rendered_box[0])), bool(np.isnan(analytic_box[0]))
     outside = np.concatenate([analytic_box[:2] - rendered_box[:2], rendered_box[2:] - analytic_box[2:]])
-    larger = nothing_exact and not nothing_drawn or bool(np.any(outside > 1))
+    larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
     return Verdict.BOUNDARY_ROUNDING if larger else smaller
 
 
@@ -172,7 +170,8 @@ def mask_fits(
         supersample: Buffer pixels for each image pixel and axis.
     """
     rows, columns = np.indices(mask.shape)
-    x, y = (columns + place.x + 0.5) / supersample, (rows + place.y + 0.5) / supersample
+    x: Array = (columns + (place.x + 0.5)) / supersample
+    y: Array = (rows + (place.y + 0.5)) / supersample
     band = ROUNDING_PX / supersample
     surely = _within(silhouette, -band, x, y)
     perhaps = _within(silhouette, band, x, y)
@@ -203,7 +202,8 @@ def boundary_pixels(regions: NDArray[np.object_], supersample: int) -> Array:
     points, row = shapely.get_coordinates(boundaries, return_index=True)
     steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
     steps[row[1:] != row[:-1]] = 0.0
-    return np.bincount(row[1:], steps, minlength=len(regions)) if len(row) else np.zeros(len(regions))
+    crossed: Array = np.bincount(row[1:], steps, minlength=len(regions)).astype(np.float64)
+    return crossed
 
 
 def fraction_bound(regions: Regions, analytic: Occlusion, supersample: int) -> Array:

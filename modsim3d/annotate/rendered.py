@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of
 from modsim3d.annotate.comparison import PixelMasks
+from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of
 from modsim3d.annotate.record import Occlusion
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array

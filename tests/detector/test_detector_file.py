@@ -80,7 +80,7 @@ BAD = [
     ("states.fog.false_positive_labels", [0.5, 0.6], "states.fog.false_positive_labels: sums to 1.1"),
     ("states.fog.false_discovery_rate", 1, "states.fog.false_discovery_rate: is 1, must be below 1"),
     ("states.fog.false_discovery_rate", 1, "infinitely many"),
-    ("states.fog.false_discovery_rate", -0.2, "states.fog.false_discovery_rate: is -0.2, must be at least 0"),
+    ("states.fog.false_discovery_rate", -0.2, "states.fog.false_discovery_rate: is -0.2, must be from 0 to 0.99"),
     ("states.fog.box_error.unit", "m", "states.fog.box_error.unit: Input should be 'px' (got 'm')"),
     ("states.fog.box_error.mean", [1, 2, 3], "states.fog.box_error.mean: has 3 entries, must have 4: e_x"),
     (

@@ -45,9 +45,7 @@ def test_setup_refuses_an_unusable_python_in_one_line_and_leaves_nothing_behind(
         [copy_of_setup(tmp_path)], env={**os.environ, "PYTHON": "/bin/false"}, capture_output=True, text=True
     )
     assert finished.returncode == 1
-    assert finished.stderr == (
-        "script/setup: PYTHON=/bin/false does not run or is not Python 3.11, 3.12 or 3.13\n"
-    )
+    assert finished.stderr == ("script/setup: PYTHON=/bin/false does not run or is not Python 3.11, 3.12 or 3.13\n")
     assert not (tmp_path / ".venv").exists()
 
 
