@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,9 @@ import typer
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
 
@@ -81,17 +85,13 @@ def run_command(
 
     Example: modsim3d run simulation_1 --mode 2 --out runs/first
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from modsim3d.run import run_scene
     from modsim3d.scene import load_scene
 
-    console = Console(stderr=True)
     loaded = load_scene(scene, seed=seed, steps=steps, mode=mode, source=source.value if source else None)
     folder = out if out is not None else Path("runs") / loaded.name
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
+    with _progress_bar() as bar:
         task = bar.add_task(loaded.name, total=loaded.steps)
         result = run_scene(
             loaded,
@@ -122,6 +122,53 @@ def check_command(scene: SceneArgument) -> None:
     )
 
 
+@app.command("compare")
+def compare_command(
+    scene: SceneArgument,
+    steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Look at every K-th step.")] = 1,
+    supersample: Annotated[int | None, typer.Option(min=1, max=8, help="In place of the scene's.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write compare.json and compare.html here.")] = None,
+) -> None:
+    """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
+
+    Exit status 1 if a difference is unexplained.
+
+    Example: modsim3d compare simulation_1 --every 5 --out runs/compared
+    """
+    from rich.console import Console
+
+    from modsim3d import compare_report
+    from modsim3d.compare import compare_sources
+    from modsim3d.scene import load_scene
+    from modsim3d.simulate import open_renderer
+
+    loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
+    with open_renderer(loaded) as renderer:
+        if renderer is None:
+            raise ModsimError("the rendered source is needed to compare with")
+        with _progress_bar() as bar:
+            task = bar.add_task(loaded.name, total=-(-loaded.steps // every))
+            report = compare_sources(loaded, renderer, every=every, progress=lambda steps: bar.advance(task, steps))
+        if out is not None:
+            compare_report.write_report(report, loaded, renderer, out)
+    figures = report.figures()
+    console = Console()
+    for title, rows in (
+        ("rendered against analytic", compare_report.figure_rows(figures)),
+        ("verdicts: full box, visible part", compare_report.verdict_rows(figures)),
+        ("rectangle rule against rendered", compare_report.rule_rows(figures)),
+        ("time per frame", compare_report.time_rows(figures)),
+        ("intersecting boxes", compare_report.intersection_rows(figures)),
+    ):
+        if rows:
+            _print_rows(console, title, rows)
+    if out is not None:
+        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
+    if report.unexplained:
+        raise typer.Exit(1)
+
+
 @app.command("scenes")
 def scenes_command() -> None:
     """List the scenes that come with modsim3d.
@@ -133,6 +180,24 @@ def scenes_command() -> None:
     for name, path in shipped_scenes().items():
         first = path.read_text(encoding="utf-8").partition("\n")[0]
         typer.echo(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")
+
+
+def _progress_bar() -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True))
+
+
+def _print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    console.print()
+    console.print(table)
 
 
 def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from modsim3d.annotate.outlines import outline, triangles_of
 from modsim3d.block import frames_of
+from modsim3d.compare import Case
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.scene import Scene
 from modsim3d.simulate import Simulation, open_renderer, truth_block
+from modsim3d.view.comparison_picture import comparison_picture
 from modsim3d.view.contact_sheet import contact_sheet
 from modsim3d.view.moments import Moment
 
@@ -29,6 +32,20 @@ def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -
     return renderer.draw(
         triangles.corners_px, triangles.inverse_depth, ids, Region(0, 0, *camera.intrinsics.image_size_px)
     )
+
+
+def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
+    """A case of a comparison: the boxes of all sources over the ID image."""
+    camera = scene.cameras[case.camera]
+    poses = scene.camera_poses(camera, scene.poses.poses(case.step, case.step + 1), case.step)
+    half_plane = camera.intrinsics.sea_half_plane(poses.camera_R_world[0])
+    return comparison_picture(case.boxes_px, half_plane, id_image(scene, case.camera, case.step, renderer))
+
+
+def describe_case(scene: Scene, case: Case) -> str:
+    """What a case shows, where and when."""
+    (time,) = scene.timestamps(case.step, case.step + 1)
+    return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"
 
 
 def draw_contact_sheet(scene: Scene, folder: Path) -> Path:

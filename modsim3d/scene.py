@@ -19,7 +19,7 @@ from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
-from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses
+from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene_file import CameraKeys, SceneKeys
 from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
@@ -150,6 +150,7 @@ def load_scene(
     steps: int | None = None,
     mode: int | None = None,
     source: str | None = None,
+    supersample: int | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -159,6 +160,7 @@ def load_scene(
         steps: In place of the file's.
         mode: In place of the file's annotation mode.
         source: In place of the file's annotation source.
+        supersample: In place of the file's.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -167,7 +169,8 @@ def load_scene(
     data = load_yaml(path, "scene")
     if not isinstance(data, dict):
         raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
-    for name, value in {"seed": seed, "steps": steps, "mode": mode, "source": source}.items():
+    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample}
+    for name, value in given.items():
         if value is not None:
             _override(data, OVERRIDES[name], value)
     return _Reader(path, data).scene()
@@ -285,9 +288,14 @@ class _Reader:
             if recorded is not None and isinstance(asked, int) and asked > len(recorded.timestamps):
                 self.problems.append(f"steps: {asked} asked for, but the pose file has {len(recorded.timestamps)}")
             return recorded
-        if keys is None or vessels is None or keys.poses.circular is None:
+        if keys is None or vessels is None:
             return None
-        circular, steps, interval = keys.poses.circular, keys.steps or 0, keys.time_step_s or 0.0
+        circular, tracks = keys.poses.circular, keys.poses.tracks
+        steps, interval = keys.steps or 0, keys.time_step_s or 0.0
+        if tracks is not None:
+            return self._collect(lambda: waypoint_tracks(tracks, names or [], steps, interval))
+        if circular is None:
+            return None
         return self._collect(
             lambda: circular_motion(
                 vessels,

@@ -84,14 +84,21 @@ class PosesKeys(Strict):
     """Where vessels are: exactly one source."""
 
     file: str | None = None
-    circular: CircularKeys | None = Field(default=None, validate_default=True)
+    circular: CircularKeys | None = None
+    tracks: dict[str, list[tuple[Number, Metres, Metres]]] | None = Field(default=None, validate_default=True)
 
-    @field_validator("circular")
+    @field_validator("tracks")
     @classmethod
-    def _one_source(cls, circular: CircularKeys | None, info: ValidationInfo) -> CircularKeys | None:
-        if (info.data.get("file", "given but wrong") is None) == (circular is None):
-            raise ValueError("give exactly one of file and circular")
-        return circular
+    def _one_source(cls, tracks: object, info: ValidationInfo) -> object:
+        others = [info.data.get(key, "given but wrong") for key in ("file", "circular")]
+        if sum(source is not None for source in (tracks, *others)) != 1:
+            raise ValueError("give exactly one of file, circular and tracks")
+        return tracks
+
+    @property
+    def generated(self) -> str | None:
+        """The key of a source that has no times of its own, if it is one."""
+        return next((key for key in ("circular", "tracks") if getattr(self, key) is not None), None)
 
 
 class AnnotationKeys(Strict):
@@ -131,8 +138,9 @@ class SceneKeys(Strict):
     @field_validator("poses")
     @classmethod
     def _times(cls, poses: PosesKeys, info: ValidationInfo) -> PosesKeys:
-        if poses.circular is not None:
+        if poses.generated is not None:
             missing = [key for key in ("steps", "time_step_s") if info.data.get(key, "given but wrong") is None]
             if missing:
-                raise ValueError(f"circular makes its own times: {' and '.join(missing)} must be given beside it")
+                needed = " and ".join(missing)
+                raise ValueError(f"{poses.generated} makes its own times: {needed} must be given beside it")
         return poses

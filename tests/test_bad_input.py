@@ -289,8 +289,13 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], ("cameras.shore.mount: give exactly",)),
     ("scene", "cameras/shore/pose", DELETED, ("cameras.shore.mount: give exactly one of pose (ashore) and mount",)),
     ("scene", "poses", CIRCULAR, ("poses: circular makes its own times: steps and time_step_s must be given",)),
-    ("scene", "poses", {"file": "poses.json", **CIRCULAR}, ("poses.circular: give exactly one of file and circular",)),
-    ("scene", "poses", {}, ("poses.circular: give exactly one of file and circular",)),
+    (
+        "scene",
+        "poses",
+        {"file": "poses.json", **CIRCULAR},
+        ("poses.tracks: give exactly one of file, circular and tracks",),
+    ),
+    ("scene", "poses", {}, ("poses.tracks: give exactly one of file, circular and tracks",)),
     ("scene", "steps", 5, ("steps: 5 asked for, but the pose file has 4",)),
     # nothing there
     ("scene", "cameras", {}, ("cameras: no cameras; a scene needs at least one",)),

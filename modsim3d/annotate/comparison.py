@@ -169,9 +169,9 @@ def mask_fits(
         covers: Exact silhouettes of what can hide it, in image pixels, shape (k,).
         supersample: Buffer pixels for each image pixel and axis.
     """
-    rows, columns = np.indices(mask.shape)
-    x: Array = (columns + (place.x + 0.5)) / supersample
-    y: Array = (rows + (place.y + 0.5)) / supersample
+    height, width = mask.shape
+    columns, rows = np.arange(width) + place.x + 0.5, np.arange(height) + place.y + 0.5
+    x, y = np.meshgrid(columns / supersample, rows / supersample)
     band = ROUNDING_PX / supersample
     surely = _within(silhouette, -band, x, y)
     perhaps = _within(silhouette, band, x, y)

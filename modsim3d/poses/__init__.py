@@ -3,13 +3,16 @@
 from modsim3d.poses.base import Poses, PoseSource, generated_timestamps
 from modsim3d.poses.circular import CircularMotion, circular_motion
 from modsim3d.poses.replay import RecordedPoses, load_poses
+from modsim3d.poses.tracks import Tracks, waypoint_tracks
 
 __all__ = [
     "CircularMotion",
     "PoseSource",
     "Poses",
     "RecordedPoses",
+    "Tracks",
     "circular_motion",
     "generated_timestamps",
     "load_poses",
+    "waypoint_tracks",
 ]

@@ -77,6 +77,8 @@ def background(window: Window, sea_half_plane: Array, ids: NDArray[np.uint32] | 
         shown = ids[np.ix_(i, j)]
         for vessel in np.unique(shown[shown > 0]):
             picture[shown == vessel] = palette.darker(palette.vessel_colour(int(vessel) - 1))
+        picture[(rows < 0) | (rows >= ids.shape[0])] = palette.PAPER
+        picture[:, (columns < 0) | (columns >= ids.shape[1])] = palette.PAPER
     return Image.fromarray(picture)
 
 
@@ -114,6 +116,13 @@ def draw_frame(picture: Image.Image, window: Window, frame: Frame, vessels: Sequ
 def _corners(window: Window, box_px: Array) -> Box:
     (x0, y0), (x1, y1) = window.to_picture(np.reshape(box_px, (2, 2)))
     return float(x0), float(y0), max(float(x1) - 1, float(x0)), max(float(y1) - 1, float(y0))
+
+
+def outline_box(
+    draw: ImageDraw.ImageDraw, window: Window, box_px: Array, colour: Colour, width: int, *, dashed: bool
+) -> None:
+    """A box as an outline, solid or dashed."""
+    (_dashed if dashed else _box)(draw, window, box_px, colour, width)
 
 
 def _box(draw: ImageDraw.ImageDraw, window: Window, box_px: Array, colour: Colour, width: int) -> None:

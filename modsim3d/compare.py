@@ -1,0 +1,315 @@
+"""The sources of truth side by side on a scene: the check that an auditor can run.
+
+The rendered truth is compared with the analytic one, every difference is given its reason, and the thesis's rectangle
+rule is held against the pixels.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
+from modsim3d.annotate.modes import SOURCES
+from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.camera import Camera
+from modsim3d.frames import Array
+from modsim3d.poses import Poses
+from modsim3d.render.id_pass import IdRenderer
+from modsim3d.scene import Scene
+
+BLOCK_STEPS = 50
+WORST = 10
+RULE_OFF_PX = 2.0
+"""The rectangle rule's box is called wrong when a side is off by more."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A vessel at a step that is worth a picture.
+
+    Attributes:
+        camera: Index into the scene's cameras.
+        step: Of the scene.
+        vessel: Index into the scene's vessels.
+        badness: What cases are ranked by.
+        reason: Why it is shown.
+        boxes_px: Name of a box → x_min, y_min, x_max, y_max.
+    """
+
+    camera: int
+    step: int
+    vessel: int
+    badness: float
+    reason: str
+    boxes_px: dict[str, list[float]]
+
+
+@dataclass
+class RectangleRule:
+    """How the thesis's rectangle rule does on vessels that something hides.
+
+    Attributes:
+        occluded: Vessel-frames with a hidden pixel.
+        off: Of those, seen by both, with a side more than 2 px off.
+        kept_hidden: Wholly hidden, yet kept by the rule.
+        dropped_visible: Visible, yet dropped by the rule.
+        worst: The largest mistake.
+    """
+
+    occluded: int = 0
+    off: int = 0
+    kept_hidden: int = 0
+    dropped_visible: int = 0
+    worst: Case | None = None
+
+    @property
+    def wrong_share(self) -> float:
+        """Share of occluded vessel-frames that the rule gets wrong."""
+        wrong = self.off + self.kept_hidden + self.dropped_visible
+        return wrong / self.occluded if self.occluded else 0.0
+
+
+@dataclass
+class Report:
+    """What `modsim3d compare` found.
+
+    Attributes:
+        scene: Its name.
+        supersample: Of the rendered source.
+        steps: Steps that were looked at.
+        frames: Camera images.
+        vessel_frames: Vessels in them.
+        occluded: Of those, with a hidden pixel.
+        full: Verdict on full boxes → vessel-frames.
+        visible: Verdict on visible boxes, fractions and visibility → vessel-frames.
+        full_side_px: Largest side difference of each full box.
+        visible_side_px: The same of visible boxes.
+        fraction: Absolute differences of visible fractions.
+        fraction_bound: What the boundary of each can explain.
+        seen_differs: Vessel-frames that one source sees and the other does not.
+        pixels_looked_at: Vessel-frames of which every pixel was checked.
+        intersecting: Pairs of vessels whose boxes intersect → frames.
+        rule: The rectangle rule against the rendered source.
+        seconds: Source → time spent.
+        worst: The worst differences.
+    """
+
+    scene: str
+    supersample: int
+    steps: int = 0
+    frames: int = 0
+    vessel_frames: int = 0
+    occluded: int = 0
+    full: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
+    visible: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
+    full_side_px: list[Array] = field(default_factory=list)
+    visible_side_px: list[Array] = field(default_factory=list)
+    fraction: list[Array] = field(default_factory=list)
+    fraction_bound: list[Array] = field(default_factory=list)
+    seen_differs: int = 0
+    pixels_looked_at: int = 0
+    intersecting: dict[str, int] = field(default_factory=dict)
+    rule: RectangleRule = field(default_factory=RectangleRule)
+    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0.0))
+    worst: list[Case] = field(default_factory=list)
+
+    @property
+    def unexplained(self) -> int:
+        """Vessel-frames with a difference that nothing explains, in full or visible boxes."""
+        return self.full[Verdict.UNEXPLAINED] + self.visible[Verdict.UNEXPLAINED]
+
+    def figures(self) -> dict[str, Any]:
+        """Everything but the pictures, as plain values for `compare.json`."""
+        full, visible = np.concatenate([[0.0], *self.full_side_px]), np.concatenate([[0.0], *self.visible_side_px])
+        fraction, bound = np.concatenate([[0.0], *self.fraction]), np.concatenate([[0.0], *self.fraction_bound])
+        frames = max(self.frames, 1)
+        return {
+            "format": 1,
+            "scene": self.scene,
+            "supersample": self.supersample,
+            "steps": self.steps,
+            "frames": self.frames,
+            "vessel_frames": self.vessel_frames,
+            "occluded": self.occluded,
+            "unexplained": self.unexplained,
+            "full_box": {**_spread(full), "verdicts": _named(self.full)},
+            "visible_box": {**_spread(visible), "verdicts": _named(self.visible)},
+            "visible_fraction": {
+                "max": float(fraction.max()),
+                "p99": float(np.quantile(fraction, 0.99)),
+                "above_bound": int((fraction > bound).sum()),
+                "largest_share_of_bound": float(np.max(fraction / np.where(bound > 0, bound, 1.0))),
+            },
+            "visible_at_all_differs": self.seen_differs,
+            "pixels_looked_at": self.pixels_looked_at,
+            "intersecting": self.intersecting,
+            "rectangles_against_rendered": {
+                "occluded": self.rule.occluded,
+                "box_off_by_more_than_2_px": self.rule.off,
+                "hidden_vessel_kept": self.rule.kept_hidden,
+                "visible_vessel_dropped": self.rule.dropped_visible,
+                "wrong_share": self.rule.wrong_share,
+            },
+            "ms_per_frame": {source: 1e3 * seconds / frames for source, seconds in self.seconds.items()},
+        }
+
+
+def _spread(sides: Array) -> dict[str, float]:
+    return {"side_max_px": float(sides.max()), "side_p99_px": float(np.quantile(sides, 0.99))}
+
+
+def _named(verdicts: dict[Verdict, int]) -> dict[str, int]:
+    return {EXPLANATIONS[verdict]: count for verdict, count in verdicts.items()}
+
+
+def compare_sources(
+    scene: Scene,
+    renderer: IdRenderer,
+    *,
+    every: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> Report:
+    """Compare rendered, analytic and rectangle truth on every camera of a scene.
+
+    Args:
+        scene: From `load_scene`.
+        renderer: Draws the ID buffers.
+        every: Look at every K-th step.
+        progress: Called with the number of steps done since its last call.
+    """
+    report = Report(scene.name, scene.annotation.supersample)
+    steps = np.arange(0, scene.steps, every)
+    for start in range(0, len(steps), BLOCK_STEPS):
+        chosen = steps[start : start + BLOCK_STEPS]
+        poses = _poses_at(scene, chosen)
+        for index, camera in enumerate(scene.cameras):
+            _compare_camera(report, scene, renderer, index, camera, poses, chosen)
+        report.steps += len(chosen)
+        progress(len(chosen))
+    report.worst = sorted(report.worst, key=lambda case: -case.badness)[:WORST]
+    return report
+
+
+def _poses_at(scene: Scene, steps: NDArray[np.int64]) -> Poses:
+    """Poses at chosen steps."""
+    parts = [scene.poses.poses(int(step), int(step) + 1) for step in steps]
+    return Poses(
+        np.concatenate([part.present for part in parts]),
+        np.concatenate([part.positions_m for part in parts]),
+        np.concatenate([part.headings_rad for part in parts]),
+    )
+
+
+def _compare_camera(
+    report: Report,
+    scene: Scene,
+    renderer: IdRenderer,
+    index: int,
+    camera: Camera,
+    poses: Poses,
+    steps: NDArray[np.int64],
+) -> None:
+    camera_poses = scene.camera_poses(camera, poses, int(steps[0]))
+    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
+    started = time.perf_counter()
+    outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
+    shared = time.perf_counter() - started
+    scale = scene.annotation.supersample
+    sources: dict[str, Callable[[], Occlusion]] = {
+        "rendered": lambda: rendered_occlusion(outlines, camera.intrinsics, renderer, scale),
+        "analytic": lambda: analytic_occlusion(outlines, camera.intrinsics),
+        "rectangles": lambda: rectangle_occlusion(outlines),
+    }
+    seen = {}
+    for name, source in sources.items():
+        started = time.perf_counter()
+        seen[name] = source()
+        report.seconds[name] += time.perf_counter() - started + shared
+    found = compare_with_analytic(
+        outlines,
+        camera.intrinsics,
+        seen["rendered"],
+        lambda row: pixel_masks(outlines, camera.intrinsics, renderer, row, scale),
+        scale,
+    )
+    report.frames += len(steps)
+    report.vessel_frames += len(outlines)
+    report.occluded += int((seen["rendered"].visible_px < seen["rendered"].silhouette_px).sum())
+    _add_differences(report, found)
+    for first, second in seen["analytic"].intersecting:
+        names = [scene.vessel_names[outlines.vessel[row]] for row in (first, second)]
+        pair = " and ".join(names)
+        report.intersecting[pair] = report.intersecting.get(pair, 0) + 1
+    place = _Place(index, steps, outlines, seen)
+    _add_worst(report, found, place)
+    _add_rule(report.rule, place)
+
+
+def _add_differences(report: Report, found: Comparison) -> None:
+    for verdict in Verdict:
+        report.full[verdict] += int((found.full == verdict).sum())
+        report.visible[verdict] += int((found.visible == verdict).sum())
+    report.full_side_px.append(np.abs(found.full_side_px).max(axis=1, initial=0.0))
+    sides = np.abs(found.visible_side_px)
+    report.visible_side_px.append(sides[~np.isnan(sides).any(axis=1)].max(axis=1, initial=0.0))
+    told = ~np.isnan(found.fraction)
+    report.fraction.append(np.abs(found.fraction[told]))
+    report.fraction_bound.append(found.fraction_bound[told])
+    report.seen_differs += int((found.seen_differs & (found.visible != Verdict.INTERSECTING)).sum())
+    report.pixels_looked_at += int(found.pixels_looked_at.sum())
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the rows of a comparison are, and what each source said of them."""
+
+    camera: int
+    steps: NDArray[np.int64]
+    outlines: Outlines
+    seen: dict[str, Occlusion]
+
+    def case(self, row: int, badness: float, reason: str) -> Case:
+        boxes = {
+            f"{source} {kind}": getattr(self.seen[source], f"{kind}_boxes_px")[row].tolist()
+            for source in ("rendered", "analytic", "rectangles")
+            for kind in ("full", "visible")
+        }
+        step = int(self.steps[self.outlines.frame[row]])
+        return Case(self.camera, step, int(self.outlines.vessel[row]), badness, reason, boxes)
+
+
+def _add_worst(report: Report, found: Comparison, place: _Place) -> None:
+    """Unexplained differences come first, then the largest; what the analytic source cannot tell comes last."""
+    sides = np.abs(np.concatenate([found.full_side_px, found.visible_side_px], axis=1))
+    size = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(found.seen_differs, 1.0, 0.0)
+    size[found.visible == Verdict.INTERSECTING] *= 1e-3
+    badness = size + 1e6 * (found.worst == Verdict.UNEXPLAINED)
+    for row in np.argsort(-badness)[:WORST]:
+        reason = EXPLANATIONS[Verdict(int(found.worst[row]))]
+        report.worst.append(place.case(int(row), float(badness[row]), f"{reason}: {size[row]:.2f} px"))
+
+
+def _add_rule(rule: RectangleRule, place: _Place) -> None:
+    rendered, rectangles = place.seen["rendered"], place.seen["rectangles"]
+    occluded = rendered.visible_px < rendered.silhouette_px
+    drawn, kept = rendered.visible_px > 0, rectangles.visible_px > 0
+    off = np.abs(rendered.visible_boxes_px - rectangles.visible_boxes_px)
+    off = np.where(drawn & kept, np.nan_to_num(off).max(axis=1, initial=0.0), 0.0)
+    rule.occluded += int(occluded.sum())
+    rule.off += int((occluded & (off > RULE_OFF_PX)).sum())
+    rule.kept_hidden += int((occluded & ~drawn & kept).sum())
+    rule.dropped_visible += int((occluded & drawn & ~kept).sum())
+    if occluded.any():
+        row = int(np.argmax(np.where(occluded, off, -1.0)))
+        if rule.worst is None or off[row] > rule.worst.badness:
+            rule.worst = place.case(row, float(off[row]), f"the rectangle rule is {off[row]:.0f} px off")

@@ -1,0 +1,121 @@
+"""A comparison of sources as terminal tables, `compare.json` and a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from modsim3d.compare import RULE_OFF_PX, Report
+from modsim3d.draw_run import describe_case, draw_case
+from modsim3d.render.id_pass import IdRenderer
+from modsim3d.scene import Scene
+from modsim3d.view import page
+
+Rows = list[tuple[str, str]]
+
+
+def verdict_rows(figures: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """How many full and visible boxes agree, or why they do not."""
+    full, visible = figures["full_box"]["verdicts"], figures["visible_box"]["verdicts"]
+    return [(name, str(full[name]), str(visible[name])) for name in full]
+
+
+def figure_rows(figures: dict[str, Any]) -> Rows:
+    """The figures of rendered against analytic."""
+    fraction = figures["visible_fraction"]
+    return [
+        ("vessel-frames compared", f"{figures['vessel_frames']} in {figures['frames']} frames"),
+        ("partly or wholly hidden", _share(figures["occluded"], figures["vessel_frames"])),
+        ("full box, side differences", _spread(figures["full_box"])),
+        ("visible box, side differences", _spread(figures["visible_box"])),
+        (
+            "visible fraction, differences",
+            _up_to(fraction["max"], fraction["p99"], 4),
+        ),
+        ("above what the boundary explains", str(fraction["above_bound"])),
+        ("seen by one source only", str(figures["visible_at_all_differs"])),
+        ("every pixel looked at", f"{figures['pixels_looked_at']} vessel-frames"),
+        ("UNEXPLAINED", str(figures["unexplained"])),
+    ]
+
+
+def rule_rows(figures: dict[str, Any]) -> Rows:
+    """The rectangle rule against the rendered source."""
+    rule = figures["rectangles_against_rendered"]
+    whole = rule["occluded"]
+    return [
+        ("occluded vessel-frames", str(whole)),
+        (f"box off by more than {RULE_OFF_PX:g} px", _share(rule["box_off_by_more_than_2_px"], whole)),
+        ("hidden vessel kept", _share(rule["hidden_vessel_kept"], whole)),
+        ("visible vessel dropped", _share(rule["visible_vessel_dropped"], whole)),
+        ("wrong in all", f"{rule['wrong_share']:.1%}"),
+    ]
+
+
+def time_rows(figures: dict[str, Any]) -> Rows:
+    """Time per frame of each source."""
+    return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures["ms_per_frame"].items()]
+
+
+def intersection_rows(figures: dict[str, Any]) -> Rows:
+    """Pairs of vessels whose boxes intersect."""
+    return [(pair, f"{frames} frames") for pair, frames in figures["intersecting"].items()]
+
+
+def _spread(box: dict[str, Any]) -> str:
+    return _up_to(box["side_max_px"], box["side_p99_px"], 2, " px")
+
+
+def _up_to(greatest: float, p99: float, digits: int, unit: str = "") -> str:
+    return f"{greatest:.{digits}f}{unit} at most, {p99:.{digits}f}{unit} at the 99th percentile"
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part} ({part / whole:.1%})" if whole else str(part)
+
+
+def write_report(report: Report, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
+    """Write `compare.json` and `compare.html`, with pictures of the worst cases, into a folder."""
+    figures = report.figures()
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "compare.json").write_bytes(orjson.dumps(figures, option=orjson.OPT_INDENT_2) + b"\n")
+    (folder / "compare.html").write_text(_page(report, figures, scene, renderer), encoding="utf-8")
+
+
+def _page(report: Report, figures: dict[str, Any], scene: Scene, renderer: IdRenderer) -> str:
+    nothing = figures["unexplained"] == 0
+    lead = (
+        f"Every difference between the rendered and the analytic truth of {figures['vessel_frames']} vessel-frames is "
+        "explained by where pixel centres lie."
+        if nothing
+        else f"{figures['unexplained']} differences between the rendered and the analytic truth are unexplained."
+    )
+    body = [
+        page.paragraph(lead, "lead" if nothing else "bad"),
+        page.paragraph(
+            f"{figures['steps']} steps, supersampling {figures['supersample']}. Rendered: ID buffers with a depth "
+            "buffer. Analytic: silhouette polygons cut by those in front of them, in an order that comes from "
+            "separating planes. Where two boxes differ by more than a pixel, every pixel of the vessel was looked at: "
+            "all whose centre is "
+            "inside the exact region must be set and all others not.",
+            "soft",
+        ),
+        page.heading("Rendered against analytic"),
+        page.table(figure_rows(figures)),
+        page.table(verdict_rows(figures), ("Verdict", "Full box", "Visible part")),
+        page.heading("The thesis's rectangle rule against rendered"),
+        page.table(rule_rows(figures)),
+        page.heading("Time per frame"),
+        page.table(time_rows(figures)),
+    ]
+    if figures["intersecting"]:
+        body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
+    if report.rule.worst is not None:
+        worst = report.rule.worst
+        body += [page.heading("The rectangle rule's worst mistake")]
+        body += [page.picture(draw_case(scene, worst, renderer), describe_case(scene, worst))]
+    body.append(page.heading("The largest differences between rendered and analytic"))
+    body += [page.picture(draw_case(scene, case, renderer), describe_case(scene, case)) for case in report.worst]
+    return page.page(f"{scene.name}: sources of truth compared", body)

@@ -1,0 +1,91 @@
+"""Vessels along waypoints, at constant speed between two of them; there only between the first and the last."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from modsim3d.errors import InputError
+from modsim3d.frames import Array, heading_of
+from modsim3d.poses.base import Poses, generated_timestamps
+from modsim3d.validation import join_path, nearest
+
+Waypoint = tuple[float, float, float]
+"""Time in seconds, w1 and w2 in metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Tracks of vessels through waypoints, heading along them.
+
+    Attributes:
+        timestamps: Text of each step's time.
+        waypoints: For each vessel, times and places, shape (k, 3), or None where it has no track.
+    """
+
+    timestamps: Sequence[str]
+    waypoints: tuple[Array | None, ...]
+
+    def poses(self, first: int, stop: int) -> Poses:
+        """Poses at steps first to stop − 1."""
+        times_s = np.array([float(text) for text in self.timestamps[first:stop]])
+        shape = len(times_s), len(self.waypoints)
+        present = np.zeros(shape, dtype=bool)
+        positions, headings = np.zeros((*shape, 3)), np.zeros(shape)
+        for column, track in enumerate(self.waypoints):
+            if track is not None:
+                there = (times_s >= track[0, 0]) & (times_s <= track[-1, 0])
+                present[:, column] = there
+                positions[there, column, :2], headings[there, column] = along(track, times_s[there])
+        return Poses(present, positions, headings)
+
+
+def along(track: Array, times_s: Array) -> tuple[Array, Array]:
+    """Places and headings on a track.
+
+    Args:
+        track: Times and places of at least two waypoints, shape (k, 3).
+        times_s: Between the first and the last, shape (n,).
+
+    Returns:
+        Places, shape (n, 2), and headings, shape (n,).
+    """
+    leg = np.clip(np.searchsorted(track[:, 0], times_s, side="right") - 1, 0, len(track) - 2)
+    start, end = track[leg], track[leg + 1]
+    share = (times_s - start[:, 0]) / (end[:, 0] - start[:, 0])
+    return start[:, 1:] + share[:, None] * (end - start)[:, 1:], heading_of((end - start)[:, 1:])
+
+
+def waypoint_tracks(
+    tracks: Mapping[str, Sequence[Waypoint]], vessels: Sequence[str], steps: int, time_step_s: float
+) -> Tracks:
+    """Tracks from the waypoints of a scene file.
+
+    Args:
+        tracks: Vessel ID → waypoints.
+        vessels: IDs of the scene's vessels; one without a track is never there.
+        steps: Number of time steps.
+        time_step_s: Interval between them.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    problems: list[str] = []
+    for name, waypoints in tracks.items():
+        path = join_path("poses", "tracks", name)
+        if name not in vessels:
+            problems.append(f"{path}: no vessel '{name}' ({nearest(name, vessels)})")
+        if len(waypoints) < 2:
+            problems.append(f"{path}: at least two waypoints [time_s, w1_m, w2_m] are needed (got {len(waypoints)})")
+        for i, (before, after) in enumerate(pairwise(waypoints), start=1):
+            if after[0] <= before[0]:
+                problems.append(f"{path}[{i}]: times must increase, but {after[0]:g} s follows {before[0]:g} s")
+            if before[1:] == after[1:]:
+                problems.append(f"{path}[{i}]: same place as the waypoint before; a heading needs two places")
+    if problems:
+        raise InputError("poses.tracks", problems)
+    arrays = tuple(np.array(tracks[name], dtype=np.float64) if name in tracks else None for name in vessels)
+    return Tracks(generated_timestamps(steps, time_step_s), arrays)

@@ -1,0 +1,72 @@
+"""Self-contained HTML pages: no network, no scripts needed, light and dark."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Sequence
+
+from PIL import Image
+
+STYLE = """
+:root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e6e8ea; --paper: #15191d; --soft: #9aa4ad; --line: #363d44; --bad: #ff7a70; }
+}
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+       max-width: 72rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
+p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--bad); font-weight: 600; }
+table { border-collapse: collapse; margin: 0.8rem 0; }
+th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
+td.number { text-align: right; font-variant-numeric: tabular-nums; }
+figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
+figcaption { color: var(--soft); font-size: 0.95rem; }
+"""
+
+
+def page(title: str, body: Iterable[str]) -> str:
+    """A whole page from the HTML of its parts."""
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"<h1>{html.escape(title)}</h1>\n" + "\n".join(body) + "\n</body>\n</html>\n"
+    )
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """A paragraph of plain text."""
+    mark = f' class="{kind}"' if kind else ""
+    return f"<p{mark}>{html.escape(text)}</p>"
+
+
+def heading(text: str) -> str:
+    """A section's heading."""
+    return f"<h2>{html.escape(text)}</h2>"
+
+
+def table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> str:
+    """A table; what looks like a number is set to the right."""
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    lines = [f"<tr>{head}</tr>"] if header else []
+    lines += ["<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows]
+    return "<table>\n" + "\n".join(lines) + "\n</table>"
+
+
+def _cell(text: str) -> str:
+    kind = ' class="number"' if text[:1].isdigit() else ""
+    return f"<td{kind}>{html.escape(text)}</td>"
+
+
+def picture(image: Image.Image, caption: str) -> str:
+    """A picture inside the page, with its caption."""
+    data = io.BytesIO()
+    image.save(data, format="PNG", optimize=True)
+    encoded = base64.b64encode(data.getvalue()).decode("ascii")
+    alt = html.escape(caption, quote=True)
+    return (
+        f'<figure>\n<img src="data:image/png;base64,{encoded}" alt="{alt}" width="{image.width}" '
+        f'height="{image.height}">\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>'
+    )
