@@ -90,7 +90,7 @@ def open_context() -> Iterator[GLContext]:
         yield _open_here
         return
     backend = choose_backend()
-    _prepare_environment(backend)
+    prepare_environment(backend)
     try:
         make = _osmesa_context if backend == "osmesa" else _egl_context
         with make() as get_address:
@@ -107,7 +107,7 @@ def open_context() -> Iterator[GLContext]:
         raise RendererError(f"the {backend} renderer cannot be used: {error}") from error
 
 
-def _prepare_environment(backend: str) -> None:
+def prepare_environment(backend: str) -> None:
     """Set what must be set before OpenGL is imported and Mesa is loaded."""
     platform = sys.modules.get("OpenGL.platform")
     if platform is not None and os.environ.get("PYOPENGL_PLATFORM") != backend:
