@@ -48,6 +48,13 @@ class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
     rectangles = "rectangles"
 
 
+class Render(str, Enum):  # noqa: UP042
+    """How much of an image is drawn."""
+
+    regions = "regions"
+    full = "full"
+
+
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
 
 
@@ -79,6 +86,7 @@ def run_command(
     mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
     source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
+    render: Annotated[Render | None, typer.Option(help="Draw only where vessels overlap, or whole images.")] = None,
     sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
 ) -> None:
     """Run a scene: truth, detections and a contact sheet into a run directory.
@@ -89,7 +97,14 @@ def run_command(
     from modsim3d.run import run_scene
     from modsim3d.scene import load_scene
 
-    loaded = load_scene(scene, seed=seed, steps=steps, mode=mode, source=source.value if source else None)
+    loaded = load_scene(
+        scene,
+        seed=seed,
+        steps=steps,
+        mode=mode,
+        source=source.value if source else None,
+        render=render.value if render else None,
+    )
     folder = out if out is not None else Path("runs") / loaded.name
     with _progress_bar() as bar:
         task = bar.add_task(loaded.name, total=loaded.steps)

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
+from modsim3d.annotate.full_frame import pixel_masks
 from modsim3d.annotate.modes import SOURCES
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.annotate.record import Occlusion
 from modsim3d.annotate.rectangles import rectangle_occlusion
-from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.camera import Camera
 from modsim3d.frames import Array
 from modsim3d.poses import Poses

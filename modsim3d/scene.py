@@ -34,6 +34,8 @@ OVERRIDES = {
     "steps": ("steps",),
     "mode": ("annotation", "mode"),
     "source": ("annotation", "source"),
+    "supersample": ("annotation", "supersample"),
+    "render": ("annotation", "render"),
 }
 """What a caller may change in a scene file without editing it, and where it stands."""
 
@@ -151,6 +153,7 @@ def load_scene(
     mode: int | None = None,
     source: str | None = None,
     supersample: int | None = None,
+    render: str | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -161,6 +164,7 @@ def load_scene(
         mode: In place of the file's annotation mode.
         source: In place of the file's annotation source.
         supersample: In place of the file's.
+        render: In place of the file's, `regions` or `full`.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -169,7 +173,7 @@ def load_scene(
     data = load_yaml(path, "scene")
     if not isinstance(data, dict):
         raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
-    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample}
+    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
     for name, value in given.items():
         if value is not None:
             _override(data, OVERRIDES[name], value)

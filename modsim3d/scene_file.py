@@ -107,6 +107,7 @@ class AnnotationKeys(Strict):
     mode: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
     source: Literal["rendered", "analytic", "rectangles"] = "rendered"
     supersample: Annotated[int, Field(strict=True, ge=1, le=8)] = 1
+    render: Literal["regions", "full"] = "regions"
     min_visible_px: NotNegative = 0.0
     min_visible_fraction: Probability = 0.0
     min_box_px: NotNegative = 0.0

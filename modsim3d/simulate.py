@@ -80,26 +80,35 @@ def _camera_truth(
                 "them, or set annotation.allow_camera_inside: true"
             )
     outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
-    occlusion = _occlusion(outlines, camera.intrinsics, scene.annotation, renderer)
+    occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
     truth = occlusion.truth(
         first + outlines.frame, index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m
     )
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
 
 
-def _occlusion(
+def occlusion_by(
     outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
 ) -> Occlusion:
-    """What the scene's source says is seen."""
+    """What the source that the annotation names says is seen.
+
+    Args:
+        outlines: The vessels in front of the camera.
+        intrinsics: Of the camera.
+        annotation: Names the source.
+        renderer: For the rendered source.
+    """
     if annotation.source == "analytic":
         return analytic_occlusion(outlines, intrinsics)
     if annotation.source == "rectangles":
         return rectangle_occlusion(outlines)
     if renderer is None:
         raise ModsimError("the rendered source needs a renderer: use open_renderer(scene)")
+    from modsim3d.annotate.full_frame import full_frame_occlusion
     from modsim3d.annotate.rendered import rendered_occlusion
 
-    return rendered_occlusion(outlines, intrinsics, renderer, annotation.supersample)
+    draw = full_frame_occlusion if annotation.render == "full" else rendered_occlusion
+    return draw(outlines, intrinsics, renderer, annotation.supersample)
 
 
 class Simulation:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.camera import Intrinsics, Mount, poses_ashore
+from modsim3d.frames import world_R_vehicle
 from modsim3d.vessels import Vessel
 
 CAMERA_HEIGHT_M = 10.0
@@ -103,3 +105,58 @@ def random_scene(
                     twin = vessel(f"v{len(places)}", length, beam, height * rng.uniform(0.5, 1.5))
                     places.append((twin, (side[0], side[1]), heading))
     return places, intrinsics, mount
+
+
+Box = tuple[Vessel, tuple[float, float, float], float]
+"""A vessel, the centre of its bottom plane anywhere in space, and its heading."""
+
+
+def outlines_at(boxes: Sequence[Box], intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None) -> Outlines:
+    """Outlines of vessels at any height, as (vessel, (w1, w2, w3), heading), at one step."""
+    positions = np.array([[place for _, place, _ in boxes]], dtype=np.float64)
+    headings = np.array([[heading for _, _, heading in boxes]])
+    camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
+    return outline(
+        intrinsics, camera, [box[0] for box in boxes], np.ones((1, len(boxes)), dtype=bool), positions, headings
+    )
+
+
+def moved(
+    places: Sequence[tuple[Vessel, tuple[float, float], float]],
+    mount: Mount,
+    turn_rad: float,
+    shift_m: tuple[float, float, float],
+) -> tuple[list[Box], Mount]:
+    """World and camera turned about w3, then shifted: nothing that the camera sees has changed."""
+    turn = world_R_vehicle(turn_rad)
+    boxes = [(v, tuple(turn @ [*place, 0.0] + shift_m), heading + turn_rad) for v, place, heading in places]
+    position = turn @ np.array(mount.position_m) + shift_m
+    return boxes, replace(mount, position_m=tuple(position), yaw_rad=mount.yaw_rad + turn_rad)
+
+
+def mirrored(
+    places: Sequence[tuple[Vessel, tuple[float, float], float]], intrinsics: Intrinsics, mount: Mount
+) -> tuple[list[tuple[Vessel, tuple[float, float], float]], Intrinsics, Mount]:
+    """World and camera in a mirror along w1 and w3: the image has its left and right exchanged."""
+    w1, w2, w3 = mount.position_m
+    a1, a2 = intrinsics.principal_point_px
+    lens = replace(intrinsics, principal_point_px=(intrinsics.image_size_px[0] - a1, a2), skew=-intrinsics.skew)
+    camera = replace(mount, position_m=(w1, -w2, w3), roll_rad=-mount.roll_rad, yaw_rad=-mount.yaw_rad)
+    return [(v, (place[0], -place[1]), -heading) for v, place, heading in places], lens, camera
+
+
+def cyclic_beams() -> tuple[list[Box], Mount]:
+    """Three beams, one along each axis of the world, each in front of the next, seen along their axis of symmetry."""
+    long, thick = 8.0, 1.0
+    along_x, along_y, along_z = (
+        vessel("x", long, thick, thick),
+        vessel("y", thick, long, thick),
+        vessel("z", 1, 1, long),
+    )
+    boxes: list[Box] = [
+        (along_x, (0.0, 1.0, -1.0 - thick / 2), 0.0),
+        (along_y, (-1.0, 0.0, 1.0 - thick / 2), 0.0),
+        (along_z, (1.0, -1.0, -long / 2), 0.0),
+    ]
+    mount = Mount((20.0, 20.0, 20.0), pitch_rad=float(np.arctan(np.sqrt(0.5))), yaw_rad=-3 * np.pi / 4)
+    return boxes, mount

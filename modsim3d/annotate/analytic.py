@@ -14,7 +14,7 @@ import shapely
 from modsim3d.annotate.ordering import Order, order_of
 from modsim3d.annotate.outlines import Outlines, silhouette_polygons
 from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, occluder_lists, visible_of
+from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
 from modsim3d.camera import Intrinsics
 
 
@@ -62,13 +62,15 @@ def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
     pairs = np.column_stack([order.first, order.second])[order.intersecting]
     boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
-    areas = hidden_areas(regions.silhouettes, regions.hiding)
+    farther = pairs[np.arange(len(pairs)), np.argmax(outlines.depth_m[pairs], axis=1)]
+    ties = Hiding.of(farther, pairs.sum(axis=1) - farther) if len(pairs) else None
+    areas = hidden_areas(regions.silhouettes, regions.hiding, ties)
     return Occlusion(
         full_boxes_px=outlines.boxes_px,
         visible_boxes_px=boxes,
         silhouette_px=outlines.areas_px,
         visible_px=visible_px,
-        occluders=occluder_lists(regions.hiding, areas, outlines.vessel),
+        hidden=hidden_by(regions.hiding, areas, outlines.vessel),
         intersecting=pairs,
     )
 

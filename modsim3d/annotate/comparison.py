@@ -4,7 +4,8 @@ Two independent computations look at the same outlines: an ID buffer with a dept
 in an order that comes from separating planes. Pixels sample regions at their centres, so the two may differ by what
 that sampling loses and by nothing else. Where a difference is larger than a pixel, every pixel of the vessel is looked
 at: each one whose centre is inside the exact region must be set and each one outside must not be, but for a band along
-the boundary that is as wide as the rasteriser's rounding of corners.
+the boundary that is as wide as the rasteriser's rounding of corners; and the box and the count in question must be
+those of these pixels.
 """
 
 from __future__ import annotations
@@ -135,12 +136,18 @@ def compare_with_analytic(
     nobody = regions.silhouettes[:0]
     for row in np.flatnonzero(full_off | visible_off):
         masks = look_again(int(row))
+        same = counted_from(
+            masks.silhouette, masks, rendered.full_boxes_px[row], rendered.silhouette_px[row], supersample
+        )
         if full_off[row]:
-            fits = mask_fits(masks.silhouette, masks, regions.silhouettes[row], nobody, supersample)
+            fits = same and mask_fits(masks.silhouette, masks, regions.silhouettes[row], nobody, supersample)
             full[row] = _verdict(fits, rendered.full_boxes_px[row], analytic.full_boxes_px[row], Verdict.SHARP_TIP)
         if visible_off[row]:
             covers = regions.silhouettes[regions.hiding.hiders_of(int(row))]
-            fits = mask_fits(masks.visible, masks, regions.silhouettes[row], covers, supersample)
+            same &= counted_from(
+                masks.visible, masks, rendered.visible_boxes_px[row], rendered.visible_px[row], supersample
+            )
+            fits = same and mask_fits(masks.visible, masks, regions.silhouettes[row], covers, supersample)
             # A box that is short of what the silhouette's own tip takes is short by that tip.
             kind = Verdict.SHARP_TIP if np.array_equal(visible_side[row], full_side[row]) else Verdict.SLIVER
             visible[row] = _verdict(fits, rendered.visible_boxes_px[row], analytic.visible_boxes_px[row], kind)
@@ -155,6 +162,26 @@ def _verdict(fits: bool, rendered_box: Array, analytic_box: Array, smaller: Verd
     outside = np.concatenate([analytic_box[:2] - rendered_box[:2], rendered_box[2:] - analytic_box[2:]])
     larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
     return Verdict.BOUNDARY_ROUNDING if larger else smaller
+
+
+def counted_from(mask: Mask, place: PixelMasks, box_px: Array, count_px: float, supersample: int) -> bool:
+    """Whether a box and a count are those of a mask: pixels that are right explain nothing if other ones were counted.
+
+    Args:
+        mask: Shape (h, w), in buffer pixels.
+        place: Where the mask lies.
+        box_px: x_min, y_min, x_max, y_max in image pixels; not looked at if the mask is empty.
+        count_px: In image pixels.
+        supersample: Buffer pixels for each image pixel and axis.
+    """
+    if np.count_nonzero(mask) != round(count_px * supersample**2):
+        return False
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    if not len(columns):
+        return True
+    columns, rows = columns + place.x, rows + place.y
+    box = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
+    return bool(np.array_equal(box / supersample, box_px))
 
 
 def mask_fits(

@@ -23,6 +23,7 @@ class Annotation:
             visible pixel; 2: the visible box of every vessel with a visible pixel.
         source: Where the truth comes from: one of `SOURCES`.
         supersample: ID buffer pixels for each image pixel and axis (rendered source).
+        render: `regions` draws only where vessels overlap, `full` whole images; the truth is the same.
         min_visible_px: Least number of visible pixels.
         min_visible_fraction: Least visible fraction.
         min_box_px: Least width and height of the annotated box.
@@ -32,6 +33,7 @@ class Annotation:
     mode: int = 0
     source: str = "rendered"
     supersample: int = 1
+    render: str = "regions"
     min_visible_px: float = 0.0
     min_visible_fraction: float = 0.0
     min_box_px: float = 0.0

@@ -18,7 +18,8 @@ from modsim3d.frames import Array, world_R_vehicle
 from modsim3d.vessels import Solid, Vessel, shoebox
 
 GUARD_PX = 2048.0
-"""Triangles that reach further beyond the image are cut there, in double precision, before they are drawn."""
+"""Triangles that reach further beyond the image are cut there, in double precision, before they are drawn. Counted in
+buffer pixels, as it keeps corners where OpenGL does not cut them itself."""
 
 Indices = NDArray[np.int64]
 
@@ -203,16 +204,28 @@ class Triangles:
     inverse_depth: Array
 
 
-def triangles_of(outlines: Outlines, intrinsics: Intrinsics) -> Triangles:
-    """The triangles of all rows in pixels, clipped at the near plane and well outside the image."""
-    width, height = intrinsics.image_size_px
+def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> NDArray[np.bool_]:
+    """Whether all vertices are in front of the near plane and not far outside the image, shape (n,)."""
+    guard, size = GUARD_PX / supersample, np.array(intrinsics.image_size_px)
+    near = (outlines.vertices_px >= -guard) & (outlines.vertices_px <= size + guard)  # NaN is not
+    inside: NDArray[np.bool_] = np.all(near, axis=(1, 2))
+    return inside
+
+
+def triangles_of(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> Triangles:
+    """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
+
+    Args:
+        outlines: The vessels in front of the camera.
+        intrinsics: Of the camera.
+        supersample: Buffer pixels for each image pixel and axis.
+    """
     camera = outlines.vertices_camera[:, outlines.solid.faces]
-    low, high = np.array([-GUARD_PX, -GUARD_PX]), np.array([width + GUARD_PX, height + GUARD_PX])
-    inside = np.all((outlines.vertices_px >= low) & (outlines.vertices_px <= high), axis=(1, 2))  # NaN is not
+    inside = within_guard(outlines, intrinsics, supersample)
     faces = len(outlines.solid.faces)
     rows = [np.repeat(np.flatnonzero(inside), faces)]
     parts = [camera[inside].reshape(-1, 3, 3)]
-    guard = guard_planes(intrinsics, GUARD_PX)
+    guard = guard_planes(intrinsics, GUARD_PX / supersample)
     for beyond in np.flatnonzero(~inside):
         beyond_near = cut_near(camera[beyond], intrinsics) if outlines.crosses_near[beyond] else camera[beyond]
         clipped = clip_triangles(beyond_near, guard)

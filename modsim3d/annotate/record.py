@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,31 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
+class Hidden:
+    """Who hides how much: m entries, ordered by the hidden row and then by vessel.
+
+    Attributes:
+        row: The hidden row, shape (m,).
+        vessel: Index into the scene's vessels of what is in front, shape (m,).
+        px: How many pixels of the row it hides, shape (m,).
+    """
+
+    row: Indices
+    vessel: Indices
+    px: Array
+
+    @classmethod
+    def of(cls, row: Indices, vessel: Indices, px: Array) -> Hidden:
+        """Put entries in order."""
+        order = np.lexsort((vessel, row))
+        return cls(row[order], vessel[order], px[order])
+
+    def offsets(self, count: int) -> Indices:
+        """Where the entries of each of `count` rows begin, and the end, shape (count + 1,)."""
+        return np.searchsorted(self.row, np.arange(count + 1))
+
+
+@dataclass(frozen=True, eq=False)
 class Occlusion:
     """What a source says is seen of n outlines; the columns of `Truth` with the same names.
 
@@ -93,7 +119,7 @@ class Occlusion:
         visible_boxes_px: Shape (n, 4).
         silhouette_px: Shape (n,).
         visible_px: Shape (n,).
-        occluders: For each row, who hides how many of its pixels.
+        hidden: Who hides how much of which row.
         intersecting: Pairs of rows whose solids intersect, shape (k, 2).
     """
 
@@ -101,8 +127,15 @@ class Occlusion:
     visible_boxes_px: Array
     silhouette_px: Array
     visible_px: Array
-    occluders: tuple[tuple[tuple[int, float], ...], ...]
+    hidden: Hidden
     intersecting: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+
+    @property
+    def occluders(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """For each row, who hides how much of it: (index into the scene's vessels, pixels)."""
+        offsets = self.hidden.offsets(len(self.silhouette_px)).tolist()
+        entries = list(zip(self.hidden.vessel.tolist(), self.hidden.px.tolist(), strict=True))
+        return tuple(tuple(entries[first:stop]) for first, stop in pairwise(offsets))
 
     def visible_fraction(self) -> Array:
         """visible_px / silhouette_px; NaN where there is no silhouette pixel, shape (n,)."""
@@ -119,8 +152,6 @@ class Occlusion:
             in_frame_fraction: Shape (n,).
             depth_m: Shape (n,).
         """
-        flat = [entry for entries in self.occluders for entry in entries]
-        counts = [len(entries) for entries in self.occluders]
         return Truth(
             step=step,
             camera=np.full(len(step), camera, dtype=np.int64),
@@ -132,9 +163,9 @@ class Occlusion:
             visible_fraction=self.visible_fraction(),
             in_frame_fraction=in_frame_fraction,
             depth_m=depth_m,
-            occluder_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            occluder=np.array([index for index, _ in flat], dtype=np.int64),
-            occluder_px=np.array([pixels for _, pixels in flat], dtype=np.float64),
+            occluder_offsets=self.hidden.offsets(len(step)),
+            occluder=self.hidden.vessel,
+            occluder_px=self.hidden.px,
             annotated=np.zeros(len(step), dtype=bool),
             intersections=np.column_stack(
                 [step[self.intersecting[:, 0]], np.full(len(self.intersecting), camera), vessel[self.intersecting]]

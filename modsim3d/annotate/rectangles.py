@@ -13,7 +13,7 @@ import shapely
 from modsim3d.annotate.ordering import overlapping_pairs
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.regions import Hiding, boxes_and_areas, hidden_areas, occluder_lists, visible_of
+from modsim3d.annotate.regions import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:
@@ -29,6 +29,8 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     hiding = Hiding.of(
         np.concatenate([second[nearer], first[farther]]), np.concatenate([first[nearer], second[farther]])
     )
+    equal = ~(nearer | farther)
+    ties = Hiding.of(second[equal], first[equal]) if equal.any() else None
     areas = shapely.area(rectangles)
     boxes, visible_px = boxes_and_areas(visible_of(rectangles, hiding), outlines.boxes_px, areas)
     return Occlusion(
@@ -36,5 +38,5 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
         visible_boxes_px=boxes,
         silhouette_px=areas,
         visible_px=visible_px,
-        occluders=occluder_lists(hiding, hidden_areas(rectangles, hiding), outlines.vessel),
+        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, ties), outlines.vessel),
     )

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from modsim3d.annotate.record import Hidden
 from modsim3d.frames import Array
 
 NOTHING_PX2 = 1e-6
@@ -75,33 +76,39 @@ def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Arra
     return boxes, np.where(whole, full_areas_px, np.where(seen, areas, 0.0))
 
 
-def hidden_areas(silhouettes: Polygons, hiding: Hiding) -> Array:
+def hidden_areas(silhouettes: Polygons, hiding: Hiding, ties: Hiding | None = None) -> Array:
     """How much each hider hides of each hidden: every hidden point belongs to the front-most thing there, shape (m,).
 
     A solid that may hide the hider takes its part only where it also hides the hidden one, since being in front is an
     order along a ray. So a hider's part is what the two silhouettes share, less the silhouettes in front of the hider.
+
+    Args:
+        silhouettes: Shape (n,).
+        hiding: m pairs.
+        ties: Pairs that overlap without an order, as if one were in front: what both hide of a third must be counted
+            once only.
     """
     shared = shapely.intersection(silhouettes[hiding.hidden], silhouettes[hiding.hiders])
     rows: list[int] = []
     covers: list[int] = []
     for k, (hidden, hider) in enumerate(zip(hiding.hidden.tolist(), hiding.hiders.tolist(), strict=True)):
         in_front = [row for row in hiding.hiders_of(hider).tolist() if row != hidden]
+        if ties is not None:
+            also = set(ties.hiders_of(hider).tolist()) & set(hiding.hiders_of(hidden).tolist())
+            in_front += sorted(also)
         rows += [k] * len(in_front)
         covers += in_front
     areas: Array = shapely.area(less(shared, np.array(rows, dtype=np.int64), silhouettes[covers]))
     return areas
 
 
-def occluder_lists(hiding: Hiding, areas_px: Array, vessel: Indices) -> tuple[tuple[tuple[int, float], ...], ...]:
-    """For each row, who hides how much of it: (index into the scene's vessels, pixels).
+def hidden_by(hiding: Hiding, areas_px: Array, vessel: Indices) -> Hidden:
+    """Who hides how much of which row, leaving out rounding errors.
 
     Args:
         hiding: m pairs.
         areas_px: Shape (m,).
         vessel: Vessel of each row, shape (n,).
     """
-    found: list[list[tuple[int, float]]] = [[] for _ in range(len(vessel))]
-    for row, hider, area in zip(hiding.hidden.tolist(), hiding.hiders.tolist(), areas_px.tolist(), strict=True):
-        if area > NOTHING_PX2:
-            found[row].append((int(vessel[hider]), area))
-    return tuple(map(tuple, found))
+    real = areas_px > NOTHING_PX2
+    return Hidden.of(hiding.hidden[real], vessel[hiding.hiders[real]], areas_px[real])

@@ -1,32 +1,53 @@
-"""Truth from pixels: ID buffers of the visible image and of each silhouette alone."""
+"""Truth from pixels, drawing only where vessels overlap.
+
+A vessel that shares no pixel with another's box is seen whole: its pixels follow from its outline by exact scan
+conversion, and no buffer is needed. Vessels whose boxes do overlap form clusters, and only the part of the image in
+which they overlap is drawn, once, with all of them and a depth buffer. Silhouettes are spans of pixels, an ID image is
+runs of pixels, and cutting the one by the other says what is seen of each vessel and who hides the rest.
+
+The pixels are those of the whole image, so the truth is that of `full_frame`, which draws it all and is the reference.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from modsim3d.annotate.comparison import PixelMasks
-from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of
-from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.full_frame import TILE_PX, full_frame_occlusion, pixel_masks
+from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of, within_guard
+from modsim3d.annotate.record import Hidden, Occlusion
+from modsim3d.annotate.spans import (
+    Edges,
+    Spans,
+    concatenate_spans,
+    counts_and_boxes,
+    scan_convert,
+    spans_of_mask,
+    spans_of_runs,
+)
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 
-TILE_PX = (8192, 4096)
-"""Widest and highest buffer drawn at once; larger regions, as with supersampling, are drawn in tiles."""
+Indices = NDArray[np.int64]
+
+ATLAS_PX = (1024, 1024)
+"""Small clusters are drawn together into buffers of this size: a drawing costs as much as ten thousand pixels."""
+SMALL_PX = 256
+"""Widest and highest cluster that goes into an atlas."""
+
+__all__ = ["pixel_masks", "rendered_occlusion"]
 
 
 def rendered_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """Draw every frame and count pixels.
-
-    A silhouette that holds no pixel centre has no pixels; its full box is then the projected one.
+    """What is seen of each outline, counted from pixels.
 
     Args:
         outlines: The vessels in front of the camera.
@@ -34,143 +55,277 @@ def rendered_occlusion(
         renderer: Draws the ID buffers.
         supersample: Buffer pixels for each image pixel and axis; results are in image pixels all the same.
     """
-    drawing = _Drawing(outlines, triangles_of(outlines, intrinsics), intrinsics, renderer, supersample)
-    tally = _Tally.empty(len(outlines))
-    for rows in _frames(outlines):
-        for tile in _tiles(drawing.region(rows)):
-            _count(drawing, tally, rows, tile)
-    full = np.where(tally.silhouette[:, None] > 0, tally.full / supersample, outlines.boxes_px)
-    visible = np.where(tally.visible[:, None] > 0, tally.seen / supersample, np.nan)
-    area = supersample**2
+    drawing = _Drawing(outlines, intrinsics, renderer, supersample)
+    count = len(outlines)
+    spans = _silhouettes(drawing)
+    whole_px, whole_boxes = counts_and_boxes(spans, count)
+    clusters = _clusters(outlines.frame, whole_boxes, outlines.in_frame_fraction == 1.0)
+    if any(max(cluster.region.width / TILE_PX[0], cluster.region.height / TILE_PX[1]) > 1 for cluster in clusters):
+        return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # larger than a buffer: draw in tiles
+    seen_px, seen_boxes = whole_px.copy(), whole_boxes.copy()
+    entries = [_Seen.nothing()]
+    rows = [np.empty(0, dtype=np.int64)]
+    for batch in _batches(clusters):
+        entries.append(_look(drawing, spans, batch))
+        rows += [cluster.rows for cluster in batch.clusters]
+    clustered = np.concatenate(rows)
+    if len(clustered):
+        seen = concatenate_spans([entry.spans for entry in entries])
+        pixels, boxes = counts_and_boxes(seen, count)
+        seen_px[clustered], seen_boxes[clustered] = pixels[clustered], boxes[clustered]
+    return _occlusion(drawing, whole_px, whole_boxes, seen_px, seen_boxes, entries)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a drawing says of the rows in it.
+
+    Attributes:
+        spans: Their visible pixels.
+        hidden_row: Row of a hidden piece, shape (m,).
+        hider: Row of what is in front of it, shape (m,).
+        px: Pixels of the piece, shape (m,).
+    """
+
+    spans: Spans
+    hidden_row: Indices
+    hider: Indices
+    px: Indices
+
+    @classmethod
+    def nothing(cls) -> _Seen:
+        empty = np.empty(0, dtype=np.int64)
+        return cls(Spans(empty, empty, empty, empty), empty, empty, empty)
+
+
+def _occlusion(
+    drawing: _Drawing,
+    whole_px: Array,
+    whole_boxes: Array,
+    seen_px: Array,
+    seen_boxes: Array,
+    entries: list[_Seen],
+) -> Occlusion:
+    """From counts in buffer pixels to truth in image pixels."""
+    scale, outlines = drawing.supersample, drawing.outlines
+    count = len(outlines)
+    pair = np.concatenate([entry.hidden_row * count + entry.hider for entry in entries])
+    keys, which = np.unique(pair, return_inverse=True)
+    pieces = np.bincount(which, np.concatenate([entry.px for entry in entries]), minlength=len(keys))
+    row, hider = np.divmod(keys, max(count, 1))
     return Occlusion(
-        full_boxes_px=full,
-        visible_boxes_px=visible,
-        silhouette_px=tally.silhouette / area,
-        visible_px=tally.visible / area,
-        occluders=tuple(
-            tuple((vessel, pixels / area) for vessel, pixels in sorted(hiders.items())) for hiders in tally.hiders
-        ),
+        full_boxes_px=np.where(whole_px[:, None] > 0, whole_boxes / scale, outlines.boxes_px),
+        visible_boxes_px=np.where(seen_px[:, None] > 0, seen_boxes / scale, np.nan),
+        silhouette_px=whole_px / scale**2,
+        visible_px=seen_px / scale**2,
+        hidden=Hidden.of(row, outlines.vessel[hider], pieces / scale**2),
     )
 
 
-def pixel_masks(
-    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
-) -> PixelMasks:
-    """The pixels of one vessel, drawn once more for those who want to look at them.
-
-    Args:
-        outlines: The vessels in front of the camera.
-        intrinsics: Of the camera.
-        renderer: Draws the ID buffers.
-        row: Of the outlines.
-        supersample: Buffer pixels for each image pixel and axis.
-    """
-    drawing = _Drawing(outlines, triangles_of(outlines, intrinsics), intrinsics, renderer, supersample)
-    frame = slice(*np.searchsorted(outlines.frame, (outlines.frame[row], outlines.frame[row] + 1)))
-    region = drawing.region(slice(row, row + 1))
-    silhouette = drawing.draw(slice(row, row + 1), region) > 0
-    visible = drawing.draw(frame, region) == outlines.vessel[row] + 1
-    return PixelMasks(region.x, region.y, silhouette, visible)
-
-
-@dataclass(frozen=True, eq=False)
-class _Tally:
-    """What was counted so far, in buffer pixels."""
-
-    full: Array
-    seen: Array
-    silhouette: Array
-    visible: Array
-    hiders: list[Counter[int]]
-
-    @classmethod
-    def empty(cls, count: int) -> _Tally:
-        nowhere = np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1))
-        return cls(nowhere, nowhere.copy(), np.zeros(count), np.zeros(count), [Counter() for _ in range(count)])
-
-
-@dataclass(frozen=True, eq=False)
 class _Drawing:
-    """The triangles of a run of frames, and where in the buffer they go."""
+    """The outlines in buffer pixels, and their triangles once somebody needs them."""
 
-    outlines: Outlines
-    triangles: Triangles
-    intrinsics: Intrinsics
-    renderer: IdRenderer
-    supersample: int
+    def __init__(self, outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> None:
+        self.outlines = outlines
+        self.intrinsics = intrinsics
+        self.renderer = renderer
+        self.supersample = supersample
+        self.size = (intrinsics.image_size_px[0] * supersample, intrinsics.image_size_px[1] * supersample)
+        self._triangles: Triangles | None = None
 
-    def region(self, rows: slice) -> Region:
-        """The buffer pixels that the silhouettes of rows can touch."""
-        boxes = self.outlines.boxes_px[rows] * self.supersample
-        width, height = self.intrinsics.image_size_px
-        union = np.concatenate([boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)])
-        return Region.around(union, (width * self.supersample, height * self.supersample))
+    @property
+    def triangles(self) -> Triangles:
+        if self._triangles is None:
+            self._triangles = triangles_of(self.outlines, self.intrinsics, self.supersample)
+        return self._triangles
 
-    def draw(self, rows: slice, region: Region) -> Ids:
-        """Vessel index + 1 at each pixel."""
-        chosen = slice(*np.searchsorted(self.triangles.row, (rows.start, rows.stop)))
-        ids = self.outlines.vessel[self.triangles.row[chosen]] + 1
-        corners = self.triangles.corners_px[chosen] * self.supersample
-        return self.renderer.draw(corners, self.triangles.inverse_depth[chosen], ids, region)
+    def triangles_of_rows(self, rows: Indices) -> Indices:
+        """Indices of the triangles of rows, ordered by row."""
+        first, stop = (np.searchsorted(self.triangles.row, rows, side=side) for side in ("left", "right"))
+        return _ranges(first, stop - first)
 
-
-def _count(drawing: _Drawing, tally: _Tally, rows: slice, tile: Region) -> None:
-    """Count the pixels of a frame's rows in a tile."""
-    scene = drawing.draw(rows, tile)
-    boxes = drawing.outlines.boxes_px
-    for row in range(rows.start, rows.stop):
-        region = drawing.region(slice(row, row + 1)).common(tile)
-        if not region.width or not region.height:
-            continue
-        seen = scene[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
-        mask = seen == drawing.outlines.vessel[row] + 1
-        silhouette = drawing.draw(slice(row, row + 1), region) > 0 if _overlaps_another(boxes, row, rows) else mask
-        _add(tally.silhouette, tally.full, row, silhouette, region)
-        _add(tally.visible, tally.seen, row, mask, region)
-        for hider, pixels in zip(*np.unique(seen[silhouette & ~mask], return_counts=True), strict=True):
-            tally.hiders[row][int(hider) - 1] += int(pixels)
+    def draw(self, triangles: Indices, shift: Array | float, region: Region) -> Ids:
+        """Row + 1 at each pixel of a region, with triangles moved by whole pixels."""
+        chosen = self.triangles
+        corners = chosen.corners_px[triangles] * self.supersample + shift
+        return self.renderer.draw(corners, chosen.inverse_depth[triangles], chosen.row[triangles] + 1, region)
 
 
-def _add(counts: Array, boxes: Array, row: int, mask: NDArray[np.bool_], region: Region) -> None:
-    """Add a mask's pixels to a row's count and box."""
-    pixels = np.count_nonzero(mask)
-    if pixels:
-        counts[row] += pixels
-        box = mask_box(mask, region)
-        boxes[row] = [*np.minimum(boxes[row, :2], box[:2]), *np.maximum(boxes[row, 2:], box[2:])]
+def _silhouettes(drawing: _Drawing) -> Spans:
+    """The spans of every silhouette: by scan conversion, or drawn alone where the outline has been cut."""
+    outlines = drawing.outlines
+    whole = within_guard(outlines, drawing.intrinsics, drawing.supersample)
+    simple = np.flatnonzero(whole)
+    edges = Edges.of(outlines.solid)
+    spans, odd = scan_convert(outlines.vertices_px[simple] * drawing.supersample, outlines.solid, edges, drawing.size)
+    alone = np.concatenate([np.flatnonzero(~whole), simple[odd]])
+    found = Spans(simple[spans.row], spans.y, spans.start, spans.stop)
+    if not len(alone):
+        return found
+    parts = [found]
+    for row in alone.tolist():
+        region = Region.around(outlines.boxes_px[row] * drawing.supersample, drawing.size)
+        for y in range(region.y, region.y + region.height, TILE_PX[1]):
+            for x in range(region.x, region.x + region.width, TILE_PX[0]):
+                tile = Region(x, y, *TILE_PX).common(region)
+                ids = drawing.draw(drawing.triangles_of_rows(np.array([row])), 0.0, tile)
+                parts.append(spans_of_mask(ids, row, x, y))
+    return concatenate_spans(parts)
 
 
-def mask_box(mask: NDArray[np.bool_], region: Region) -> Array:
-    """Half-open box of the true pixels of a region: [min column, max column + 1), in pixels.
+@dataclass(frozen=True, eq=False)
+class _Cluster:
+    """Vessels of a frame that overlap each other, directly or through others.
+
+    Attributes:
+        rows: Of the outlines, ascending.
+        box: Smallest region that holds all their pixels.
+        region: The smallest that holds every pixel that two of them may share.
+        uncut: Whether all of them lie inside the image.
+    """
+
+    rows: Indices
+    box: Region
+    region: Region
+    uncut: bool
+
+
+def _clusters(frame: Indices, boxes: Array, uncut: NDArray[np.bool_]) -> list[_Cluster]:
+    """Connected groups of rows whose pixel boxes overlap."""
+    first, second = overlapping_pairs(frame, boxes)
+    if not len(first):
+        return []
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(len(frame), len(frame)))
+    label = connected_components(graph, directed=False)[1]
+    shared = np.concatenate(
+        [np.maximum(boxes[first, :2], boxes[second, :2]), np.minimum(boxes[first, 2:], boxes[second, 2:])], axis=1
+    )
+    members = np.unique(np.concatenate([first, second]))
+    members = members[np.argsort(label[members], kind="stable")]
+    pairs = np.argsort(label[first], kind="stable")
+    names = np.unique(label[first])
+    starts = np.searchsorted(label[members], names)
+    regions, unions = _unions(shared[pairs], label[first[pairs]], names), _unions(boxes[members], label[members], names)
+    groups = np.split(members, starts[1:])
+    return [
+        _Cluster(rows, box, region, bool(uncut[rows].all()))
+        for rows, box, region in zip(groups, unions, regions, strict=True)
+    ]
+
+
+def _unions(boxes: Array, label: Indices, names: Indices) -> list[Region]:
+    """The region that holds all boxes of each label; boxes are ordered by label."""
+    first = np.searchsorted(label, names)
+    low = np.minimum.reduceat(boxes[:, :2], first, axis=0).astype(int)
+    size = np.maximum.reduceat(boxes[:, 2:], first, axis=0).astype(int) - low
+    return [Region(x, y, w, h) for (x, y), (w, h) in zip(low.tolist(), size.tolist(), strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Clusters that are drawn together, each at a place of its own.
+
+    Attributes:
+        clusters: One or more.
+        places: Columns and rows of their top-left corners in the buffer, shape (k, 2).
+        size: Width and height of the buffer.
+        regions: What of the image is drawn of each.
+    """
+
+    clusters: list[_Cluster]
+    places: Indices
+    size: tuple[int, int]
+    regions: list[Region]
+
+
+def _batches(clusters: list[_Cluster]) -> list[_Batch]:
+    """Small clusters side by side in rows of an atlas; large ones each alone, where only what overlaps is drawn.
+
+    In an atlas nothing keeps a vessel off its neighbour's place but its own box, so the whole cluster is drawn. A
+    vessel cut by the image edge reaches beyond its box; a cluster that touches an edge is drawn alone.
+    """
+    batches, waiting = [], []
+    for cluster in clusters:
+        box = cluster.box
+        if max(box.width, box.height) > SMALL_PX or not cluster.uncut:
+            region = cluster.region
+            place = np.zeros((1, 2), dtype=np.int64)
+            batches.append(_Batch([cluster], place, (region.width, region.height), [region]))
+        else:
+            waiting.append(cluster)
+    waiting.sort(key=lambda cluster: cluster.box.height)
+    while waiting:
+        taken, places, x, y, shelf = 0, [], 0, 0, 0
+        for cluster in waiting:
+            width, height = cluster.box.width, cluster.box.height
+            if x + width > ATLAS_PX[0]:
+                x, y, shelf = 0, y + shelf, 0
+            if y + height > ATLAS_PX[1]:
+                break
+            places.append((x, y))
+            x, shelf, taken = x + width, max(shelf, height), taken + 1
+        chosen, waiting = waiting[:taken], waiting[taken:]
+        regions = [cluster.box for cluster in chosen]
+        batches.append(_Batch(chosen, np.array(places), (ATLAS_PX[0], y + shelf), regions))
+    return batches
+
+
+def _look(drawing: _Drawing, spans: Spans, batch: _Batch) -> _Seen:
+    """Draw a batch and cut its rows' silhouettes by what is in front."""
+    rows = np.concatenate([cluster.rows for cluster in batch.clusters])
+    cluster = np.repeat(np.arange(len(batch.clusters)), [len(c.rows) for c in batch.clusters])
+    corner = np.array([(region.x, region.y) for region in batch.regions])
+    size = np.array([(region.width, region.height) for region in batch.regions])
+    shift = batch.places - corner
+    triangles = drawing.triangles_of_rows(rows)
+    place_of_row = np.zeros(len(drawing.outlines), dtype=np.int64)
+    place_of_row[rows] = cluster
+    moved = shift[place_of_row[drawing.triangles.row[triangles]]][:, None, :]
+    ids = drawing.draw(triangles, moved, Region(0, 0, *batch.size))
+    first, stop = np.searchsorted(spans.row, rows, side="left"), np.searchsorted(spans.row, rows, side="right")
+    own = spans.take(_ranges(first, stop - first))
+    here = place_of_row[own.row]
+    low, high = corner[here], corner[here] + size[here]
+    start, end = np.clip(own.start, low[:, 0], high[:, 0]), np.clip(own.stop, low[:, 0], high[:, 0])
+    drawn = (own.y >= low[:, 1]) & (own.y < high[:, 1]) & (end > start)
+    # What lies outside the drawn region is shared with nobody.
+    end, start = np.where(drawn, end, own.stop), np.where(drawn, start, own.stop)
+    before = Spans(own.row, own.y, own.start, start).take(start > own.start)
+    after = Spans(own.row, own.y, end, own.stop).take(own.stop > end)
+    inside = Spans(own.row, own.y, start, end).take(drawn)
+    base = (inside.y + shift[here[drawn], 1]) * batch.size[0] + shift[here[drawn], 0]
+    pieces, who, piece_of = _cut(ids, base + inside.start, base + inside.stop)
+    # Where nothing was drawn, the rasteriser lost a pixel on an edge inside the silhouette: nobody hides it.
+    mine = (who == inside.row[piece_of]) | (who < 0)
+    row, y, offset = inside.row[piece_of], inside.y[piece_of], base[piece_of]
+    visible = Spans(row, y, pieces[0] - offset, pieces[1] - offset).take(mine)
+    hidden = ~mine
+    return _Seen(concatenate_spans([before, after, visible]), row[hidden], who[hidden], (pieces[1] - pieces[0])[hidden])
+
+
+def _cut(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices, Indices], Indices, Indices]:
+    """Cut stretches of a flattened ID image at the borders of its runs.
 
     Args:
-        mask: Shape (region.height, region.width), with at least one true pixel.
-        region: Where the mask lies.
+        ids: Row + 1, shape (h, w).
+        start: First place of each stretch in the flattened image, shape (m,).
+        stop: The place after its last, shape (m,).
 
     Returns:
-        x_min, y_min, x_max, y_max, shape (4,).
+        Beginnings and ends of the pieces; the row that is seen in each, −1 if nothing is; the stretch of each.
     """
-    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    left, top = columns[0] + region.x, rows[0] + region.y
-    right, bottom = columns[-1] + 1 + region.x, rows[-1] + 1 + region.y
-    return np.array([left, top, right, bottom], dtype=np.float64)
+    run_start, run_id = spans_of_runs(ids)
+    run_stop = np.append(run_start[1:], ids.size)
+    first = np.searchsorted(run_start, start, side="right") - 1
+    count = np.searchsorted(run_start, stop, side="left") - first
+    run, stretch = _ranges(first, count), np.repeat(np.arange(len(start)), count)
+    begin, end = np.maximum(run_start[run], start[stretch]), np.minimum(run_stop[run], stop[stretch])
+    return (begin, end), run_id[run] - 1, stretch
 
 
-def _frames(outlines: Outlines) -> list[slice]:
-    """The rows of each frame that has any."""
-    edges = [*np.flatnonzero(np.diff(outlines.frame, prepend=-1)).tolist(), len(outlines)]
-    return [slice(first, stop) for first, stop in pairwise(edges)]
-
-
-def _tiles(region: Region) -> Iterator[Region]:
-    """A region in parts that are small enough to draw."""
-    for y in range(region.y, region.y + region.height, TILE_PX[1]):
-        for x in range(region.x, region.x + region.width, TILE_PX[0]):
-            yield Region(x, y, *TILE_PX).common(region)
-
-
-def _overlaps_another(boxes_px: Array, row: int, rows: slice) -> bool:
-    """Whether the box of a row comes within two pixels of another's in its frame: else nobody can hide it."""
-    others = boxes_px[rows]
-    near = (others[:, :2] < boxes_px[row, 2:] + 2).all(axis=1) & (others[:, 2:] > boxes_px[row, :2] - 2).all(axis=1)
-    return bool(np.count_nonzero(near) > 1)
+def _ranges(first: Indices, count: Indices) -> Indices:
+    """The numbers first, first + 1, … of each range, one range after another."""
+    total = np.cumsum(count)
+    offset = first - np.concatenate([[0], total[:-1]]) if len(first) else first
+    numbers: Indices = np.arange(int(total[-1]) if len(total) else 0) + np.repeat(offset, count)
+    return numbers

@@ -1,0 +1,178 @@
+"""Exact occlusion where every number can be said beforehand.
+
+The camera looks along w1 from 10 m above the sea with a focal length of 1000 px, the principal point at (400, 300). A
+box of 10 m height has its top on the horizon, so that of a box straight ahead nothing but the front face is seen: a
+rectangle from row 300 to row 300 + 10000 / distance.
+"""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.scene import load_scene
+from modsim3d.simulate import truth_block
+from tests.scenes import INTRINSICS, outlines_of, vessel
+
+
+def seen_of(places, **options):
+    return analytic_occlusion(outlines_of(places, **options), options.get("intrinsics", INTRINSICS))
+
+
+def test_lone_box_has_the_area_and_box_of_its_front_face():
+    """20 m wide at 200 m: columns 350–450, rows 300–350."""
+    seen = seen_of([(vessel("lone", 2, 20, 10), (201, 0), 0)])
+    np.testing.assert_allclose(seen.full_boxes_px, [[350, 300, 450, 350]], atol=1e-9)
+    np.testing.assert_array_equal(seen.visible_boxes_px, seen.full_boxes_px)
+    np.testing.assert_allclose(seen.silhouette_px, [5000])
+    assert seen.visible_fraction().tolist() == [1.0]
+    assert seen.occluders == ((),)
+
+
+def test_side_that_is_covered_is_cut_to_the_exact_column():
+    """Front: at 100 m from w2 = −3 to 5.013: columns 349.87–430, over all rows of the one behind."""
+    back, front = vessel("back", 2, 20, 10), vessel("front", 2, 8.013, 30)
+    seen = seen_of([(back, (201, 0), 0), (front, (101, 1.0065), 0)])
+    np.testing.assert_allclose(seen.visible_boxes_px[0], [430, 300, 450, 350], atol=1e-9)
+    np.testing.assert_allclose(seen.visible_px[0], 20 * 50)
+    np.testing.assert_allclose(seen.visible_fraction(), [0.2, 1.0])
+    assert seen.occluders == (((1, pytest.approx(4000)),), ())
+
+
+def test_edges_between_pixel_centres_are_told_to_a_thousandth_of_a_pixel():
+    """At 100 m a millimetre is a hundredth of a pixel."""
+    back = vessel("back", 2, 20, 10)
+    for width_m in (8.0, 8.001, 8.05):
+        seen = seen_of([(back, (201, 0), 0), (vessel("front", 2, width_m, 30), (101, 5 - width_m / 2), 0)])
+        np.testing.assert_allclose(seen.visible_boxes_px[0, 0], 350 + 10 * width_m, atol=1e-9)
+
+
+def test_corner_that_is_covered_cuts_no_side_but_its_area_is_missing():
+    """A 2.5 m high box at 100 m, columns 350–400: it hides rows 375–400 there, which begins below the one behind."""
+    back, low = vessel("back", 2, 20, 10), vessel("low", 2, 5, 6)
+    seen = seen_of([(back, (201, 0), 0), (low, (101, 2.5), 0)])
+    # Its top edge: front face from row 340; the top beyond recedes to 102 m, row 300 + 4000 / 102.
+    top = 300 + 4000 / 102
+    np.testing.assert_allclose(seen.visible_boxes_px[0], [350, 300, 450, 350], atol=1e-9)
+    ((hider, hidden),) = seen.occluders[0]
+    # Front face: columns 350–400. Back edge of its top at 102 m: columns 400 − 5000 / 102 to 400; a trapezium.
+    face, roof = 50 * 10, (50 + 5000 / 102) / 2 * (340 - top)
+    assert (hider, hidden) == (1, pytest.approx(face + roof))
+    np.testing.assert_allclose(seen.visible_px[0], 5000 - face - roof)
+
+
+def test_vessel_cut_in_two_by_one_before_it_keeps_the_box_around_both_parts():
+    back, mast = vessel("back", 2, 20, 10), vessel("mast", 1, 2, 30)
+    seen = seen_of([(back, (201, 0), 0), (mast, (100.5, 0), 0)])
+    np.testing.assert_allclose(seen.visible_boxes_px[0], [350, 300, 450, 350], atol=1e-9)
+    np.testing.assert_allclose(seen.visible_px[0], 80 * 50)
+
+
+def test_vessel_behind_a_larger_one_has_no_visible_box():
+    small, large = vessel("small", 2, 4, 3), vessel("large", 2, 40, 30)
+    seen = seen_of([(small, (301, 0), 0), (large, (101, 0), 0)])
+    assert seen.visible_px[0] == 0
+    assert np.isnan(seen.visible_boxes_px[0]).all()
+    assert seen.occluders[0] == ((1, pytest.approx(seen.silhouette_px[0])),)
+
+
+def test_two_that_each_hide_a_half_hide_all():
+    """Columns 350–400 and 400–450, meeting at column 400 but at different distances."""
+    back = vessel("back", 2, 20, 10)
+    left, right = vessel("left", 1, 5, 30), vessel("right", 1, 7.5, 30)
+    seen = seen_of([(back, (201, 0), 0), (left, (100.5, 2.5), 0), (right, (150.5, -3.75), 0)])
+    assert seen.visible_px[0] == 0
+    assert dict(seen.occluders[0]) == {1: pytest.approx(2500), 2: pytest.approx(2500)}
+
+
+def test_each_hidden_point_belongs_to_the_front_most():
+    """At 300, 200 and 100 m: columns 350–450, 375–425 and 390–410, each over all rows of those behind it."""
+    far, middle, near = vessel("far", 1, 30, 10), vessel("middle", 1, 10, 30), vessel("near", 1, 2, 30)
+    seen = seen_of([(far, (300.5, 0), 0), (middle, (200.5, 0), 0), (near, (100.5, 0), 0)])
+    height = 10_000 / 300
+    assert dict(seen.occluders[0]) == {1: pytest.approx(30 * height), 2: pytest.approx(20 * height)}
+    np.testing.assert_allclose(seen.visible_px[0], 50 * height)
+    ((hider, _),) = seen.occluders[1]
+    assert hider == 2
+
+
+def test_vessel_wholly_behind_the_middle_of_three_is_not_given_to_the_nearest():
+    """The nearest hides none of the farthest: it covers columns 430–450 of the middle one only."""
+    far, middle, near = vessel("far", 1, 3, 10), vessel("middle", 1, 20, 30), vessel("near", 1, 2, 30)
+    seen = seen_of([(far, (300.5, 0), 0), (middle, (200.5, 0), 0), (near, (100.5, -4), 0)])
+    assert dict(seen.occluders[0]) == {1: pytest.approx(10 * 10_000 / 300)}
+
+
+def test_box_across_the_near_plane_is_cut_there_and_hides_what_is_behind_its_visible_part():
+    """2 to 3 m to port, from 20 m behind the camera to 20 m ahead, and the near plane at 10 m.
+
+    The near side at the far end is at column 400 − 2000 / 20 = 300, the far side at the cut at 400 − 3000 / 10 = 100.
+    """
+    lens = replace(INTRINSICS, near_clip_m=10.0)
+    quay, boat = vessel("quay", 40, 1, 20), vessel("boat", 1, 60, 10)
+    outlines = outlines_of([(quay, (0, 2.5), 0), (boat, (200.5, 0), 0)], lens)
+    seen = analytic_occlusion(outlines, lens)
+    assert outlines.crosses_near.tolist() == [True, False]
+    np.testing.assert_allclose(seen.full_boxes_px[0], [100, 0, 300, 600], atol=1e-9)
+    np.testing.assert_allclose(seen.visible_px[0], 200 * 600)
+    assert np.isnan(outlines.in_frame_fraction[0])
+    # The boat: columns 250–550, of which 250–300 are hidden.
+    np.testing.assert_allclose(seen.visible_boxes_px[1], [300, 300, 550, 350], atol=1e-9)
+    assert seen.occluders[1] == ((0, pytest.approx(50 * 50)),)
+
+
+def test_vessel_cut_at_the_image_edge_is_hidden_in_the_part_that_is_in_the_image():
+    """Front face at 100 m, w2 from 30 to 50: columns −100 to 100; a post at 50 m hides columns −20 to 20."""
+    wide, post = vessel("wide", 1, 20, 10), vessel("post", 1, 2, 30)
+    outlines = outlines_of([(wide, (100.5, 40), 0), (post, (50.5, 20), 0)])
+    seen = analytic_occlusion(outlines, INTRINSICS)
+    # The inner side of each is seen too, up to the back edge: 400 − 30000 / 101 and 400 − 19000 / 51.
+    inner, post_inner = 400 - 30_000 / 101, 400 - 19_000 / 51
+    np.testing.assert_allclose(seen.full_boxes_px[0], [0, 300, inner, 400], atol=1e-9)
+    np.testing.assert_allclose(seen.visible_boxes_px[0], [post_inner, 300, inner, 400], atol=1e-9)
+    np.testing.assert_allclose(seen.occluders[0], [(1, post_inner * 100)])
+    side = (inner - 100) * (100 + 10_000 / 101) / 2
+    np.testing.assert_allclose(seen.visible_px[0], (100 - post_inner) * 100 + side)
+    np.testing.assert_allclose(outlines.in_frame_fraction[0], (100 * 100 + side) / (200 * 100 + side))
+
+
+RUN_WITHOUT_OPENGL = """
+import sys
+sys.modules["OpenGL"] = None
+from modsim3d.cli import main
+for mode in ("1", "2"):
+    sys.argv = ["modsim3d", "run", "harbour", "--steps", "12", "--source", "analytic", "--mode", mode]
+    sys.argv += ["--out", FOLDER + "/" + mode]
+    try:
+        main()
+    except SystemExit as stopped:
+        assert not stopped.code, stopped.code
+"""
+
+
+def test_modes_one_and_two_run_from_end_to_end_where_there_is_no_opengl(tmp_path):
+    script = f"FOLDER = {str(tmp_path)!r}\n{RUN_WITHOUT_OPENGL}"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    exact = truth_block(load_scene("harbour", source="analytic"), 0, 12, None)
+    assert (exact.visible_px == 0).any()
+    for mode in "12":
+        rows = pq.read_table(tmp_path / mode / "truth.parquet").to_pylist()
+        assert [row["annotated"] for row in rows] == (exact.visible_px > 0).tolist()
+        np.testing.assert_array_equal([row["visible_px"] for row in rows], exact.visible_px)
+        annotated = pq.read_table(tmp_path / mode / "frames.parquet")["n_annotated"].to_pylist()
+        assert sum(annotated) == (exact.visible_px > 0).sum()
+
+
+def test_analytic_truth_of_a_scene_is_that_of_the_pixels_but_for_their_boundaries(renderer):
+    drawn = truth_block(load_scene("harbour", source="rendered"), 100, 110, renderer)
+    exact = truth_block(load_scene("harbour", source="analytic"), 100, 110, None)
+    np.testing.assert_array_equal(drawn.vessel, exact.vessel)
+    large = exact.silhouette_px > 400
+    assert large.sum() > 100
+    np.testing.assert_allclose(drawn.visible_fraction[large], exact.visible_fraction[large], atol=0.06)
+    np.testing.assert_allclose(drawn.full_boxes_px, exact.full_boxes_px, atol=1)

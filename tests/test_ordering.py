@@ -1,0 +1,237 @@
+"""Which of two vessels is in front: a plane between them decides, not the distance of their centres."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scipy.optimize import linprog
+
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.annotate.comparison import compare_with_analytic
+from modsim3d.annotate.ordering import order_of
+from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.frames import rotation, world_R_vehicle
+from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
+
+SHIP, BOAT = 0, 1
+
+
+def long_ship_and_boat():
+    """A 210 m ship from (95, 31) to (301, −10): its centre is 200 m ahead, that of the boat off its stern 220 m."""
+    ship, boat = vessel("ship", 210, 8, 15), vessel("boat", 2, 4, 4)
+    return outlines_of([(ship, (198.0, 10.4), float(np.arctan2(-41, 206))), (boat, (220.0, -2.0), 0.0)])
+
+
+def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_stern(renderer):
+    outlines = long_ship_and_boat()
+    assert outlines.depth_m[SHIP] < outlines.depth_m[BOAT]  # so ordering by depth would hide the boat
+    order = order_of(outlines)
+    assert (order.first_can_hide.tolist(), order.second_can_hide.tolist()) == ([False], [True])
+    for seen in (analytic_occlusion(outlines, INTRINSICS), rendered_occlusion(outlines, INTRINSICS, renderer)):
+        assert seen.visible_px[BOAT] == seen.silhouette_px[BOAT] > 100
+        assert seen.occluders[BOAT] == ()
+        ((hider, hidden_px),) = seen.occluders[SHIP]  # all of the boat but what lies below the ship's waterline
+        assert hider == BOAT
+        assert 0.5 * seen.silhouette_px[BOAT] < hidden_px < seen.silhouette_px[BOAT]
+        assert seen.visible_px[SHIP] + hidden_px == pytest.approx(seen.silhouette_px[SHIP])
+
+
+def test_rectangle_rule_drops_the_boat_before_the_long_ships_stern():
+    seen = rectangle_occlusion(long_ship_and_boat())
+    assert seen.visible_px[BOAT] == 0
+    assert seen.visible_px[SHIP] == seen.silhouette_px[SHIP]
+
+
+def test_three_beams_each_hide_a_part_of_the_next():
+    boxes, mount = cyclic_beams()
+    outlines = outlines_at(boxes, INTRINSICS, mount)
+    order = order_of(outlines)
+    hiders = {
+        (int(a if first else b), int(b if first else a))
+        for a, b, first, second in zip(
+            order.first, order.second, order.first_can_hide, order.second_can_hide, strict=True
+        )
+        if first != second
+    }
+    assert hiders == {(1, 0), (2, 1), (0, 2)}
+    seen = analytic_occlusion(outlines, INTRINSICS)
+    assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
+    # A third of a turn about the line of sight puts each beam in the place of the next.
+    np.testing.assert_allclose(seen.visible_px, seen.visible_px[0], rtol=1e-9)
+    assert 0.7 < seen.visible_fraction()[0] < 0.9
+    hidden = np.array([row[0][1] for row in seen.occluders])
+    np.testing.assert_allclose(seen.visible_px + hidden, seen.silhouette_px, rtol=1e-9)
+
+
+@pytest.mark.parametrize("supersample", [1, 4])
+def test_three_beams_are_rendered_as_the_analytic_source_says(renderer, supersample):
+    boxes, mount = cyclic_beams()
+    outlines = outlines_at(boxes, INTRINSICS, mount)
+    seen, exact = (
+        rendered_occlusion(outlines, INTRINSICS, renderer, supersample),
+        analytic_occlusion(outlines, INTRINSICS),
+    )
+    assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
+    np.testing.assert_allclose(seen.visible_px, exact.visible_px, atol=20 / supersample)  # of some 6,500
+    np.testing.assert_allclose(seen.visible_boxes_px, exact.visible_boxes_px, atol=1 / supersample)
+    found = compare_with_analytic(
+        outlines,
+        INTRINSICS,
+        seen,
+        lambda row: pixel_masks(outlines, INTRINSICS, renderer, row, supersample),
+        supersample,
+    )
+    assert not found.worst.any()
+
+
+def corners_touching(rng):
+    """Two boxes that share a part of a face, on any heading and anywhere; and the same pushed together by 1 mm."""
+    heading = rng.uniform(-np.pi, np.pi)
+    length, beam = rng.uniform(5, 300), rng.uniform(2, 40)
+    other_length, other_beam = rng.uniform(5, 300), rng.uniform(2, 40)
+    first = np.array([rng.uniform(400, 3000), rng.uniform(-300, 300)])
+    if rng.random() < 0.5:  # side by side
+        offset = np.array([rng.uniform(-1, 1) * (length + other_length) / 2, (beam + other_beam) / 2])
+    else:  # bow to stern
+        offset = np.array([(length + other_length) / 2, rng.uniform(-1, 1) * (beam + other_beam) / 2])
+    turn = world_R_vehicle(heading)[:2, :2]
+    push = 1e-3 * np.sign(offset) * (np.abs(offset) == np.abs([(length + other_length) / 2, (beam + other_beam) / 2]))
+
+    def places(apart):
+        one, two = vessel("one", length, beam, 20), vessel("two", other_length, other_beam, 20)
+        return [(one, tuple(first), heading), (two, tuple(first + turn @ apart), heading)]
+
+    return places(offset), places(offset - push)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_touching_boxes_do_not_intersect_and_boxes_a_millimetre_into_each_other_do(seed):
+    wide = replace(INTRINSICS, principal_point_px=(4000.0, 4000.0), image_size_px=(8000, 8000))
+    touching, pushed = corners_touching(np.random.default_rng(seed))
+    order = order_of(outlines_of(touching, wide))
+    assert not order.intersecting.any()
+    assert not (order.first_can_hide & order.second_can_hide).any()
+    assert order_of(outlines_of(pushed, wide)).intersecting.tolist() == [True]
+
+
+def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_them(renderer):
+    """Two rafted boats that overlap by a metre, a third boat behind both and a fourth beside them."""
+    boat = vessel("boat", 10, 4, 10)
+    places = [(boat, (200, 3), 0), (boat, (100, 0), 0), (boat, (101, 3), 0), (boat, (100, -20), 0)]
+    outlines = outlines_of(places)
+    seen = analytic_occlusion(outlines, INTRINSICS)
+    np.testing.assert_array_equal(seen.intersecting, [[1, 2]])
+    assert np.isnan(seen.visible_px[[1, 2]]).all()
+    assert np.isnan(seen.visible_boxes_px[[1, 2]]).all()
+    assert np.isnan(seen.visible_fraction()[[1, 2]]).all()
+    assert np.isfinite(seen.full_boxes_px).all()
+    assert seen.visible_px[3] == seen.silhouette_px[3]
+    # What both hide of the one behind is counted once.
+    drawn = rendered_occlusion(outlines, INTRINSICS, renderer)
+    hidden = sum(px for _, px in seen.occluders[0])
+    assert 0 < hidden == pytest.approx(seen.silhouette_px[0] - seen.visible_px[0])
+    assert {vessel for vessel, _ in seen.occluders[0]} == {vessel for vessel, _ in drawn.occluders[0]} == {1, 2}
+    truth = seen.truth(np.zeros(4, dtype=int) + 7, 3, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m)
+    np.testing.assert_array_equal(truth.intersections, [[7, 3, 1, 2]])
+
+
+def tumbled_pairs(rng, count):
+    """Outlines of pairs of boxes turned any way, near enough to each other to touch about as often as not."""
+    extents = np.exp(rng.uniform(np.log(1), np.log(30), (2 * count, 3)))
+    outlines = outlines_of([(vessel("any"), (100.0 + 20 * i, 0.0), 0.0) for i in range(2 * count)])
+    assert len(outlines) == 2 * count
+    turned = outlines.solid.vertices - [0, 0, 0.5]
+    angles = rng.uniform(-np.pi, np.pi, (3, 2 * count))
+    turns = rotation(0, angles[0]) @ rotation(1, angles[1]) @ rotation(2, angles[2])
+    half = np.linalg.norm(extents, axis=1).reshape(count, 2) / 2
+    centres = rng.normal([0, 0, 100], 40, (count, 1, 3))
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    apart = directions * (half.sum(axis=1) * rng.uniform(0.2, 1.0, count))[:, None]
+    places = np.concatenate([centres, centres + apart[:, None]], axis=1).reshape(-1, 1, 3)
+    vertices = (turned * extents[:, None]) @ np.swapaxes(turns, 1, 2) + places
+    boxes = np.tile([0.0, 0.0, 10.0, 10.0], (2 * count, 1))
+    return replace(outlines, frame=np.repeat(np.arange(count), 2), vertices_camera=vertices, boxes_px=boxes), (
+        extents,
+        turns,
+        places[:, 0],
+    )
+
+
+def margin_of_separation(a, b):
+    """The widest gap along any direction with coordinates in [−1, 1], by linear programming; zero if there is none."""
+    rows = [np.column_stack([a, np.full(len(a), -1.0), np.zeros(len(a))])]  # n · a <= d
+    rows.append(np.column_stack([-b, np.ones(len(b)), np.ones(len(b))]))  # n · b >= d + gap
+    limits = [(-1, 1)] * 3 + [(None, None), (0, None)]
+    found = linprog([0, 0, 0, 0, -1], A_ub=np.concatenate(rows), b_ub=np.zeros(len(a) + len(b)), bounds=limits)
+    assert found.success
+    return -found.fun
+
+
+def test_separating_planes_are_found_exactly_where_linear_programming_finds_one():
+    outlines, _ = tumbled_pairs(np.random.default_rng(5), 300)
+    order = order_of(outlines)
+    np.testing.assert_array_equal(order.first, np.arange(0, 600, 2))
+    gaps = np.array([margin_of_separation(*outlines.vertices_camera[[i, i + 1]]) for i in range(0, 600, 2)])
+    clear = (gaps == 0) | (gaps > 1e-6)
+    assert clear.sum() > 290
+    np.testing.assert_array_equal(order.intersecting[clear], (gaps == 0)[clear])
+    assert 60 < order.intersecting.sum() < 240
+
+
+def test_upright_boxes_intersect_exactly_where_their_footprints_do():
+    rng = np.random.default_rng(6)
+    wide = replace(INTRINSICS, focal_px=(10.0, 10.0))
+    told = []
+    for _ in range(200):
+        places = [
+            (
+                vessel(name, rng.uniform(5, 60), rng.uniform(2, 15), 12),
+                tuple(rng.uniform([80, -30], [140, 30])),
+                heading,
+            )
+            for name, heading in zip("ab", rng.uniform(-np.pi, np.pi, 2), strict=True)
+        ]
+        order = order_of(outlines_of(places, wide))
+        if len(order.first):
+            one, two = (footprint(*place) for place in places)
+            assert order.intersecting.tolist() == [shapely.area(shapely.intersection(one, two)) > 0]
+            told.append(bool(order.intersecting[0]))
+    assert 20 < sum(told) < len(told) - 20
+
+
+def footprint(ship, place, heading):
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * ship.extents_m[:2] / 2
+    return shapely.Polygon(corners @ world_R_vehicle(heading)[:2, :2].T + place)
+
+
+def first_met(directions, extents, turn, place):
+    """How far along each ray from the camera a box begins, by slabs; infinite where it is missed, shape (n,)."""
+    origin, along = -place @ turn, directions @ turn
+    with np.errstate(divide="ignore"):
+        low, high = (-extents / 2 - origin) / along, (extents / 2 - origin) / along
+    enter, leave = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
+    return np.where((enter < leave) & (leave > 0), enter, np.inf)
+
+
+def test_order_is_that_in_which_rays_meet_the_boxes():
+    outlines, (extents, turns, places) = tumbled_pairs(np.random.default_rng(7), 200)
+    order = order_of(outlines)
+    rng = np.random.default_rng(8)
+    both = 0
+    for pair in np.flatnonzero(~order.intersecting):
+        a, b = order.first[pair], order.second[pair]
+        weights = rng.dirichlet(np.ones(8), 300)
+        rays = np.concatenate([weights @ outlines.vertices_camera[a], weights @ outlines.vertices_camera[b]])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        met_a, met_b = (first_met(rays, extents[i], turns[i], places[i]) for i in (a, b))
+        meet = np.isfinite(met_a) & np.isfinite(met_b)
+        if (met_a < 0).any() or (met_b < 0).any():
+            continue  # the camera is inside
+        both += meet.any()
+        assert not (met_a < met_b)[meet].any() or order.first_can_hide[pair]
+        assert not (met_b < met_a)[meet].any() or order.second_can_hide[pair]
+        assert not (order.first_can_hide[pair] and order.second_can_hide[pair])
+    assert both > 30

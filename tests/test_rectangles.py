@@ -1,0 +1,127 @@
+"""The thesis's rule (Jessen & Mohr (2023), §7.5.1, Figures 7.14–7.16) on rectangles given as numbers.
+
+Mode 0 keeps the full box of every vessel, mode 1 of every vessel that is not fully covered; in mode 2, "if two
+neighbouring corners of the vessel are covered, only the visible part is annotated".
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
+from modsim3d.annotate.rectangles import rectangle_occlusion
+from tests.scenes import outlines_of, vessel
+
+B = (100.0, 100.0, 200.0, 200.0)  # the box that is looked at; everything else is before it unless its depth says not
+
+
+def seen_of(boxes, depths=None):
+    """What the rule says of boxes, the first 100 m away and the others 50 m unless told."""
+    outlines = outlines_of([(vessel(f"v{i}"), (100.0, 0.0), 0.0) for i in range(len(boxes))])
+    depth = np.array(depths if depths is not None else [100.0] + [50.0] * (len(boxes) - 1))
+    return rectangle_occlusion(replace(outlines, boxes_px=np.array(boxes, dtype=float), depth_m=depth))
+
+
+def annotated_box(seen, mode):
+    """The box of the first vessel that a mode annotates, or None."""
+    zero = np.zeros(len(seen.visible_px), dtype=int)
+    truth = seen.truth(zero, 0, zero, zero + 1.0, zero + 100.0)
+    if not annotated_rows(truth, Annotation(mode=mode, source="rectangles"))[0]:
+        return None
+    return tuple(annotation_boxes(truth, mode)[0])
+
+
+def test_box_alone_is_kept_whole_in_every_mode():
+    seen = seen_of([B])
+    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B, B]
+    assert seen.visible_fraction().tolist() == [1.0]
+
+
+@pytest.mark.parametrize("x", [50, 150])
+@pytest.mark.parametrize("y", [50, 150])
+def test_one_covered_corner_cuts_nothing(x, y):
+    seen = seen_of([B, (x, y, x + 100, y + 100)])
+    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B, B]
+    assert seen.visible_px[0] == 100 * 100 - 50 * 50
+
+
+@pytest.mark.parametrize(
+    ("cover", "left"),
+    [
+        ((50, 50, 140, 250), (140, 100, 200, 200)),
+        ((160, 50, 250, 250), (100, 100, 160, 200)),
+        ((50, 50, 250, 130), (100, 130, 200, 200)),
+        ((50, 170, 250, 250), (100, 100, 200, 170)),
+    ],
+)
+def test_two_neighbouring_covered_corners_cut_the_side_between_them_in_mode_two_only(cover, left):
+    seen = seen_of([B, cover])
+    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B, left]
+
+
+def test_two_opposite_covered_corners_cut_nothing():
+    seen = seen_of([B, (50, 50, 140, 140), (160, 160, 250, 250)])
+    assert annotated_box(seen, 2) == B
+
+
+def test_cover_of_the_middle_cuts_nothing():
+    seen = seen_of([B, (120, 50, 180, 250)])
+    assert annotated_box(seen, 2) == B
+    assert seen.visible_px[0] == 4000
+
+
+def test_several_coverers_together_cut_a_side_that_none_covers_alone():
+    upper, lower = (50, 50, 140, 150), (50, 150, 130, 250)
+    assert annotated_box(seen_of([B, upper]), 2) == B
+    assert annotated_box(seen_of([B, lower]), 2) == B
+    assert annotated_box(seen_of([B, upper, lower]), 2) == (130, 100, 200, 200)
+
+
+def test_side_that_is_seen_between_its_two_covered_corners_is_not_cut():
+    """What is left of the rectangle still reaches it, so the visible part has the same box."""
+    assert annotated_box(seen_of([B, (50, 50, 140, 140), (50, 160, 140, 250)]), 2) == B
+
+
+def test_wholly_covered_box_is_dropped_in_modes_one_and_two():
+    seen = seen_of([B, (100, 100, 200, 200)])
+    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, None, None]
+    assert np.isnan(seen.visible_boxes_px[0]).all()
+
+
+def test_box_covered_by_two_halves_is_dropped():
+    seen = seen_of([B, (50, 50, 150, 250), (150, 50, 250, 250)])
+    assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, None, None]
+
+
+def test_nearer_means_smaller_depth_whatever_the_order_of_vessels():
+    cover = (50, 50, 140, 250)
+    assert annotated_box(seen_of([B, cover], [100.0, 99.9]), 2) == (140, 100, 200, 200)
+    assert annotated_box(seen_of([B, cover], [99.9, 100.0]), 2) == B
+    reverse = seen_of([cover, B], [99.9, 100.0])
+    np.testing.assert_array_equal(reverse.visible_boxes_px, [cover, (140, 100, 200, 200)])
+
+
+def test_boxes_of_equal_depth_hide_nothing_of_each_other():
+    seen = seen_of([B, (50, 50, 250, 250)], [100.0, 100.0])
+    np.testing.assert_array_equal(seen.visible_px, seen.silhouette_px)
+    assert seen.occluders == ((), ())
+
+
+def test_hidden_part_belongs_to_the_nearest_and_is_counted_once():
+    """Columns 100–150 under one at 50 m, 130–180 under one at 40 m: the latter takes 130–150 too."""
+    seen = seen_of([B, (100, 50, 150, 250), (130, 50, 180, 250)], [100.0, 50.0, 40.0])
+    assert seen.occluders[0] == ((0 + 1, 3000.0), (2, 5000.0))
+    tied = seen_of([B, (100, 50, 150, 250), (130, 50, 180, 250)], [100.0, 50.0, 50.0])
+    assert sum(px for _, px in tied.occluders[0]) == 8000.0
+
+
+def test_rule_looks_at_rectangles_and_not_at_what_is_drawn_in_them():
+    """Two ships whose silhouettes leave the corners of their boxes free: the rule hides what is seen there."""
+    from modsim3d.annotate.analytic import analytic_occlusion
+    from tests.scenes import INTRINSICS
+
+    boat, ship = vessel("boat", 2, 2, 2), vessel("ship", 60, 6, 12)
+    outlines = outlines_of([(boat, (125.0, 6.5), 0.0), (ship, (100.0, 0.0), 0.6)])
+    assert analytic_occlusion(outlines, INTRINSICS).visible_px[0] > 0
+    assert rectangle_occlusion(outlines).visible_px[0] == 0
