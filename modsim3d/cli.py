@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from enum import Enum
@@ -87,6 +88,7 @@ def run_command(
     source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
     render: Annotated[Render | None, typer.Option(help="Draw only where vessels overlap, or whole images.")] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that share the work; the files stay the same.")] = 1,
     sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
 ) -> None:
     """Run a scene: truth, detections and a contact sheet into a run directory.
@@ -113,7 +115,8 @@ def run_command(
             folder,
             overwrite=overwrite,
             resume=resume,
-            progress=lambda steps: bar.advance(task, steps),
+            workers=workers,
+            progress=lambda steps: bar.update(task, advance=steps, refresh=True),
         )
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
@@ -164,7 +167,9 @@ def compare_command(
             raise ModsimError("the rendered source is needed to compare with")
         with _progress_bar() as bar:
             task = bar.add_task(loaded.name, total=-(-loaded.steps // every))
-            report = compare_sources(loaded, renderer, every=every, progress=lambda steps: bar.advance(task, steps))
+            report = compare_sources(
+                loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
+            )
         if out is not None:
             compare_report.write_report(report, loaded, renderer, out)
     figures = report.figures()
@@ -202,7 +207,8 @@ def _progress_bar() -> Progress:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True))
+    # Refreshed after each block: a thread that refreshes would keep workers from being copies of this process.
+    return Progress(*columns, console=Console(stderr=True), auto_refresh=False)
 
 
 def _print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
@@ -281,6 +287,9 @@ def _share(part: int, whole: int, of: str) -> str:
 
 def main() -> None:
     """Run the command line; a user's error is one message on standard error and exit status 2."""
+    # Neither small matrices nor short tables gain from threads; without them workers can be copies of this process.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
     try:
         app()
     except ModsimError as error:

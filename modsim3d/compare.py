@@ -27,6 +27,7 @@ from modsim3d.frames import Array
 from modsim3d.poses import Poses
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
+from modsim3d.vessels import shoebox
 
 BLOCK_STEPS = 50
 WORST = 10
@@ -190,6 +191,7 @@ def compare_sources(
     """
     report = Report(scene.name, scene.annotation.supersample)
     steps = np.arange(0, scene.steps, every)
+    shoebox()  # loads what makes solids, which is no part of the time per frame
     for start in range(0, len(steps), BLOCK_STEPS):
         chosen = steps[start : start + BLOCK_STEPS]
         poses = _poses_at(scene, chosen)

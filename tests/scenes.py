@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.camera import Intrinsics, Mount, poses_ashore
 from modsim3d.frames import world_R_vehicle
+from modsim3d.scene import data_folder
 from modsim3d.vessels import Vessel
 
 CAMERA_HEIGHT_M = 10.0
@@ -160,3 +164,49 @@ def cyclic_beams() -> tuple[list[Box], Mount]:
     ]
     mount = Mount((20.0, 20.0, 20.0), pitch_rad=float(np.arctan(np.sqrt(0.5))), yaw_rad=-3 * np.pi / 4)
     return boxes, mount
+
+
+def write_scene(
+    folder: Path, boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]], steps: int
+) -> Path:
+    """A scene file: this module's camera, and boats as name → (length, beam and air draft; waypoints); a step a second.
+
+    Args:
+        folder: Where to write it.
+        boats: Waypoints are [time, w1, w2]; none at all for a boat without a track.
+        steps: Number of time steps.
+    """
+    shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", folder / "detector.yaml")
+    vessels = {
+        name: {"length_m": size[0], "beam_m": size[1], "air_draft_m": size[2], "label": "Vessel"}
+        for name, (size, _) in boats.items()
+    }
+    camera = {
+        "focal_length_m": 0.01,
+        "pixel_size_m": [1e-5, 1e-5],
+        "principal_point_px": [400, 300],
+        "image_size_px": [800, 600],
+        "pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]},
+    }
+    scene = {
+        "steps": steps,
+        "time_step_s": 1.0,
+        "vessels": vessels,
+        "poses": {"tracks": {name: track for name, (_, track) in boats.items() if track}},
+        "cameras": {"C0": camera},
+        "annotation": {"mode": 2},
+        "detector": "detector.yaml",
+    }
+    path = folder / "scene.yaml"
+    path.write_text(json.dumps(scene), encoding="utf-8")  # which is YAML too
+    return path
+
+
+def crossing(folder: Path, steps: int = 12) -> Path:
+    """A ship that crosses close by and hides, one after the other, a boat wholly and another in part."""
+    boats = {
+        "boat": ([10, 4, 3], [[0, 250, 10], [100, 250, 12]]),
+        "sail": ([12, 4, 16], [[0, 200, -10], [100, 202, -10]]),
+        "ship": ([60, 10, 12], [[0, 75, 60], [10, 140, -60]]),
+    }
+    return write_scene(folder, boats, steps)

@@ -5,6 +5,7 @@ box of 10 m height has its top on the horizon, so that of a box straight ahead n
 rectangle from row 300 to row 300 + 10000 / distance.
 """
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,7 +17,7 @@ import pytest
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.scene import load_scene
 from modsim3d.simulate import truth_block
-from tests.scenes import INTRINSICS, outlines_of, vessel
+from tests.scenes import INTRINSICS, crossing, outlines_of, vessel
 
 
 def seen_of(places, **options):
@@ -145,7 +146,7 @@ import sys
 sys.modules["OpenGL"] = None
 from modsim3d.cli import main
 for mode in ("1", "2"):
-    sys.argv = ["modsim3d", "run", "harbour", "--steps", "12", "--source", "analytic", "--mode", mode]
+    sys.argv = ["modsim3d", "run", SCENE, "--source", "analytic", "--mode", mode]
     sys.argv += ["--out", FOLDER + "/" + mode]
     try:
         main()
@@ -155,17 +156,21 @@ for mode in ("1", "2"):
 
 
 def test_modes_one_and_two_run_from_end_to_end_where_there_is_no_opengl(tmp_path):
-    script = f"FOLDER = {str(tmp_path)!r}\n{RUN_WITHOUT_OPENGL}"
+    scene = crossing(tmp_path)
+    script = f"SCENE, FOLDER = {str(scene)!r}, {str(tmp_path)!r}\n{RUN_WITHOUT_OPENGL}"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    exact = truth_block(load_scene("harbour", source="analytic"), 0, 12, None)
+    exact = truth_block(load_scene(scene, source="analytic"), 0, 12, None)
     assert (exact.visible_px == 0).any()
+    assert ((exact.visible_fraction > 0) & (exact.visible_fraction < 1)).any()
     for mode in "12":
         rows = pq.read_table(tmp_path / mode / "truth.parquet").to_pylist()
         assert [row["annotated"] for row in rows] == (exact.visible_px > 0).tolist()
         np.testing.assert_array_equal([row["visible_px"] for row in rows], exact.visible_px)
-        annotated = pq.read_table(tmp_path / mode / "frames.parquet")["n_annotated"].to_pylist()
-        assert sum(annotated) == (exact.visible_px > 0).sum()
+        boxes = json.loads((tmp_path / mode / "annotations_C0.json").read_text())
+        widths = [boat["bbox"]["width"] for step in boxes.values() for boat in step.values()]
+        expected = exact.full_boxes_px if mode == "1" else exact.visible_boxes_px
+        np.testing.assert_allclose(widths, (expected[:, 2] - expected[:, 0])[exact.visible_px > 0])
 
 
 def test_analytic_truth_of_a_scene_is_that_of_the_pixels_but_for_their_boundaries(renderer):
@@ -175,4 +180,5 @@ def test_analytic_truth_of_a_scene_is_that_of_the_pixels_but_for_their_boundarie
     large = exact.silhouette_px > 400
     assert large.sum() > 100
     np.testing.assert_allclose(drawn.visible_fraction[large], exact.visible_fraction[large], atol=0.06)
-    np.testing.assert_allclose(drawn.full_boxes_px, exact.full_boxes_px, atol=1)
+    off = np.abs(drawn.full_boxes_px - exact.full_boxes_px).max(axis=1) > 1
+    assert off.mean() < 0.02  # tips without a pixel centre

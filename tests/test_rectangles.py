@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
 from modsim3d.annotate.rectangles import rectangle_occlusion
-from tests.scenes import outlines_of, vessel
+from tests.scenes import INTRINSICS, outlines_of, vessel
 
 B = (100.0, 100.0, 200.0, 200.0)  # the box that is looked at; everything else is before it unless its depth says not
 
@@ -111,17 +112,14 @@ def test_boxes_of_equal_depth_hide_nothing_of_each_other():
 def test_hidden_part_belongs_to_the_nearest_and_is_counted_once():
     """Columns 100–150 under one at 50 m, 130–180 under one at 40 m: the latter takes 130–150 too."""
     seen = seen_of([B, (100, 50, 150, 250), (130, 50, 180, 250)], [100.0, 50.0, 40.0])
-    assert seen.occluders[0] == ((0 + 1, 3000.0), (2, 5000.0))
+    assert seen.occluders[0] == ((1, 3000.0), (2, 5000.0))
     tied = seen_of([B, (100, 50, 150, 250), (130, 50, 180, 250)], [100.0, 50.0, 50.0])
     assert sum(px for _, px in tied.occluders[0]) == 8000.0
 
 
 def test_rule_looks_at_rectangles_and_not_at_what_is_drawn_in_them():
-    """Two ships whose silhouettes leave the corners of their boxes free: the rule hides what is seen there."""
-    from modsim3d.annotate.analytic import analytic_occlusion
-    from tests.scenes import INTRINSICS
-
-    boat, ship = vessel("boat", 2, 2, 2), vessel("ship", 60, 6, 12)
-    outlines = outlines_of([(boat, (125.0, 6.5), 0.0), (ship, (100.0, 0.0), 0.6)])
-    assert analytic_occlusion(outlines, INTRINSICS).visible_px[0] > 0
-    assert rectangle_occlusion(outlines).visible_px[0] == 0
+    """A boat before the far end of a ship, in a part of the ship's box."""
+    boat, ship = vessel("boat", 2, 2, 2), vessel("ship", 60, 2, 12)
+    outlines = outlines_of([(boat, (109.0, 9.5), 0.0), (ship, (100.0, 0.0), 0.6)])
+    assert analytic_occlusion(outlines, INTRINSICS).visible_fraction()[0] == 1
+    assert rectangle_occlusion(outlines).visible_fraction()[0] == 0

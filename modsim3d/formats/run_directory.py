@@ -8,24 +8,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-import numpy as np
 import orjson
 
-from modsim3d.annotate.record import COLUMNS, Truth
-from modsim3d.block import Block
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats import tables, thesis_json
+from modsim3d.formats.block_files import JSON_LINES, TABLES, BlockFiles
 from modsim3d.scene import Scene
 
 UNFINISHED = "unfinished"
 """The folder inside a run directory that holds what is written while the run goes on."""
 RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
-_PARQUET = {
-    "frames": (tables.FRAMES, tables.frame_table),
-    "truth": (tables.TRUTH, tables.truth_table),
-    "detections": (tables.DETECTIONS, tables.detection_table),
-}
-_JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
 
 
 class RunDirectory:
@@ -63,12 +55,11 @@ class RunDirectory:
         try:
             self._prepare(overwrite, resume)
             self._writers = {
-                name: tables.TableWriter(self.work / f"{name}.parquet", schema)
-                for name, (schema, _) in _PARQUET.items()
+                name: tables.TableWriter(self.work / f"{name}.parquet", schema) for name, (schema, _) in TABLES.items()
             }
             self._lines: dict[tuple[str, int], IO[bytes]] = {
                 (kind, index): self._lines_path(kind, index).open("wb")
-                for kind in _JSON_LINES
+                for kind in JSON_LINES
                 for index in range(len(scene.cameras))
             }
         except OSError as error:
@@ -148,34 +139,13 @@ class RunDirectory:
     def _lines_path(self, kind: str, camera: int) -> Path:
         return self.work / f"{kind}_{self._scene.cameras[camera].name}.jsonl"
 
-    def _truth_path(self, first: int, stop: int) -> Path:
-        return self.work / f"truth_{first:09d}_{stop:09d}.npz"
-
-    def finished_truth(self, first: int, stop: int) -> Truth | None:
-        """The truth of a block that an interrupted run had finished, or None."""
-        path = self._truth_path(first, stop)
-        if not path.exists():
-            return None
-        with np.load(path) as columns:
-            return Truth(**columns)
-
-    def keep_truth(self, truth: Truth, first: int, stop: int) -> None:
-        """Keep the truth of a finished block, for a run that goes on after an interruption."""
-        path = self._truth_path(first, stop)
-        partial = path.with_suffix(".partial")
-        with partial.open("wb") as out:
-            np.savez(out, **{name: getattr(truth, name) for name in COLUMNS})
-        partial.replace(path)
-
-    def write(self, block: Block) -> None:
+    def write(self, block: BlockFiles) -> None:
         """Add a block's rows and lines."""
-        for name, (_, table) in _PARQUET.items():
-            self._writers[name].write(table(block, self._scene))
-        for part in block.cameras:
-            for kind, lines in _JSON_LINES.items():
-                stream = self._lines[kind, part.camera]
-                stream.writelines(lines(block, part, self._scene))
-                stream.flush()
+        for name, rows in block.tables.items():
+            self._writers[name].write(rows)
+        for key, lines in block.lines.items():
+            self._lines[key].write(lines)
+            self._lines[key].flush()
 
     def finish(self, run: dict[str, Any]) -> None:
         """Put every file in its place; `run.json` last, so that its presence means that all are complete.
@@ -185,7 +155,7 @@ class RunDirectory:
         """
         self.__exit__(None, None, None)
         self._remove_replaced()
-        for name in _PARQUET:
+        for name in TABLES:
             place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
         for kind, camera in self._lines:
             lines = self._lines_path(kind, camera)

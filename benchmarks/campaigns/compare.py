@@ -1,0 +1,206 @@
+"""compare: rendered against analytic truth on random scenes of disjoint boxes; nothing may be unexplained.
+
+The scenes are those of tests/scenes.py, `random_scene`: 1 to 40 boxes of 2 to 400 m at 5 m to 10 km, before cameras
+with any roll, skew, focal length and near plane; one seed a scene, from 0 on. The first of them are looked at again
+with supersampling. Exit status 1 if a difference is unexplained.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
+from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from tests.scenes import outlines_of, random_scene
+
+OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
+SCENES = {1: 2000, 4: 300}  # supersampling → number of scenes
+SCENES_AT_ONCE = 20
+
+
+@dataclass
+class Tally:
+    """What was found in a run of scenes."""
+
+    scenes: int = 0
+    vessel_frames: int = 0
+    hidden_in_part: int = 0
+    hidden_wholly: int = 0
+    full: dict[str, int] = field(default_factory=lambda: dict.fromkeys(EXPLANATIONS.values(), 0))
+    visible: dict[str, int] = field(default_factory=lambda: dict.fromkeys(EXPLANATIONS.values(), 0))
+    largest_agreed_full_side_px: float = 0.0
+    largest_agreed_visible_side_px: float = 0.0
+    largest_side_at_a_tip_px: float = 0.0
+    visible_at_all_differs: int = 0
+    pixels_looked_at: int = 0
+    unexplained: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, seed: int, drawn: Occlusion, found: Comparison, names: list[str]) -> None:
+        """Count one scene."""
+        fraction = drawn.visible_fraction()
+        self.scenes += 1
+        self.vessel_frames += len(names)
+        self.hidden_in_part += int(((fraction > 0) & (fraction < 1)).sum())
+        self.hidden_wholly += int((fraction == 0).sum())
+        for verdict, reason in EXPLANATIONS.items():
+            self.full[reason] += int((found.full == verdict).sum())
+            self.visible[reason] += int((found.visible == verdict).sum())
+        self.largest_agreed_full_side_px = max(
+            self.largest_agreed_full_side_px, largest(found.full_side_px[found.full == Verdict.AGREE])
+        )
+        self.largest_agreed_visible_side_px = max(
+            self.largest_agreed_visible_side_px, largest(found.visible_side_px[found.visible == Verdict.AGREE])
+        )
+        self.largest_side_at_a_tip_px = max(
+            self.largest_side_at_a_tip_px, largest(found.full_side_px[found.full == Verdict.SHARP_TIP])
+        )
+        self.visible_at_all_differs += int(found.seen_differs.sum())
+        self.pixels_looked_at += int(found.pixels_looked_at.sum())
+        for row in np.flatnonzero(found.worst == Verdict.UNEXPLAINED):
+            self.unexplained.append({"seed": seed, "vessel": names[row]})
+
+    def join(self, other: Tally) -> None:
+        """Add what another run of scenes found."""
+        for name, value in vars(other).items():
+            mine = getattr(self, name)
+            if isinstance(value, dict):
+                setattr(self, name, {key: mine[key] + value[key] for key in mine})
+            else:
+                setattr(self, name, max(mine, value) if name.startswith("largest") else mine + value)
+
+
+def largest(sides_px: np.ndarray) -> float:
+    return float(np.nanmax(np.abs(sides_px), initial=0.0))
+
+
+def look_at(seeds: range, supersample: int) -> tuple[Tally, str]:
+    """Compare some scenes; also says what drew them."""
+    from modsim3d.render.context import open_context
+    from modsim3d.render.id_pass import IdRenderer
+
+    tally = Tally()
+    with open_context() as context:
+        renderer = IdRenderer(context)
+        for seed in seeds:
+            places, intrinsics, mount = random_scene(np.random.default_rng(seed))
+            outlines = outlines_of(places, intrinsics, mount)
+            drawn = rendered_occlusion(outlines, intrinsics, renderer, supersample)
+
+            def look_again(row: int):
+                return pixel_masks(outlines, intrinsics, renderer, row, supersample)  # noqa: B023 (used at once)
+
+            found = compare_with_analytic(outlines, intrinsics, drawn, look_again, supersample)
+            tally.add(seed, drawn, found, [places[i][0].name for i in outlines.vessel])
+        return tally, context.description
+
+
+def portions(count: int, supersample: int) -> Iterator[tuple[range, int]]:
+    for first in range(0, count, SCENES_AT_ONCE):
+        yield range(first, min(first + SCENES_AT_ONCE, count)), supersample
+
+
+def figures(tally: Tally) -> dict[str, Any]:
+    """A tally for the JSON file, with shares."""
+    frames = max(tally.vessel_frames, 1)
+    hidden = tally.hidden_in_part + tally.hidden_wholly
+    tips = tally.full[EXPLANATIONS[Verdict.SHARP_TIP]]
+    return {**vars(tally), "hidden_share": hidden / frames, "sharp_tip_share": tips / frames}
+
+
+def table(found: dict[str, dict[str, Any]]) -> str:
+    """The figures as a Markdown table, a column for each supersampling."""
+    columns = list(found.values())
+    rows: list[tuple[str, list[str]]] = [
+        ("random scenes", [f"{c['scenes']}" for c in columns]),
+        ("vessel-frames", [f"{c['vessel_frames']}" for c in columns]),
+        ("hidden in part or wholly", [f"{c['hidden_share']:.1%}" for c in columns]),
+        ("**unexplained**", [f"**{len(c['unexplained'])}**" for c in columns]),
+        ("largest side difference of full boxes that agree", px(columns, "largest_agreed_full_side_px")),
+        ("largest side difference of visible boxes that agree", px(columns, "largest_agreed_visible_side_px")),
+        ("full boxes with a sharp tip without a pixel centre", [f"{c['sharp_tip_share']:.2%}" for c in columns]),
+        ("largest side difference at such a tip", px(columns, "largest_side_at_a_tip_px")),
+        ("seen by one source only", [f"{c['visible_at_all_differs']}" for c in columns]),
+        ("every pixel looked at", [f"{c['pixels_looked_at']}" for c in columns]),
+    ]
+    for kind, title in (("full", "full box"), ("visible", "visible part")):
+        for reason in EXPLANATIONS.values():
+            rows.append((f"{title}: {reason}", [f"{c[kind][reason]}" for c in columns]))
+    head = ["| | " + " | ".join(f"supersample {factor}" for factor in found) + " |", "|---" * (len(found) + 1) + "|"]
+    return "\n".join(head + [f"| {name} | {' | '.join(cells)} |" for name, cells in rows])
+
+
+def px(columns: list[dict[str, Any]], name: str) -> list[str]:
+    return [f"{column[name]:.3f} px" for column in columns]
+
+
+def page(found: dict[str, dict[str, Any]], versions: dict[str, str]) -> str:
+    total = sum(len(column["unexplained"]) for column in found.values())
+    lines = [
+        "# Rendered against analytic truth on random scenes",
+        "",
+        "Written by `script/campaign compare`; the same figures are in `compare.json`.",
+        "",
+        "Each scene holds 1 to 40 disjoint boxes of 2 to 400 m at 5 m to 10 km, some touching, some across the near "
+        "plane, before a camera with any roll, skew, focal length and near plane. Two boxes agree if no side differs "
+        "by more than a pixel of the buffer (1 / supersample of an image pixel) and the visible fraction by no more "
+        "than the boundary's pixels can explain. Of all others every pixel is looked at: it must be set if its centre "
+        "is inside the exact region, and only then.",
+        "",
+        table(found),
+        "",
+        f"Unexplained in all: {total}.",
+    ]
+    for factor, column in found.items():
+        lines += [
+            f"- supersample {factor}: seed {case['seed']}, vessel {case['vessel']}" for case in column["unexplained"]
+        ]
+    lines += ["", "With " + ", ".join(f"{name} {number}" for name, number in versions.items()) + "."]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="script/campaign compare", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--scenes", type=int, help="fewer than the campaign's own, for a try")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for compare.md and compare.json")
+    asked = parser.parse_args()
+    counts = {factor: min(count, asked.scenes or count) for factor, count in SCENES.items()}
+    work = [portion for factor, count in counts.items() for portion in portions(count, factor)]
+    tallies = {factor: Tally() for factor in counts}
+    drawn_by = set()
+    # OpenGL must be loaded in each process for itself.
+    with ProcessPoolExecutor(asked.processes, multiprocessing.get_context("spawn")) as pool:
+        for (seeds, factor), (tally, renderer) in zip(work, pool.map(look_at, *zip(*work, strict=True)), strict=True):
+            tallies[factor].join(tally)
+            drawn_by.add(renderer)
+            print(f"supersample {factor}: {seeds.stop} of {counts[factor]} scenes", file=sys.stderr)
+    found = {str(factor): figures(tally) for factor, tally in tallies.items()}
+    versions = {
+        "modsim3d": version("modsim3d"),
+        "NumPy": np.__version__,
+        "shapely": f"{shapely.__version__} (GEOS {shapely.geos_version_string})",
+        "renderer": " and ".join(sorted(drawn_by)),
+    }
+    asked.out.mkdir(parents=True, exist_ok=True)
+    data = json.dumps({"format": 1, "versions": versions, "supersample": found}, indent=2)
+    (asked.out / "compare.json").write_text(data + "\n", encoding="utf-8")
+    (asked.out / "compare.md").write_text(page(found, versions), encoding="utf-8")
+    print(table(found))
+    return int(any(column["unexplained"] for column in found.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

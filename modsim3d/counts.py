@@ -1,0 +1,91 @@
+"""What happened in a run, in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from modsim3d.annotate.modes import annotation_boxes
+from modsim3d.block import Block, CameraBlock
+from modsim3d.detector.records import FALSE_POSITIVE
+from modsim3d.frames import Array
+from modsim3d.scene import Scene
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What happened in a run, summed over cameras and steps.
+
+    Attributes:
+        frames: Camera images.
+        vessel_frames: Vessels whose silhouette was in an image.
+        seen: Of those, with a visible pixel.
+        partly_hidden: With fewer visible pixels than silhouette pixels, but some.
+        fully_hidden: With silhouette pixels, none of them visible.
+        annotated: Given to the detector.
+        detected: Of those, detected, under whatever label.
+        missed: Annotated and not detected.
+        mislabelled: Detected under another label.
+        false_positives: Detections of nothing.
+        clipped: Detections of a vessel whose box was cut at the image edge.
+        redrawn: Detections whose first box error left less than a pixel of the box.
+        below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one: a matching
+            evaluation counts such a one as a miss and a false detection.
+    """
+
+    frames: int = 0
+    vessel_frames: int = 0
+    seen: int = 0
+    partly_hidden: int = 0
+    fully_hidden: int = 0
+    annotated: int = 0
+    detected: int = 0
+    missed: int = 0
+    mislabelled: int = 0
+    false_positives: int = 0
+    clipped: int = 0
+    redrawn: int = 0
+    below_half_iou: int = 0
+
+    def __add__(self, other: Counts) -> Counts:
+        """Both together."""
+        return Counts(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
+
+    @classmethod
+    def of(cls, block: Block, scene: Scene) -> Counts:
+        """Count a block."""
+        return sum((_count(block, part, scene) for part in block.cameras), cls())
+
+
+def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
+    truth, drawn = part.truth, part.detections
+    true = np.flatnonzero(drawn.kind != FALSE_POSITIVE)
+    rows = part.truth_row()[true]
+    labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
+    boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
+    asked = annotated[:, 2:] - annotated[:, :2] + drawn.errors_px[true, 2:]
+    detected = int(part.detected().sum())
+    return Counts(
+        frames=len(block.timestamps),
+        vessel_frames=len(truth),
+        seen=int((truth.visible_px > 0).sum()),
+        partly_hidden=int(((truth.visible_px > 0) & (truth.visible_px < truth.silhouette_px)).sum()),
+        fully_hidden=int(((truth.visible_px == 0) & (truth.silhouette_px > 0)).sum()),
+        annotated=len(part.target_rows),
+        detected=detected,
+        missed=len(part.target_rows) - detected,
+        mislabelled=int((drawn.label[true] != labels[truth.vessel[rows]]).sum()),
+        false_positives=len(drawn) - len(true),
+        clipped=int(np.any(boxes[:, 2:] - boxes[:, :2] < asked - 1e-6, axis=1).sum()),
+        redrawn=int(drawn.redrawn.sum()),
+        below_half_iou=int((_iou(boxes, annotated) < 0.5).sum()),
+    )
+
+
+def _iou(a: Array, b: Array) -> Array:
+    """Intersection over union of boxes, row by row, shape (n,)."""
+    overlap = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
+    union = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - overlap
+    ratio: Array = overlap / union
+    return ratio

@@ -1,0 +1,68 @@
+"""A block in the form of a run's files: rows of tables and JSON lines; and its truth, kept for runs that go on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.annotate.record import COLUMNS, Truth
+from modsim3d.block import Block
+from modsim3d.formats import tables, thesis_json
+from modsim3d.scene import Scene
+
+TABLES = {
+    "frames": (tables.FRAMES, tables.frame_table),
+    "truth": (tables.TRUTH, tables.truth_table),
+    "detections": (tables.DETECTIONS, tables.detection_table),
+}
+JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+
+
+@dataclass(frozen=True, eq=False)
+class BlockFiles:
+    """What a block adds to a run's files.
+
+    Attributes:
+        tables: Name of a table → rows.
+        lines: Kind of JSON file and index of the camera → complete lines.
+    """
+
+    tables: dict[str, pa.Table]
+    lines: dict[tuple[str, int], bytes]
+
+    @classmethod
+    def of(cls, block: Block, scene: Scene) -> BlockFiles:
+        """Format a block."""
+        return cls(
+            {name: table(block, scene) for name, (_, table) in TABLES.items()},
+            {
+                (kind, part.camera): b"".join(lines(block, part, scene))
+                for part in block.cameras
+                for kind, lines in JSON_LINES.items()
+            },
+        )
+
+
+def _truth_path(folder: Path, first: int, stop: int) -> Path:
+    return folder / f"truth_{first:09d}_{stop:09d}.npz"
+
+
+def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
+    """The truth of a block that an interrupted run had finished, or None."""
+    path = _truth_path(folder, first, stop)
+    if not path.exists():
+        return None
+    with np.load(path) as columns:
+        return Truth(**columns)
+
+
+def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
+    """Keep the truth of a finished block, for a run that goes on after an interruption."""
+    path = _truth_path(folder, first, stop)
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as out:
+        np.savez(out, **{name: getattr(truth, name) for name in COLUMNS})
+    partial.replace(path)

@@ -1,0 +1,181 @@
+"""Blocks made in this process or in several; which one makes it changes nothing in a block."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+from modsim3d.counts import Counts
+from modsim3d.errors import ModsimError
+from modsim3d.formats.block_files import BlockFiles, finished_truth, keep_truth
+from modsim3d.scene import Scene
+from modsim3d.simulate import Simulation, open_renderer, truth_block
+
+if TYPE_CHECKING:
+    from modsim3d.render.id_pass import IdRenderer
+
+BLOCKS_AHEAD = 3
+"""Blocks for each worker that may wait for their turn to be written: it bounds the memory."""
+
+Range = tuple[int, int]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedBlock:
+    """A block as it goes into the files.
+
+    Attributes:
+        steps: Number of its steps.
+        files: Rows and lines.
+        counts: What happened in it.
+        resumed: Whether its truth was taken from an interrupted run.
+    """
+
+    steps: int
+    files: BlockFiles
+    counts: Counts
+    resumed: bool
+
+
+class BlockMaker:
+    """Makes blocks of a scene, each from truth to files."""
+
+    def __init__(self, scene: Scene, renderer: IdRenderer | None) -> None:
+        """Set up the detector."""
+        self._scene = scene
+        self._renderer = renderer
+        self._simulation = Simulation(scene)
+        self.backend = renderer.context.description if renderer else "none"
+
+    def make(self, folder: Path, first: int, stop: int) -> FinishedBlock:
+        """The block of steps first to stop − 1.
+
+        Args:
+            folder: Where truth is kept for runs that go on.
+            first: First step.
+            stop: The step after the last.
+        """
+        truth = finished_truth(folder, first, stop)
+        resumed = truth is not None
+        if truth is None:
+            truth = truth_block(self._scene, first, stop, self._renderer)
+            keep_truth(folder, truth, first, stop)
+        block = self._simulation.detect(truth, first, stop)
+        counts = Counts.of(block, self._scene)
+        return FinishedBlock(stop - first, BlockFiles.of(block, self._scene), counts, resumed)
+
+
+class Workers(Protocol):
+    """Something that makes blocks in order."""
+
+    backend: str
+
+    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+        """The blocks of the ranges, in their order."""
+
+
+class ThisProcess:
+    """Makes blocks one after another."""
+
+    def __init__(self, maker: BlockMaker) -> None:
+        """Use a maker."""
+        self._maker = maker
+        self.backend = maker.backend
+
+    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+        """The blocks of the ranges, in their order."""
+        return (self._maker.make(folder, *steps) for steps in ranges)
+
+
+class Processes:
+    """Makes blocks in several processes, each with an OpenGL context of its own, made after it has started."""
+
+    def __init__(self, pool: ProcessPoolExecutor, count: int) -> None:
+        """Use a pool of `count` processes."""
+        self._pool = pool
+        self._ahead = count * BLOCKS_AHEAD
+        self.backend = self._result(pool.submit(_backend))
+
+    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+        """The blocks of the ranges, in their order.
+
+        Raises:
+            ModsimError: A worker died.
+        """
+        waiting: deque[Future[FinishedBlock]] = deque()
+        for steps in ranges:
+            waiting.append(self._pool.submit(_make, folder, *steps))
+            if len(waiting) >= self._ahead:
+                yield self._result(waiting.popleft())
+        while waiting:
+            yield self._result(waiting.popleft())
+
+    @staticmethod
+    def _result(future: Future[T]) -> T:
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            raise ModsimError(
+                "a worker process died (killed, or out of memory); what was finished is kept: go on with --resume, "
+                "perhaps with fewer --workers"
+            ) from None
+
+
+@contextmanager
+def open_workers(scene: Scene, count: int) -> Iterator[Workers]:
+    """This process for one worker, or that many others.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    if count == 1:
+        with open_renderer(scene) as renderer:
+            yield ThisProcess(BlockMaker(scene, renderer))
+        return
+    if multiprocessing.parent_process() is not None:
+        raise ModsimError(
+            "workers cannot be started inside a process that multiprocessing made; a script that starts them must do so "
+            "under `if __name__ == '__main__':`"
+        )
+    context = multiprocessing.get_context(_start_method())
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start, initargs=(scene,))
+    try:
+        yield Processes(pool, count)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _start_method() -> str:
+    """A copy of this process starts at once, but is safe only while it has one thread."""
+    tasks = Path("/proc/self/task")
+    threads = len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
+    return "fork" if threads == 1 else "spawn"
+
+
+_maker: BlockMaker | None = None
+_open = ExitStack()
+
+
+def _start(scene: Scene) -> None:
+    """Set a worker up once; its context lives as long as it does."""
+    global _maker
+    _maker = BlockMaker(scene, _open.enter_context(open_renderer(scene)))
+
+
+def _backend() -> str:
+    return _maker.backend if _maker else ""
+
+
+def _make(folder: Path, first: int, stop: int) -> FinishedBlock:
+    if _maker is None:
+        raise ModsimError("this process was not set up as a worker")
+    return _maker.make(folder, first, stop)

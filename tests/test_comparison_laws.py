@@ -1,0 +1,144 @@
+"""Laws that hold on any scene, for the pixels and for the exact geometry alike."""
+
+import numpy as np
+from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import strategies as st
+
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.annotate.comparison import Verdict, compare_with_analytic
+from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from tests.scenes import mirrored, moved, outlines_at, outlines_of, random_scene
+
+SEEDS = st.integers(0, 2**32 - 1)
+ROUNDING_PX = 1e-6
+
+
+def law(examples):
+    """A property of scenes; the fixture is a renderer that keeps nothing of one scene for the next."""
+    return settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def scene_of(seed):
+    """A random scene of which something is in the image, and the generator for what is done to it."""
+    rng = np.random.default_rng(seed)
+    places, intrinsics, mount = random_scene(rng)
+    outlines = outlines_of(places, intrinsics, mount)
+    assume(len(outlines) > 0)
+    return rng, places, intrinsics, mount, outlines
+
+
+def hidden_px(seen):
+    return np.array([sum(px for _, px in row) for row in seen.occluders])
+
+
+@law(40)
+@given(SEEDS)
+@example(seed=1741)  # two that touch, both across the near plane, where the cut of one must close it
+def test_no_difference_between_pixels_and_geometry_is_unexplained(renderer, seed):
+    _, _, lens, _, outlines = scene_of(seed)
+    drawn = rendered_occlusion(outlines, lens, renderer)
+    found = compare_with_analytic(outlines, lens, drawn, lambda row: pixel_masks(outlines, lens, renderer, row))
+    assert not (found.worst == Verdict.UNEXPLAINED).any()
+    agree = found.full == Verdict.AGREE
+    assert np.abs(found.full_side_px[agree]).max(initial=0) <= 1
+    told = ~np.isnan(found.fraction)
+    assert (np.abs(found.fraction) <= found.fraction_bound)[told & (found.visible == Verdict.AGREE)].all()
+
+
+@law(25)
+@given(SEEDS)
+def test_who_hides_whom_is_told_alike(renderer, seed):
+    """Each counts the other's area but for boundary pixels: of the two silhouettes and of all before the hider."""
+    _, _, lens, _, outlines = scene_of(seed)
+    drawn, exact = rendered_occlusion(outlines, lens, renderer), analytic_occlusion(outlines, lens)
+    around = 2 * (exact.full_boxes_px[:, 2:] - exact.full_boxes_px[:, :2]).sum(axis=1) + 24
+    by_vessel = dict(zip(outlines.vessel.tolist(), around.tolist(), strict=True))
+    for row in range(len(outlines)):
+        counted, area = dict(drawn.occluders[row]), dict(exact.occluders[row])
+        bound = around[row] + sum(by_vessel[hider] for hider in counted.keys() | area.keys())
+        for hider in counted.keys() | area.keys():
+            assert abs(counted.get(hider, 0) - area.get(hider, 0)) <= bound
+
+
+@law(25)
+@given(SEEDS)
+def test_order_in_which_vessels_are_named_does_not_matter(renderer, seed):
+    rng, places, lens, mount, outlines = scene_of(seed)
+    shuffle = rng.permutation(len(places))
+    other = outlines_of([places[i] for i in shuffle], lens, mount)
+    back = np.argsort(shuffle[other.vessel])
+    np.testing.assert_array_equal(shuffle[other.vessel][back], outlines.vessel)
+    for source in (lambda o: analytic_occlusion(o, lens), lambda o: rendered_occlusion(o, lens, renderer)):
+        one, two = source(outlines), source(other)
+        np.testing.assert_allclose(two.full_boxes_px[back], one.full_boxes_px, atol=ROUNDING_PX)
+        np.testing.assert_allclose(two.visible_boxes_px[back], one.visible_boxes_px, atol=ROUNDING_PX)
+        np.testing.assert_allclose(two.visible_px[back], one.visible_px, rtol=1e-9, atol=ROUNDING_PX)
+        np.testing.assert_allclose(hidden_px(two)[back], hidden_px(one), rtol=1e-9, atol=1e-5)
+
+
+@law(40)
+@given(SEEDS)
+def test_moving_world_and_camera_together_changes_nothing(seed):
+    rng, places, lens, mount, outlines = scene_of(seed)
+    boxes, camera = moved(places, mount, rng.uniform(-np.pi, np.pi), tuple(rng.normal(0, 1000, 3)))
+    there = outlines_at(boxes, lens, camera)
+    np.testing.assert_array_equal(there.vessel, outlines.vessel)
+    one, two = analytic_occlusion(outlines, lens), analytic_occlusion(there, lens)
+    np.testing.assert_allclose(two.full_boxes_px, one.full_boxes_px, atol=ROUNDING_PX)
+    np.testing.assert_allclose(two.visible_boxes_px, one.visible_boxes_px, atol=ROUNDING_PX)
+    np.testing.assert_allclose(two.visible_px, one.visible_px, rtol=1e-9, atol=1e-5)
+    np.testing.assert_allclose(there.depth_m, outlines.depth_m, atol=1e-6)
+
+
+@law(25)
+@given(SEEDS)
+def test_mirrored_scene_gives_mirrored_boxes(renderer, seed):
+    """Exactly from geometry; from pixels, but for centres that an edge meets: those belong to one side of it."""
+    _, places, lens, mount, outlines = scene_of(seed)
+    places, other_lens, camera = mirrored(places, lens, mount)
+    there = outlines_of(places, other_lens, camera)
+    np.testing.assert_array_equal(there.vessel, outlines.vessel)
+
+    def turned(boxes_px):
+        width = lens.image_size_px[0]
+        return np.column_stack([width - boxes_px[:, 2], boxes_px[:, 1], width - boxes_px[:, 0], boxes_px[:, 3]])
+
+    one, two = analytic_occlusion(outlines, lens), analytic_occlusion(there, other_lens)
+    np.testing.assert_allclose(turned(two.full_boxes_px), one.full_boxes_px, atol=ROUNDING_PX)
+    np.testing.assert_allclose(turned(two.visible_boxes_px), one.visible_boxes_px, atol=ROUNDING_PX)
+    np.testing.assert_allclose(two.visible_px, one.visible_px, rtol=1e-9, atol=1e-5)
+    drawn, again = rendered_occlusion(outlines, lens, renderer), rendered_occlusion(there, other_lens, renderer)
+    off = np.abs(turned(again.full_boxes_px) - drawn.full_boxes_px).max(axis=1)
+    size = outlines.boxes_px[:, 2:] - outlines.boxes_px[:, :2]
+    sturdy = (size > 2).all(axis=1) & (outlines.areas_px > size.sum(axis=1))
+    assert (off[sturdy] <= 1).all()
+    assert (np.abs(again.silhouette_px - drawn.silhouette_px) <= 2 * size.sum(axis=1) + 16).all()
+
+
+@law(30)
+@given(SEEDS)
+def test_one_more_vessel_never_adds_visible_pixels(renderer, seed):
+    _, places, lens, mount, with_it = scene_of(seed)
+    assume(len(places) > 1)
+    without = outlines_of(places[:-1], lens, mount)
+    rows = slice(0, len(without))
+    np.testing.assert_array_equal(with_it.vessel[rows], without.vessel)
+    for source in (lambda o: analytic_occlusion(o, lens), lambda o: rendered_occlusion(o, lens, renderer)):
+        before, after = source(without), source(with_it)
+        np.testing.assert_array_equal(after.silhouette_px[rows], before.silhouette_px)
+        np.testing.assert_array_equal(after.full_boxes_px[rows], before.full_boxes_px)
+        assert (after.visible_px[rows] <= before.visible_px + ROUNDING_PX).all()
+
+
+@law(40)
+@given(SEEDS)
+def test_visible_and_hidden_make_the_silhouette(renderer, seed):
+    _, _, lens, _, outlines = scene_of(seed)
+    drawn, exact = rendered_occlusion(outlines, lens, renderer), analytic_occlusion(outlines, lens)
+    np.testing.assert_array_equal(drawn.visible_px + hidden_px(drawn), drawn.silhouette_px)
+    np.testing.assert_allclose(exact.visible_px + hidden_px(exact), exact.silhouette_px, rtol=1e-9, atol=1e-4)
+    for seen in (drawn, exact):
+        assert (np.isnan(seen.visible_boxes_px).any(axis=1) == (seen.visible_px == 0)).all()
+        inside = ~np.isnan(seen.visible_boxes_px).any(axis=1)
+        assert (seen.visible_boxes_px[inside, :2] >= seen.full_boxes_px[inside, :2] - ROUNDING_PX).all()
+        assert (seen.visible_boxes_px[inside, 2:] <= seen.full_boxes_px[inside, 2:] + ROUNDING_PX).all()

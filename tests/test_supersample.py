@@ -1,0 +1,102 @@
+"""Supersampled ID buffers: boxes of sub-pixel exactness that close in on the exact ones, all in image pixels."""
+
+import numpy as np
+import pytest
+
+from modsim3d.annotate import full_frame, rendered
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.annotate.comparison import Verdict, compare_with_analytic
+from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.camera import Intrinsics
+from tests.scenes import INTRINSICS, outlines_of, random_places, random_scene, vessel
+
+SMALL = Intrinsics((500.0, 500.0), (200.0, 150.0), (400, 300))
+FACTORS = (1, 2, 4, 8)
+
+
+@pytest.fixture(scope="module")
+def side_differences(renderer):
+    """Factor → sides of full and of visible boxes less the exact ones, of vessels that hold pixels at every factor."""
+    full = {factor: [] for factor in FACTORS}
+    visible = {factor: [] for factor in FACTORS}
+    for seed in range(25):
+        outlines = outlines_of(random_places(np.random.default_rng(seed), 25, far_m=700.0), SMALL)
+        exact = analytic_occlusion(outlines, SMALL)
+        drawn = {factor: rendered_occlusion(outlines, SMALL, renderer, factor) for factor in FACTORS}
+        clear = (exact.visible_px > 30) & (drawn[1].visible_px > 10)
+        inside = exact.full_boxes_px % 1 != 0  # a side on the image edge is exact at any factor
+        for factor, seen in drawn.items():
+            full[factor].append((seen.full_boxes_px - exact.full_boxes_px)[clear][inside[clear]])
+            visible[factor].append((seen.visible_boxes_px - exact.visible_boxes_px)[clear][inside[clear]])
+    return [{factor: np.concatenate(parts) for factor, parts in kind.items()} for kind in (full, visible)]
+
+
+@pytest.mark.parametrize("kind", [0, 1], ids=["full", "visible"])
+@pytest.mark.parametrize("factor", FACTORS[1:])
+def test_side_differences_shrink_in_proportion_to_the_factor(side_differences, factor, kind):
+    sides = side_differences[kind]
+    assert len(sides[1]) > 300
+    at_one, here = np.abs(sides[1]).mean(), np.abs(sides[factor]).mean()
+    assert (
+        0.2 < at_one < 0.5
+    )  # pixel centres miss a third of a pixel of a slanting side and a quarter of an upright one
+    assert here == pytest.approx(at_one / factor, rel=0.25)
+
+
+def test_full_boxes_are_within_three_tenths_of_a_pixel_at_four_but_for_tips_without_a_pixel_centre(renderer):
+    rows = tips = 0
+    for seed in range(9):
+        places, lens, mount = random_scene(np.random.default_rng(seed))
+        outlines = outlines_of(places, lens, mount)
+        drawn = rendered_occlusion(outlines, lens, renderer, 4)
+        found = compare_with_analytic(
+            outlines, lens, drawn, lambda row, o=outlines, k=lens: pixel_masks(o, k, renderer, row, 4), 4
+        )
+        off = np.abs(found.full_side_px).max(axis=1) > 0.3
+        assert (found.full[off] == Verdict.SHARP_TIP).all()
+        assert not (found.worst == Verdict.UNEXPLAINED).any()
+        rows, tips = rows + len(outlines), tips + int(off.sum())
+    assert rows > 150
+    assert tips < 0.03 * rows
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4, 8])
+def test_counts_are_in_image_pixels_and_come_nearer_to_the_areas(renderer, factor):
+    outlines = outlines_of(random_places(np.random.default_rng(3), 25, far_m=400.0), SMALL)
+    exact = analytic_occlusion(outlines, SMALL)
+    coarse, fine = (rendered_occlusion(outlines, SMALL, renderer, scale) for scale in (1, factor))
+    for pixels in (fine.silhouette_px, fine.visible_px):
+        buffer_pixels = pixels * factor**2
+        np.testing.assert_allclose(buffer_pixels, np.rint(buffer_pixels), atol=1e-6)
+        assert (np.rint(pixels) != pixels).any()
+    for name in ("silhouette_px", "visible_px"):
+        off = [np.abs(getattr(seen, name) - getattr(exact, name)).mean() for seen in (coarse, fine)]
+        assert off[1] < 1.5 * off[0] / factor
+    hidden = np.array([sum(px for _, px in row) for row in fine.occluders])
+    np.testing.assert_allclose(fine.visible_px + hidden, fine.silhouette_px)
+    assert (hidden > 0).any()
+
+
+def test_box_between_pixels_is_told_to_an_eighth_of_a_pixel(renderer):
+    """Front face at 100 m from w2 = −3.03 to 2.04 m: columns 379.6–430.3."""
+    outlines = outlines_of([(vessel("box", 0.01, 5.07, 10), (100.005, -0.495), 0.0)])
+    for factor in FACTORS:
+        left, _, right, _ = rendered_occlusion(outlines, INTRINSICS, renderer, factor).full_boxes_px[0]
+        # The first buffer column whose centre is inside, and the one after the last.
+        first = np.ceil(outlines.boxes_px[0, 0] * factor - 0.5) / factor
+        last = np.ceil(outlines.boxes_px[0, 2] * factor - 0.5) / factor
+        assert (left, right) == (first, last)
+        assert abs(left - outlines.boxes_px[0, 0]) <= 0.5 / factor
+
+
+@pytest.mark.parametrize(("factor", "tile"), [(1, (100, 64)), (3, (257, 100)), (4, (64, 1000))])
+def test_buffer_drawn_in_tiles_gives_the_same_as_in_one(renderer, monkeypatch, factor, tile):
+    outlines = outlines_of(random_places(np.random.default_rng(4), 25, far_m=400.0), SMALL)
+    whole = rendered_occlusion(outlines, SMALL, renderer, factor)
+    monkeypatch.setattr(full_frame, "TILE_PX", tile)
+    monkeypatch.setattr(rendered, "TILE_PX", tile)
+    tiled = rendered_occlusion(outlines, SMALL, renderer, factor)
+    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+        np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
+    assert tiled.occluders == whole.occluders
+    assert any(whole.occluders)
