@@ -143,8 +143,8 @@ def open_workers(scene: Scene, count: int) -> Iterator[Workers]:
         return
     if multiprocessing.parent_process() is not None:
         raise ModsimError(
-            "workers cannot be started inside a process that multiprocessing made; a script that starts them must do so "
-            "under `if __name__ == '__main__':`"
+            "workers cannot be started inside a process that multiprocessing made; a script that starts them must do "
+            "so under `if __name__ == '__main__':`"
         )
     context = multiprocessing.get_context(_start_method())
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start, initargs=(scene,))

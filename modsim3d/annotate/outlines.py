@@ -203,6 +203,10 @@ class Triangles:
     corners_px: Array
     inverse_depth: Array
 
+    def take(self, chosen: NDArray[np.bool_]) -> Triangles:
+        """The triangles chosen."""
+        return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen])
+
 
 def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> NDArray[np.bool_]:
     """Whether all vertices are in front of the near plane and not far outside the image, shape (n,)."""

@@ -26,6 +26,7 @@ from modsim3d.annotate.spans import (
     Spans,
     concatenate_spans,
     counts_and_boxes,
+    facing,
     scan_convert,
     spans_of_mask,
     spans_of_runs,
@@ -136,8 +137,14 @@ class _Drawing:
     @property
     def triangles(self) -> Triangles:
         if self._triangles is None:
-            self._triangles = triangles_of(self.outlines, self.intrinsics, self.supersample)
+            every = triangles_of(self.outlines, self.intrinsics, self.supersample)
+            self._triangles = every.take(self._facing(every))
         return self._triangles
+
+    def _facing(self, triangles: Triangles) -> NDArray[np.bool_]:
+        """Triangles that are worth drawing: of a whole closed solid, those turned to the camera hide the others."""
+        whole = within_guard(self.outlines, self.intrinsics, self.supersample)
+        return ~whole[triangles.row] | (facing(triangles.corners_px * self.supersample) > 0)
 
     def triangles_of_rows(self, rows: Indices) -> Indices:
         """Indices of the triangles of rows, ordered by row."""

@@ -91,6 +91,21 @@ class Edges:
         return cls(*np.array(pairs, dtype=np.int64).T)
 
 
+def facing(corners_px: Array) -> Indices:
+    """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area.
+
+    Args:
+        corners_px: In buffer pixels, in an order that is counter-clockwise seen from outside, shape (..., 3, 2).
+
+    Returns:
+        Twice the area with its sign, in units of 1/256 px squared, shape (...).
+    """
+    grid = np.rint(corners_px * SUBPIXELS).astype(np.int64)
+    (ax, ay), (bx, by) = (np.moveaxis(grid[..., i, :] - grid[..., 0, :], -1, 0) for i in (1, 2))
+    area: Indices = ay * bx - ax * by  # rows run downwards: counter-clockwise has its sign turned
+    return area
+
+
 def scan_convert(vertices_px: Array, solid: Solid, edges: Edges, image_size: tuple[int, int]) -> tuple[Spans, Indices]:
     """The spans of convex solids inside an image.
 
@@ -107,17 +122,16 @@ def scan_convert(vertices_px: Array, solid: Solid, edges: Edges, image_size: tup
         The spans; and silhouettes whose rounded corners make no convex outline, which must be drawn to be known.
     """
     grid = np.rint(vertices_px * SUBPIXELS).astype(np.int64)
-    a, b, c = np.moveaxis(grid[:, solid.faces], 2, 0)
-    facing = np.sign((b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0])
     # A face seen edge-on is taken to be turned away: the outline then runs around it.
-    turn = (facing[:, edges.left] > 0).astype(np.int8) - (facing[:, edges.right] > 0)
+    towards = facing(vertices_px[:, solid.faces]) > 0
+    turn = towards[:, edges.left].astype(np.int8) - towards[:, edges.right]
     row, edge = np.nonzero(turn)
     start, end = grid[row, edges.start[edge]], grid[row, edges.end[edge]]
-    # Walk every outline edge with its camera-facing side on the same hand; downwards it then is a left edge.
+    # Walk every outline edge with the face that is turned to the camera on the left: downwards it is a left edge.
     forward = turn[row, edge] > 0
     tail, head = np.where(forward[:, None], start, end), np.where(forward[:, None], end, start)
-    is_start = head[:, 1] < tail[:, 1]
-    upper, lower = np.where(is_start[:, None], head, tail), np.where(is_start[:, None], tail, head)
+    is_start = head[:, 1] > tail[:, 1]
+    upper, lower = np.where(is_start[:, None], tail, head), np.where(is_start[:, None], head, tail)
     width, height = image_size
     # Pixel rows whose centre is at or below the upper end and above the lower: 256 y + 128 in [upper, lower).
     first = np.clip(-((HALF - upper[:, 1]) // SUBPIXELS), 0, height)

@@ -7,7 +7,7 @@ import ctypes.util
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -91,20 +91,25 @@ def open_context() -> Iterator[GLContext]:
         return
     backend = choose_backend()
     prepare_environment(backend)
-    try:
-        make = _osmesa_context if backend == "osmesa" else _egl_context
-        with make() as get_address:
-            from OpenGL import GL
+    with ExitStack() as stack:
+        try:
+            _open_here = _make_context(backend, stack)
+        except (ImportError, AttributeError, OSError) as error:
+            raise RendererError(f"the {backend} renderer cannot be used: {error}") from error
+        try:
+            yield _open_here
+        finally:
+            _open_here = None
 
-            _use_reversed_depth(get_address)
-            name, version = (GL.glGetString(key).decode() for key in (GL.GL_RENDERER, GL.GL_VERSION))
-            _open_here = GLContext(backend, GL, f"{backend}: {name}, OpenGL {version}")
-            try:
-                yield _open_here
-            finally:
-                _open_here = None
-    except (ImportError, AttributeError, OSError) as error:
-        raise RendererError(f"the {backend} renderer cannot be used: {error}") from error
+
+def _make_context(backend: str, stack: ExitStack) -> GLContext:
+    """Make a context current until the stack is closed."""
+    get_address = stack.enter_context(_osmesa_context() if backend == "osmesa" else _egl_context())
+    from OpenGL import GL
+
+    _use_reversed_depth(get_address)
+    name, version = (GL.glGetString(key).decode() for key in (GL.GL_RENDERER, GL.GL_VERSION))
+    return GLContext(backend, GL, f"{backend}: {name}, OpenGL {version}")
 
 
 def prepare_environment(backend: str) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ VIEWPORT_ORIGIN_PX = -4096
 OpenGL's own clipping moves no corner near it."""
 MAX_REGION_PX = VIEWPORT_PX + VIEWPORT_ORIGIN_PX
 SMALLEST_BUFFER_PX = 64
+KEPT_BUFFERS_PX = 12_000_000
+"""Buffers are kept for the next region of their size until all together hold more pixels than this."""
 
 _VERTEX = np.dtype([("position", np.float32, 3), ("id", np.uint32)])
 
@@ -86,7 +89,7 @@ class IdRenderer:
         """Compile the program and set the state that every drawing shares."""
         self.context = context
         gl = context.gl
-        self._buffers: dict[tuple[int, int], int] = {}
+        self._buffers: dict[tuple[int, int], tuple[int, Any]] = {}
         gl.glBindVertexArray(gl.glGenVertexArrays(1))
         gl.glUseProgram(_program(gl))
         gl.glBindBuffer(gl.GL_ARRAY_BUFFER, gl.glGenBuffers(1))
@@ -95,7 +98,6 @@ class IdRenderer:
         gl.glEnableVertexAttribArray(1)
         gl.glVertexAttribIPointer(1, 1, gl.GL_UNSIGNED_INT, _VERTEX.itemsize, ctypes.c_void_p(12))
         gl.glEnable(gl.GL_DEPTH_TEST)
-        gl.glEnable(gl.GL_SCISSOR_TEST)
         gl.glDepthFunc(gl.GL_GREATER)
         gl.glClearDepth(0.0)
         gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 4)
@@ -122,7 +124,6 @@ class IdRenderer:
         vertices = self._vertices(corners_px, inverse_depth, ids, region)
         gl = self.context.gl
         self._bind_buffer(region.width, region.height)
-        gl.glScissor(0, 0, region.width, region.height)
         gl.glViewport(VIEWPORT_ORIGIN_PX, VIEWPORT_ORIGIN_PX, VIEWPORT_PX, VIEWPORT_PX)
         gl.glClearBufferuiv(gl.GL_COLOR, 0, np.zeros(4, dtype=np.uint32))
         gl.glClear(gl.GL_DEPTH_BUFFER_BIT)
@@ -143,29 +144,37 @@ class IdRenderer:
         return vertices.reshape(-1)
 
     def _bind_buffer(self, width: int, height: int) -> None:
-        """Bind the smallest buffer that holds a region, made at first use: clearing costs what a buffer holds."""
+        """Bind a buffer little larger than a region, as all of it is cleared; made at first use."""
         size = _buffer_side(width), _buffer_side(height)
         gl = self.context.gl
         if size in self._buffers:
-            gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._buffers[size])
-            return
-        framebuffer = gl.glGenFramebuffers(1)
+            self._buffers[size] = self._buffers.pop(size)  # now the one used last
+        else:
+            while self._buffers and sum(w * h for w, h in (*self._buffers, size)) > KEPT_BUFFERS_PX:
+                framebuffer, storages = self._buffers.pop(next(iter(self._buffers)))
+                gl.glDeleteFramebuffers(1, [framebuffer])
+                gl.glDeleteRenderbuffers(2, storages)
+            self._buffers[size] = self._make_buffer(size)
+        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._buffers[size][0])
+
+    def _make_buffer(self, size: tuple[int, int]) -> tuple[int, Any]:
+        gl = self.context.gl
+        framebuffer, storages = gl.glGenFramebuffers(1), gl.glGenRenderbuffers(2)
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
-        for kind, attachment in (
-            (gl.GL_R32UI, gl.GL_COLOR_ATTACHMENT0),
-            (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT),
-        ):
-            storage = gl.glGenRenderbuffers(1)
+        kinds = (gl.GL_R32UI, gl.GL_COLOR_ATTACHMENT0), (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT)
+        for storage, (kind, attachment) in zip(storages, kinds, strict=True):
             gl.glBindRenderbuffer(gl.GL_RENDERBUFFER, storage)
             gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, *size)
             gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, attachment, gl.GL_RENDERBUFFER, storage)
         if gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER) != gl.GL_FRAMEBUFFER_COMPLETE:
             raise RendererError(f"the renderer offers no integer buffer of {size[0]} × {size[1]} px with float depth")
-        self._buffers[size] = framebuffer
+        return framebuffer, storages
 
 
 def _buffer_side(pixels: int) -> int:
-    return max(SMALLEST_BUFFER_PX, 1 << (pixels - 1).bit_length())
+    """A side at most a quarter larger, from few sizes: four between each power of two and the next."""
+    step = max(SMALLEST_BUFFER_PX, (1 << (pixels - 1).bit_length()) // 8)
+    return -(-pixels // step) * step
 
 
 def _program(gl: object) -> int:
