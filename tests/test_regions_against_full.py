@@ -1,0 +1,152 @@
+"""The fast path against the plain one: drawing where vessels overlap gives the truth of drawing everything."""
+
+import numpy as np
+import pytest
+
+from modsim3d.annotate.full_frame import full_frame_occlusion
+from modsim3d.annotate.outlines import outline, within_guard
+from modsim3d.annotate.record import COLUMNS
+from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.annotate.spans import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_mask
+from modsim3d.render.id_pass import Region
+from modsim3d.scene import load_scene
+from modsim3d.simulate import truth_block
+from modsim3d.vessels import shoebox
+from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel
+
+
+def assert_same(fast, slow):
+    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+        np.testing.assert_array_equal(getattr(fast, name), getattr(slow, name), err_msg=name)
+    assert fast.occluders == slow.occluders
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_scenes_have_the_same_truth_either_way(renderer, seed):
+    places, intrinsics, mount = random_scene(np.random.default_rng(10_000 + seed))
+    outlines = outlines_of(places, intrinsics, mount)
+    assert_same(
+        rendered_occlusion(outlines, intrinsics, renderer), full_frame_occlusion(outlines, intrinsics, renderer)
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_supersampled_scenes_have_the_same_truth_either_way(renderer, seed):
+    places, intrinsics, mount = random_scene(np.random.default_rng(20_000 + seed))
+    outlines = outlines_of(places, intrinsics, mount)
+    fast = rendered_occlusion(outlines, intrinsics, renderer, supersample=3)
+    assert_same(fast, full_frame_occlusion(outlines, intrinsics, renderer, supersample=3))
+
+
+@pytest.mark.parametrize(("name", "first", "stop"), [("simulation_1", 1190, 1270), ("harbour", 140, 190)])
+def test_shipped_scenes_have_the_same_truth_either_way(renderer, name, first, stop):
+    """Whole Simulation 1 and harbour were compared so; these are the steps with the most occlusion."""
+    fast, full = (
+        truth_block(load_scene(name, mode=2, render=render), first, stop, renderer) for render in ("regions", "full")
+    )
+    assert (full.visible_fraction < 1).sum() > 15
+    for column in COLUMNS:
+        np.testing.assert_array_equal(getattr(fast, column), getattr(full, column), err_msg=column)
+
+
+def test_several_frames_at_once_give_the_truth_of_each(renderer):
+    scene = load_scene("harbour", mode=2)
+    camera = scene.cameras[0]
+
+    def occlusion(first, stop):
+        poses = scene.poses.poses(first, stop)
+        camera_poses = scene.camera_poses(camera, poses, first)
+        outlines = outline(
+            camera.intrinsics,
+            camera_poses,
+            scene.vessels,
+            poses.present,
+            poses.positions_m,
+            poses.headings_rad,
+        )
+        return rendered_occlusion(outlines, camera.intrinsics, renderer)
+
+    together = occlusion(100, 112)
+    single = [occlusion(step, step + 1) for step in range(100, 112)]
+    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+        np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(o, name) for o in single]))
+    assert together.occluders == tuple(entry for o in single for entry in o.occluders)
+
+
+def painted(spans: Spans, row: int, shape: tuple[int, int]) -> np.ndarray:
+    mask = np.zeros(shape, dtype=bool)
+    own = spans.take(spans.row == row)
+    for y, start, stop in zip(own.y, own.start, own.stop, strict=True):
+        mask[y, start:stop] = True
+    return mask
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_scan_conversion_fills_the_pixels_that_the_rasteriser_fills(renderer, seed):
+    places, intrinsics, mount = random_scene(np.random.default_rng(30_000 + seed))
+    outlines = outlines_of(places, intrinsics, mount)
+    rows = np.flatnonzero(within_guard(outlines, intrinsics))
+    width, height = intrinsics.image_size_px
+    vertices, edges = outlines.vertices_px[rows], Edges.of(outlines.solid)
+    spans, odd = scan_convert(vertices, outlines.solid, edges, (width, height))
+    for i in sorted(set(range(len(rows))) - set(odd.tolist()))[:12]:
+        corners = vertices[i][outlines.solid.faces]
+        drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, width, height))
+        np.testing.assert_array_equal(painted(spans, i, (height, width)), drawn > 0)
+
+
+def flat_box(left: float, top: float, right: float, bottom: float) -> np.ndarray:
+    """A shoebox that projects to a rectangle: every vertex at the corner of its own side, seen along its length."""
+    unit = shoebox().vertices
+    x = np.where(unit[:, 1] > 0, left, right)
+    y = np.where(unit[:, 2] > 0, top, bottom)
+    shrink = np.where(unit[:, 0] > 0, 1.0, 0.5)  # the far side within the near one
+    centre = np.array([(left + right) / 2, (top + bottom) / 2])
+    return (centre + (np.stack([x, y], axis=-1) - centre) * shrink[:, None])[None]
+
+
+@pytest.mark.parametrize(
+    ("box", "expected"),
+    [
+        ((10.5, 10.5, 20.5, 20.5), (10, 10, 20, 20)),  # edges through pixel centres: left and top are in
+        ((10.51, 10.51, 20.51, 20.51), (11, 11, 21, 21)),
+        ((10.49, 10.49, 20.49, 20.49), (10, 10, 20, 20)),
+        ((-5.0, -5.0, 3.5, 2.5), (0, 0, 3, 2)),
+        ((30.0, 30.0, 60.0, 60.0), (30, 30, 40, 40)),
+    ],
+)
+def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer, box, expected):
+    vertices = flat_box(*box)
+    spans, odd = scan_convert(vertices, shoebox(), Edges.of(shoebox()), (40, 40))
+    assert not len(odd)
+    pixels, boxes = counts_and_boxes(spans, 1)
+    np.testing.assert_array_equal(boxes[0], expected)
+    assert pixels[0] == (expected[2] - expected[0]) * (expected[3] - expected[1])
+    corners = vertices[0][shoebox().faces]
+    drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, 40, 40))
+    np.testing.assert_array_equal(painted(spans, 0, (40, 40)), drawn > 0)
+
+
+def test_box_smaller_than_a_pixel_has_no_span_between_centres_and_one_on_a_centre():
+    for x, expected in ((10.6, 0), (10.45, 1)):
+        spans, _ = scan_convert(flat_box(x, 10.45, x + 0.1, 10.55), shoebox(), Edges.of(shoebox()), (40, 40))
+        assert counts_and_boxes(spans, 1)[0][0] == expected
+
+
+def test_faces_turned_to_the_camera_are_those_whose_corners_run_counter_clockwise():
+    assert facing(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])) > 0  # rows run downwards
+    assert facing(np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]])) < 0
+    assert facing(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == 0
+
+
+def test_spans_of_a_mask_are_its_pixels():
+    rng = np.random.default_rng(3)
+    ids = (rng.random((30, 41)) < 0.4).astype(np.uint32) * 7
+    spans = spans_of_mask(ids, 0, 0, 0)
+    np.testing.assert_array_equal(painted(spans, 0, ids.shape), ids > 0)
+    assert (np.diff(spans.y * 1000 + spans.start) > 0).all()
+
+
+def test_empty_outlines_have_an_empty_truth(renderer):
+    outlines = outlines_of([(vessel("behind"), (-100, 0), 0)])
+    assert len(rendered_occlusion(outlines, INTRINSICS, renderer).visible_px) == 0

@@ -1,0 +1,64 @@
+"""Several processes make the same bytes as one, and a dead one is told."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "modsim3d.cli", "run", "harbour", "--no-sheet"]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "run.log"}
+
+
+def test_two_workers_write_the_bytes_of_one(tmp_path):
+    for workers in ("1", "2"):
+        out = ["--steps", "330", "--workers", workers, "--out", str(tmp_path / workers)]
+        done = subprocess.run([*COMMAND, *out], capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path):
+    out = ["--workers", "2", "--out", str(tmp_path / "run"), "--render", "full"]
+    running = subprocess.Popen([*COMMAND, *out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    parts = tmp_path / "run" / "unfinished"
+    deadline = time.monotonic() + 90
+    while not list(parts.glob("truth_*.npz")) and time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.02)
+    os.kill(children(running.pid)[0], signal.SIGKILL)
+    _, said = running.communicate(timeout=90)
+    assert running.returncode == 2
+    assert said.count("a worker process died") == 1
+    assert "Traceback" not in said
+    kept = {path.name: path.read_bytes() for path in parts.glob("truth_*.npz")}
+    assert kept
+    resumed = subprocess.run([*COMMAND, *out, "--resume"], capture_output=True, text=True, timeout=180, check=False)
+    assert resumed.returncode == 0, resumed.stderr
+    assert "steps taken from the interrupted run" in resumed.stdout
+
+
+def test_script_without_a_main_guard_is_told_what_to_do(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from pathlib import Path\nfrom modsim3d import load_scene, run_scene\n"
+        f"run_scene(load_scene('simulation_1', steps=5), Path({str(tmp_path / 'run')!r}), workers=2)\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode != 0
+    assert "__name__ == '__main__'" in done.stderr
+
+
+@pytest.mark.parametrize("workers", ["0", "-1", "two"])
+def test_number_of_workers_must_be_positive(workers, tmp_path):
+    out = ["--workers", workers, "--out", str(tmp_path / "run")]
+    assert subprocess.run([*COMMAND, *out], capture_output=True, check=False, timeout=60).returncode == 2
