@@ -1,0 +1,17 @@
+import numpy as np
+import trimesh
+
+from modsim3d.vessels import shoebox
+
+
+def test_shoebox_is_the_closed_box_of_trimesh():
+    unit = shoebox()
+    mesh = trimesh.Trimesh(unit.vertices, unit.faces, process=False)
+    reference = trimesh.creation.box(extents=(1, 1, 1))
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert np.isclose(mesh.volume, 1.0)  # negative if its faces were inside out
+    np.testing.assert_array_equal(mesh.bounds, [[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
+    shifted = reference.vertices + [0, 0, 0.5]
+    assert {tuple(v) for v in mesh.vertices} == {tuple(v) for v in shifted}
+    assert len(mesh.faces) == len(reference.faces)
