@@ -77,11 +77,13 @@ def _share(part: int, whole: int) -> str:
 
 
 def write_report(report: Report, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
-    """Write `compare.json` and `compare.html`, with pictures of the worst cases, into a folder."""
+    """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder."""
     figures = report.figures()
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "compare.json").write_bytes(orjson.dumps(figures, option=orjson.OPT_INDENT_2) + b"\n")
     (folder / "compare.html").write_text(_page(report, figures, scene, renderer), encoding="utf-8")
+    if report.rule.worst is not None:
+        draw_case(scene, report.rule.worst, renderer).save(folder / "rectangle_rule.png")
 
 
 def _page(report: Report, figures: dict[str, Any], scene: Scene, renderer: IdRenderer) -> str:

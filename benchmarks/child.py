@@ -1,0 +1,349 @@
+"""What is timed, each in a process of its own: `python -m benchmarks.child NAME JSON` prints its answer as JSON.
+
+OpenGL has one context a process, pyrender wants another than the ID pass, and a process that has run before is warm.
+"""
+
+from __future__ import annotations
+
+import cProfile
+import json
+import platform
+import pstats
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+BYTES_PER_PIXEL = 4 + 4
+"""Of colour and of depth."""
+WARM_UP_STEPS = 20
+FILL_BYTES, FILLS = 1 << 29, 11
+PROFILE_ROWS = 12
+Answer = dict[str, Any]
+
+
+@dataclass
+class Drawn:
+    """What was drawn so far."""
+
+    draws: int = 0
+    pixels: int = 0
+
+    @property
+    def bytes(self) -> int:
+        """Of colour and depth that the drawn regions hold."""
+        return self.pixels * BYTES_PER_PIXEL
+
+
+def count_drawing() -> Drawn:
+    """Let every drawing of this process be counted from now on."""
+    from modsim3d.render.id_pass import IdRenderer
+
+    drawn, draw = Drawn(), IdRenderer.draw
+
+    def counted(self: IdRenderer, corners: Any, depth: Any, ids: Any, region: Any) -> Any:
+        if len(ids):
+            drawn.draws += 1
+            drawn.pixels += region.width * region.height
+        return draw(self, corners, depth, ids, region)
+
+    IdRenderer.draw = counted  # type: ignore[method-assign]
+    return drawn
+
+
+def run(scene: str, warm: bool = False, workers: int = 1, **given: Any) -> Answer:
+    """Time a scene from its file to the finished run directory, imports apart.
+
+    Args:
+        scene: File, or name of a shipped one.
+        warm: Run a few steps first, so that the renderer's start is not in the time.
+        workers: Processes.
+        given: Steps, mode, source, in place of the scene's.
+    """
+    from modsim3d.run import run_scene
+    from modsim3d.scene import load_scene
+
+    drawn = count_drawing()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        if warm:
+            from modsim3d.render.context import open_context
+
+            stack.enter_context(open_context())  # the runs below find this one
+            run_scene(load_scene(scene, **{**given, "steps": WARM_UP_STEPS}), folder / "warm")
+        pixels = drawn.pixels
+        started = time.perf_counter()
+        result = run_scene(load_scene(scene, **given), folder / "run", workers=workers)
+        seconds = time.perf_counter() - started
+    frames = result.counts.frames
+    return {"seconds": seconds, "frames": frames, "drawn_bytes": (drawn.pixels - pixels) * BYTES_PER_PIXEL}
+
+
+def profile(**asked: Any) -> Answer:
+    """Where the time of a run goes."""
+    run(**{**asked, "steps": WARM_UP_STEPS, "workers": 1})  # imports
+    return {"rows": _profiled(lambda: run(**asked))}
+
+
+def _profiled(work: Callable[[], object]) -> list[list[str]]:
+    profiler = cProfile.Profile()
+    profiler.runcall(work)
+    stats = pstats.Stats(profiler).stats  # type: ignore[attr-defined]
+    rows = sorted(stats.items(), key=lambda item: -item[1][2])[:PROFILE_ROWS]
+    return [[f"{own:.2f}", f"{total:.2f}", str(calls), _place(*place)] for place, (_, calls, own, total, _) in rows]
+
+
+def _place(file: str, line: int, function: str) -> str:
+    if line == 0:
+        return function
+    parts = Path(file).parts
+    start = next((i for i, part in enumerate(parts) if part in ("modsim3d", "site-packages")), len(parts) - 2)
+    return f"{'/'.join(parts[start:]).removeprefix('site-packages/')} {function}"
+
+
+def shares(scene: str, looks: int = 25) -> Answer:
+    """How many vessels overlap others, at some steps spread over a scene.
+
+    Returns:
+        The shares of vessels in images whose box overlaps another's; that are hidden in part or wholly; wholly.
+    """
+    from modsim3d.annotate.ordering import overlapping_pairs
+    from modsim3d.scene import load_scene
+    from modsim3d.simulate import open_renderer, truth_block
+
+    loaded = load_scene(scene)
+    rows = overlapping = hidden = wholly = 0
+    with open_renderer(loaded) as renderer:
+        for step in np.linspace(0, loaded.steps - 1, looks).astype(int).tolist():
+            truth = truth_block(loaded, step, step + 1, renderer)
+            pairs = overlapping_pairs(truth.step, truth.full_boxes_px)
+            rows += len(truth)
+            overlapping += len(np.unique(np.concatenate(pairs)))
+            hidden += int((truth.visible_fraction < 1).sum())
+            wholly += int((truth.visible_fraction == 0).sum())
+    return {
+        "in_image": rows / looks,
+        "overlapping": overlapping / rows,
+        "hidden": hidden / rows,
+        "wholly_hidden": wholly / rows,
+    }
+
+
+def bandwidth() -> Answer:
+    """Bytes a second that a plain fill of a large array writes."""
+    array = np.empty(FILL_BYTES // 8)
+    times = []
+    for value in range(FILLS + 1):
+        started = time.perf_counter()
+        array.fill(value)
+        times.append(time.perf_counter() - started)
+    return {"bytes_per_s": FILL_BYTES / statistics.median(times[1:])}  # the first fetches the memory
+
+
+def machine() -> Answer:
+    """What runs all this."""
+    from modsim3d.render.context import open_context
+
+    models = [line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
+    memory = next((int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")), 0)
+    with open_context() as context:
+        renderer = context.description
+    return {
+        "processor": models[0] if models else platform.machine(),
+        "memory_gib": memory / 2**20,
+        "renderer": renderer,
+        "versions": {
+            "Python": platform.python_version(),
+            "NumPy": np.__version__,
+            "scikit-robot-pyrender": version("scikit-robot-pyrender"),
+            "PyOpenGL": version("PyOpenGL"),
+        },
+    }
+
+
+def _lines(file: str) -> list[str]:
+    path = Path(file)
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+
+
+class OurPass:
+    """The ID pass: from the vessels' poses to their full and visible boxes."""
+
+    def __init__(self, scene: str) -> None:
+        from modsim3d.render.context import open_context
+        from modsim3d.render.id_pass import IdRenderer
+        from modsim3d.scene import load_scene
+        from modsim3d.simulate import BLOCK_STEPS
+
+        self._block = BLOCK_STEPS
+        self._drawn = count_drawing()
+        self._scene = load_scene(scene, mode=2)
+        self._open = ExitStack()  # as long as this process lives
+        self._renderer = IdRenderer(self._open.enter_context(open_context()))
+        self.time(list(range(WARM_UP_STEPS)))
+
+    def time(self, frames: list[int]) -> Answer:
+        """Seconds for some consecutive frames, in blocks as a run makes them; poses are at hand."""
+        poses = [self._poses(first, min(first + self._block, frames[-1] + 1)) for first in frames[:: self._block]]
+        before = self._drawn.bytes
+        started = time.perf_counter()
+        for block in poses:
+            self._boxes(*block)
+        seconds = time.perf_counter() - started
+        return {"seconds": seconds, "drawn_bytes": self._drawn.bytes - before}
+
+    def boxes(self, frames: list[int]) -> Answer:
+        """Full and visible box of each vessel in each frame, None where there is none."""
+        found = []
+        for frame in frames:
+            vessels, occlusion = self._boxes(*self._poses(frame, frame + 1))
+            names = [self._scene.vessel_names[vessel] for vessel in vessels]
+            pairs = zip(occlusion.full_boxes_px.tolist(), occlusion.visible_boxes_px.tolist(), strict=True)
+            found.append(
+                {
+                    name: [full, None if np.isnan(seen[0]) else seen]
+                    for name, (full, seen) in zip(names, pairs, strict=True)
+                }
+            )
+        return {"boxes": found}
+
+    def profile(self, frames: list[int]) -> Answer:
+        """Where the time goes."""
+        return {"rows": _profiled(lambda: self.time(frames))}
+
+    def _poses(self, first: int, stop: int) -> tuple[Any, Any]:
+        poses = self._scene.poses.poses(first, stop)
+        return poses, self._scene.camera_poses(self._scene.cameras[0], poses, first)
+
+    def _boxes(self, poses: Any, camera_poses: Any) -> tuple[Any, Any]:
+        from modsim3d.annotate.outlines import outline
+        from modsim3d.simulate import occlusion_by
+
+        scene, intrinsics = self._scene, self._scene.cameras[0].intrinsics
+        outlines = outline(
+            intrinsics, camera_poses, scene.vessels, poses.present, poses.positions_m, poses.headings_rad
+        )
+        return outlines.vessel, occlusion_by(outlines, intrinsics, scene.annotation, self._renderer)
+
+
+class PyrenderPass:
+    """pyrender's SEG image of the same frames, and the boxes in it; scene, meshes and renderer are made once.
+
+    One image tells what is visible, and only that is timed. The full box of a vessel that is hidden takes another
+    image, of it alone: those are drawn for the check that both give the same boxes, and not timed.
+    """
+
+    DEPTHS_M = 100.0, 4000.0
+
+    def __init__(self, scene: str) -> None:
+        from modsim3d.render.shaded import import_pyrender
+
+        self._pyrender = pyrender = import_pyrender()
+        import trimesh
+
+        from modsim3d.scene import load_scene
+
+        self._loaded = loaded = load_scene(scene)
+        intrinsics = loaded.cameras[0].intrinsics
+        self._scene = pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1, 1, 1])
+        camera = pyrender.IntrinsicsCamera(
+            *intrinsics.focal_px, *intrinsics.principal_point_px, znear=self.DEPTHS_M[0], zfar=self.DEPTHS_M[1]
+        )
+        self._camera = self._scene.add(camera)
+        self._nodes = [
+            self._scene.add(pyrender.Mesh.from_trimesh(trimesh.creation.box(extents=vessel.extents_m), smooth=False))
+            for vessel in loaded.vessels
+        ]
+        self._colours = {node: (0, 0, number) for number, node in enumerate(self._nodes, start=1)}
+        self._drawer = pyrender.OffscreenRenderer(*intrinsics.image_size_px)
+        self._pixels = int(np.prod(intrinsics.image_size_px))
+        self.time([0, 1])
+
+    def time(self, frames: list[int]) -> Answer:
+        """Seconds for some frames; poses are at hand as matrices."""
+        matrices = [self._matrices(frame) for frame in frames]
+        started = time.perf_counter()
+        for poses in matrices:
+            self._boxes(poses, self._colours)
+        seconds = time.perf_counter() - started
+        return {"seconds": seconds, "drawn_bytes": self._pixels * BYTES_PER_PIXEL * len(frames)}
+
+    def boxes(self, frames: list[int]) -> Answer:
+        """Full and visible box of each vessel in each frame, None where there is none."""
+        found = []
+        for frame in frames:
+            poses = self._matrices(frame)
+            seen = self._boxes(poses, self._colours)
+            names = self._loaded.vessel_names
+            alone = [self._boxes(poses, {node: self._colours[node]})[index] for index, node in enumerate(self._nodes)]
+            boxes = zip(names, alone, seen, strict=True)
+            found.append({name: [full, visible] for name, full, visible in boxes if full is not None})
+        return {"boxes": found}
+
+    def _matrices(self, frame: int) -> list[np.ndarray]:
+        """Of the camera and the vessels."""
+        from modsim3d.frames import world_R_vehicle
+
+        loaded = self._loaded
+        poses = loaded.poses.poses(frame, frame + 1)
+        camera = loaded.camera_poses(loaded.cameras[0], poses, frame)
+        cv_to_gl = np.diag([1.0, -1.0, -1.0])
+        rotations = [camera.camera_R_world[0].T @ cv_to_gl, *world_R_vehicle(poses.headings_rad[0])]
+        heights = np.array([[0, 0, vessel.air_draft_m / 2] for vessel in loaded.vessels])
+        places = [camera.positions_m[0], *(poses.positions_m[0] + heights)]
+        matrices = np.tile(np.eye(4), (len(places), 1, 1))
+        matrices[:, :3, :3], matrices[:, :3, 3] = rotations, places
+        return list(matrices)
+
+    def _boxes(self, poses: list[np.ndarray], colours: dict[Any, Any]) -> list[list[float] | None]:
+        for node, pose in zip((self._camera, *self._nodes), poses, strict=True):
+            self._scene.set_pose(node, pose)
+        flags = self._pyrender.RenderFlags.SEG
+        ids = self._drawer.render(self._scene, flags=flags, seg_node_map=colours)[0][..., 2]
+        return boxes_in(ids, len(self._nodes))
+
+
+def boxes_in(ids: np.ndarray, count: int) -> list[list[float] | None]:
+    """Half-open box of the pixels of each ID from 1 to `count`; the empty rows above and below are left out first."""
+    from scipy.ndimage import find_objects
+
+    rows = np.flatnonzero(ids.any(axis=1))
+    if not len(rows):
+        return [None] * count
+    top = int(rows[0])
+    slices = find_objects(ids[top : int(rows[-1]) + 1].astype(np.int32), count)
+    return [
+        None if found is None else [found[1].start, found[0].start + top, found[1].stop, found[0].stop + top]
+        for found in slices
+    ]
+
+
+def serve(passes: str, scene: str, lines: Iterable[str] = sys.stdin) -> None:
+    """Answer requests, a line each, so that two processes can be timed in turn."""
+    server = {"ours": OurPass, "pyrender": PyrenderPass}[passes](scene)
+    print("{}", flush=True)
+    for line in lines:
+        asked = json.loads(line)
+        print(json.dumps(getattr(server, asked["do"])(asked["frames"])), flush=True)
+
+
+def main() -> None:
+    name, given = sys.argv[1], json.loads(sys.argv[2]) if len(sys.argv) > 2 else {}
+    if name == "serve":
+        serve(**given)
+        return
+    do = {"run": run, "profile": profile, "shares": shares, "bandwidth": bandwidth, "machine": machine}[name]
+    print(json.dumps(do(**given)))
+
+
+if __name__ == "__main__":
+    main()
