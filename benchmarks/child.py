@@ -99,7 +99,7 @@ def _profiled(work: Callable[[], object]) -> list[list[str]]:
     profiler.runcall(work)
     stats = pstats.Stats(profiler).stats  # type: ignore[attr-defined]
     rows = sorted(stats.items(), key=lambda item: -item[1][2])[:PROFILE_ROWS]
-    return [[f"{own:.2f}", f"{total:.2f}", str(calls), _place(*place)] for place, (_, calls, own, total, _) in rows]
+    return [[f"{own:.3f}", f"{total:.3f}", str(calls), _place(*place)] for place, (_, calls, own, total, _) in rows]
 
 
 def _place(file: str, line: int, function: str) -> str:

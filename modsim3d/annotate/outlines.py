@@ -180,8 +180,8 @@ def cut_near(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
     """
     near = intrinsics.near_clip_m
     clipped = clip_triangles(triangles_camera, near_plane(intrinsics))
-    # A corner put on the plane by the cut may come out a rounding error before it.
-    clipped[..., 2] = np.maximum(clipped[..., 2], near)
+    # A corner put on the plane by the cut comes out a rounding error before or behind it.
+    clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
     section = np.unique(clipped[clipped[..., 2] == near], axis=0)
     offset = section - section.mean(axis=0) if len(section) else section
     around = section[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
