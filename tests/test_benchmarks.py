@@ -1,0 +1,138 @@
+"""The scenes that are timed are what they are said to be, and the bench runs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from benchmarks import bench, child, scenes
+from modsim3d.frames import world_R_vehicle
+from modsim3d.scene import load_scene
+
+HERE = scenes.HERE
+FILES = {"small": scenes.small, "dense": scenes.dense}
+
+
+def looked_at(name: str, text: str, tmp_path) -> dict[str, float]:
+    trial = bench.Bench(quick=True, folder=tmp_path, bytes_per_s=1.0)
+    return child.shares(trial.scene(name, text))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_scene_file_is_what_the_script_writes(name):
+    assert (HERE / f"{name}.yaml").read_bytes() == FILES[name]().encode()
+
+
+@pytest.mark.parametrize(("name", "least_m", "most_m"), [("small", 4, 14), ("dense", 5, 300)])
+def test_scene_has_50_vessels_of_the_sizes_and_at_the_distances_promised(name, least_m, most_m):
+    scene = load_scene(HERE / f"{name}.yaml")
+    lengths = np.array([vessel.length_m for vessel in scene.vessels])
+    assert len(lengths) == 50
+    assert lengths.min() >= least_m
+    assert lengths.max() <= most_m
+    assert lengths.max() / lengths.min() > 0.5 * most_m / least_m
+    poses = scene.poses.poses(0, scene.steps)
+    assert poses.present.all()
+    distances = np.hypot(poses.positions_m[..., 0], poses.positions_m[..., 1])
+    assert distances.min() >= 299.9
+    assert distances.max() <= 2500.1
+    assert scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_waterlines_are_in_the_image(name):
+    """All centres; and of the boats, which no image edge cuts, every corner."""
+    scene = load_scene(HERE / f"{name}.yaml")
+    camera = scene.cameras[0]
+    poses = scene.poses.poses(0, scene.steps)
+    camera_poses = scene.camera_poses(camera, poses, 0)
+    size = np.array([(v.length_m, v.beam_m, 0) for v in scene.vessels]) / 2
+    signs = [(0, 0, 0)] if name == "dense" else [(a, b, 0) for a in (-1, 1) for b in (-1, 1)]
+    turn = world_R_vehicle(poses.headings_rad)
+    for sign in signs:
+        corners = poses.positions_m + (turn @ (size * sign)[..., None])[..., 0]
+        pixels = camera.intrinsics.project(camera_poses.to_camera(corners[:, :, None, :]))
+        assert (pixels > 0).all()
+        assert (pixels < camera.intrinsics.image_size_px).all()
+
+
+def test_vessels_never_touch():
+    """Bounding circles of the hulls' two halves, at every tenth step."""
+    scene = load_scene(HERE / "dense.yaml")
+    poses = scene.poses.poses(0, scene.steps)
+    from shapely import affinity, box, intersects
+
+    for step in range(0, scene.steps, 10):
+        hulls = [
+            affinity.translate(
+                affinity.rotate(
+                    box(-v.length_m / 2, -v.beam_m / 2, v.length_m / 2, v.beam_m / 2), heading, (0, 0), use_radians=True
+                ),
+                *place[:2],
+            )
+            for v, place, heading in zip(scene.vessels, poses.positions_m[step], poses.headings_rad[step], strict=True)
+        ]
+        assert not any(intersects(hull, hulls[:index]).any() for index, hull in enumerate(hulls))
+
+
+def test_share_of_overlapping_boats_stays_as_they_become_more(renderer, tmp_path):
+    found = {count: looked_at(f"small{count}", scenes.small(count), tmp_path) for count in bench.COUNTS}
+    for count, shares in found.items():
+        assert shares["in_image"] == count
+        assert 0.10 < shares["overlapping"] < 0.15
+        assert 0.04 < shares["hidden"] < 0.08
+
+
+def test_most_vessels_of_the_dense_scene_are_hidden_in_part_or_wholly(renderer, tmp_path):
+    shares = looked_at("dense", scenes.dense(), tmp_path)
+    assert shares["in_image"] == 50
+    assert shares["overlapping"] > 0.8
+    assert shares["hidden"] > 0.65
+    assert (shares["hidden"] - shares["wholly_hidden"]) / (1 - shares["wholly_hidden"]) > 0.5  # of those seen
+
+
+def test_boxes_in_an_id_image_are_half_open_and_none_where_an_id_is_not():
+    ids = np.zeros((6, 8), dtype=np.uint8)
+    ids[2:4, 1:3] = 1
+    ids[3:5, 5] = 3
+    assert child.boxes_in(ids, 4) == [[1, 2, 3, 4], None, [5, 3, 6, 5], None]
+    assert child.boxes_in(np.zeros((6, 8), dtype=np.uint8), 2) == [None, None]
+
+
+def test_times_the_limit_is_the_time_over_that_of_filling_what_was_drawn(tmp_path):
+    trial = bench.Bench(quick=True, folder=tmp_path, bytes_per_s=1e9)
+    assert trial.times_limit(3.0, 2e9) == "1.50"
+    assert trial.times_limit(3.0, 0) == "nothing is drawn"
+
+
+def test_files_that_differ_or_are_missing_are_found(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name / "inner").mkdir(parents=True)
+        (tmp_path / name / "same").write_text("x")
+        (tmp_path / name / "run.log").write_text(name)
+        (tmp_path / name / "inner" / "other").write_text(name)
+    (tmp_path / "a" / "alone").write_text("x")
+    assert bench.differing_files(tmp_path / "a", tmp_path / "b") == {"alone", "inner/other"}
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0, "0"), (0.0123456, "0.0123"), (1.5, "1.50"), (68.04, "68.0"), (123.4, "123"), (12345, "12,300")],
+)
+def test_numbers_have_three_digits(value, text):
+    assert bench.significant(value) == text
+
+
+def test_a_quick_trial_prints_a_row_and_writes_nothing():
+    before = bench.RESULTS.read_bytes() if bench.RESULTS.exists() else None
+    command = [sys.executable, "-m", "benchmarks.bench", "--quick", "--only", "cold_start"]
+    done = subprocess.run(command, cwd=bench.ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = [line.split(" | ") for line in done.stdout.splitlines() if "< 0.3 s" in line]
+    assert len(rows) == 1
+    assert rows[0][2].endswith("s (one round)")
+    assert "A quick trial" in done.stdout
+    assert (bench.RESULTS.read_bytes() if bench.RESULTS.exists() else None) == before
