@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from shapely import affinity, box, intersects
 
 from benchmarks import bench, child, scenes
 from modsim3d.frames import world_R_vehicle
@@ -60,11 +61,9 @@ def test_waterlines_are_in_the_image(name):
 
 
 def test_vessels_never_touch():
-    """Bounding circles of the hulls' two halves, at every tenth step."""
+    """Their rectangles, at every tenth step."""
     scene = load_scene(HERE / "dense.yaml")
     poses = scene.poses.poses(0, scene.steps)
-    from shapely import affinity, box, intersects
-
     for step in range(0, scene.steps, 10):
         hulls = [
             affinity.translate(

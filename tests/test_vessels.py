@@ -12,6 +12,6 @@ def test_shoebox_is_the_closed_box_of_trimesh():
     assert mesh.is_winding_consistent
     assert np.isclose(mesh.volume, 1.0)  # negative if its faces were inside out
     np.testing.assert_array_equal(mesh.bounds, [[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
-    shifted = reference.vertices + [0, 0, 0.5]
+    shifted = np.add(reference.vertices, (0, 0, 0.5))
     assert {tuple(v) for v in mesh.vertices} == {tuple(v) for v in shifted}
     assert len(mesh.faces) == len(reference.faces)
