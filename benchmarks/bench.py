@@ -120,7 +120,12 @@ def environment() -> dict[str, str]:
     """That of the processes: as the command line sets it, and the same for the baselines."""
     kept = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    return {**kept, "PYTHONPATH": path, "LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1"}
+    settings = {
+        "LP_NUM_THREADS": "0",
+        "OPENBLAS_NUM_THREADS": "1",
+        "JE_ARROW_MALLOC_CONF": "background_thread:false",
+    }
+    return {**kept, **settings, "PYTHONPATH": path}
 
 
 def child(name: str, **given: Any) -> Answer:
