@@ -26,7 +26,7 @@ from modsim3d.scene import Scene
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-BLOCK_STEPS = 100
+BLOCK_STEPS = 250
 """Steps that are looked at together; no result depends on it."""
 
 

@@ -15,7 +15,7 @@ from modsim3d.run import run_scene
 from modsim3d.scene import data_folder, load_scene
 from modsim3d.simulate import Simulation, block_ranges, simulate_frames, truth_block
 
-STEPS = 270
+STEPS = 600
 FILES = {
     "run.json",
     "run.log",
@@ -176,12 +176,12 @@ def test_interrupted_run_goes_on_to_the_same_bytes(scene, finished, tmp_path, mo
         run_scene(scene, folder, progress=stop_after_two_blocks)
     assert not (folder / "run.json").exists()
     lines = (folder / "unfinished" / "detections_C0.jsonl").read_text().splitlines()
-    assert len(lines) == 200
+    assert len(lines) == 500
     assert all(json.loads(line) for line in lines)
     with pytest.raises(RunDirectoryError, match="--resume or --overwrite"):
         run_scene(scene, folder)
     result = run_scene(scene, folder, resume=True)
-    assert result.resumed_steps == 200
+    assert result.resumed_steps == 500
     assert content(folder) == content(finished)
 
 

@@ -19,6 +19,9 @@ from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
+JOINED_BYTES = 1 << 22
+"""Lines are joined this many bytes at a time."""
+
 
 def centre_form(boxes_px: Array) -> Array:
     """Centre x, centre y, width, height of boxes given as x_min, y_min, x_max, y_max, shape (n, 4)."""
@@ -78,10 +81,13 @@ def _lines(block: Block, entries: list[dict[str, Any]]) -> Iterator[bytes]:
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:
-    """Write the one JSON object that a file of such lines makes."""
+    """Write the one JSON object that a file of such lines makes.
+
+    A line break inside a text would be written as an escape, so `}`, line break, `{` is only ever between two lines.
+    """
     separator = b"{\n"
     with lines.open("rb") as source:
-        for line in source:
-            out.write(separator + line.strip()[1:-1])
+        while some := source.readlines(JOINED_BYTES):
+            out.write(separator + b"".join(some)[1:-2].replace(b"}\n{", b",\n"))
             separator = b",\n"
     out.write(b"{}\n" if separator == b"{\n" else b"\n}\n")
