@@ -71,7 +71,7 @@ def run(scene: str, warm: bool = False, workers: int = 1, **given: Any) -> Answe
         given: Steps, mode, source, in place of the scene's.
     """
     from modsim3d.run import run_scene
-    from modsim3d.scene import load_scene
+    from modsim3d.scene_reader import load_scene
 
     drawn = count_drawing()
     if given.get("source", "rendered") == "rendered":
@@ -131,7 +131,7 @@ def shares(scene: str, looks: int = 25) -> Answer:
         The shares of vessels in images whose box overlaps another's; that are hidden in part or wholly; wholly.
     """
     from modsim3d.annotate.ordering import overlapping_pairs
-    from modsim3d.scene import load_scene
+    from modsim3d.scene_reader import load_scene
     from modsim3d.simulate import open_renderer, truth_block
 
     loaded = load_scene(scene)
@@ -195,7 +195,7 @@ class OurPass:
     def __init__(self, scene: str) -> None:
         from modsim3d.render.context import open_context
         from modsim3d.render.id_pass import IdRenderer
-        from modsim3d.scene import load_scene
+        from modsim3d.scene_reader import load_scene
         from modsim3d.simulate import BLOCK_STEPS
 
         self._block = BLOCK_STEPS
@@ -207,11 +207,11 @@ class OurPass:
 
     def time(self, frames: list[int]) -> Answer:
         """Seconds for some consecutive frames, in blocks as a run makes them; poses are at hand."""
-        poses = [self._poses(first, min(first + self._block, frames[-1] + 1)) for first in frames[:: self._block]]
+        poses = [self._sight(first, min(first + self._block, frames[-1] + 1)) for first in frames[:: self._block]]
         before = self._drawn.bytes
         started = time.perf_counter()
         for block in poses:
-            self._boxes(*block)
+            self._boxes(block)
         seconds = time.perf_counter() - started
         return {"seconds": seconds, "drawn_bytes": self._drawn.bytes - before}
 
@@ -219,7 +219,7 @@ class OurPass:
         """Full and visible box of each vessel in each frame, None where there is none."""
         found = []
         for frame in frames:
-            vessels, occlusion = self._boxes(*self._poses(frame, frame + 1))
+            vessels, occlusion = self._boxes(self._sight(frame, frame + 1))
             names = [self._scene.vessel_names[vessel] for vessel in vessels]
             pairs = zip(occlusion.full_boxes_px.tolist(), occlusion.visible_boxes_px.tolist(), strict=True)
             found.append(
@@ -234,18 +234,14 @@ class OurPass:
         """Where the time goes."""
         return {"rows": _profiled(lambda: self.time(frames))}
 
-    def _poses(self, first: int, stop: int) -> tuple[Any, Any]:
-        poses = self._scene.poses.poses(first, stop)
-        return poses, self._scene.camera_poses(self._scene.cameras[0], poses, first)
+    def _sight(self, first: int, stop: int) -> Any:
+        return self._scene.sight(self._scene.cameras[0], np.arange(first, stop))
 
-    def _boxes(self, poses: Any, camera_poses: Any) -> tuple[Any, Any]:
-        from modsim3d.annotate.outlines import outline
+    def _boxes(self, sight: Any) -> tuple[Any, Any]:
         from modsim3d.simulate import occlusion_by
 
         scene, intrinsics = self._scene, self._scene.cameras[0].intrinsics
-        outlines = outline(
-            intrinsics, camera_poses, scene.vessels, poses.present, poses.positions_m, poses.headings_rad
-        )
+        outlines = sight.outlines(intrinsics, scene.vessels)
         return outlines.vessel, occlusion_by(outlines, intrinsics, scene.annotation, self._renderer)
 
 
@@ -264,7 +260,7 @@ class PyrenderPass:
         self._pyrender = pyrender = import_pyrender()
         import trimesh
 
-        from modsim3d.scene import load_scene
+        from modsim3d.scene_reader import load_scene
 
         self._loaded = loaded = load_scene(scene)
         intrinsics = loaded.cameras[0].intrinsics
@@ -311,8 +307,8 @@ class PyrenderPass:
         from modsim3d.frames import world_R_vehicle
 
         loaded = self._loaded
-        poses = loaded.poses.poses(frame, frame + 1)
-        camera = loaded.camera_poses(loaded.cameras[0], poses, frame)
+        sight = loaded.sight(loaded.cameras[0], np.array([frame]))
+        camera, poses = sight.camera_poses, sight.poses
         cv_to_gl = np.diag([1.0, -1.0, -1.0])
         rotations = [camera.camera_R_world[0].T @ cv_to_gl, *world_R_vehicle(poses.headings_rad[0])]
         heights = np.array([[0, 0, vessel.air_draft_m / 2] for vessel in loaded.vessels])

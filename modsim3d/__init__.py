@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from modsim3d.errors import ModsimError
     from modsim3d.run import run_scene
-    from modsim3d.scene import Scene, load_scene
+    from modsim3d.scene import Scene
+    from modsim3d.scene_reader import load_scene
     from modsim3d.simulate import simulate_frames
 
 __all__ = ["ModsimError", "Scene", "load_scene", "run_scene", "simulate_frames"]
@@ -25,7 +26,7 @@ __all__ = ["ModsimError", "Scene", "load_scene", "run_scene", "simulate_frames"]
 _HOMES = {
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene",
-    "load_scene": "modsim3d.scene",
+    "load_scene": "modsim3d.scene_reader",
     "run_scene": "modsim3d.run",
     "simulate_frames": "modsim3d.simulate",
 }

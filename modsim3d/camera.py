@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modsim3d.frames import Array, camera_R_parent, world_R_vehicle
+from modsim3d.frames import Array, camera_R_parent, vehicle_R_nominal, world_R_vehicle
 
 DEFAULT_NEAR_CLIP_M = 0.1
 
@@ -177,21 +177,34 @@ def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
     return CameraPoses(np.broadcast_to(rotation, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
 
 
-def poses_on_board(mount: Mount, positions_m: Array, headings_rad: Array) -> CameraPoses:
-    """Poses of a camera fixed to a vessel, lever arm included: camera = mount ∘ heading (eq. 7.21, 7.22).
+def poses_on_board(
+    mount: Mount, positions_m: Array, headings_rad: Array, waves_rad: Array, composition: str = "rigid"
+) -> CameraPoses:
+    """Poses of a camera fixed to a vessel that waves turn, lever arm included.
+
+    Rigid: camera = mount ∘ wave ∘ heading. The source adds the wave's angles to the camera's own (`additive`, eq.
+    7.32–7.34), which is right only for a camera that looks forward, and leaves out what turning does to its place; a
+    camera that looks abeam sees its vessel's roll as pitch.
 
     Args:
         mount: Pose in VCF.
         positions_m: Of the vessel's origin in WCF, shape (S, 3).
         headings_rad: Counter-clockwise from w1, shape (S,).
+        waves_rad: Roll, pitch and yaw of the vessel in waves, shape (S, 3).
+        composition: `rigid` or `additive`.
 
     Returns:
         Poses of shapes (S, 3, 3) and (S, 3).
     """
-    world_R_vcf = world_R_vehicle(headings_rad)
+    place = np.array(mount.position_m, dtype=np.float64)
+    nominal = world_R_vehicle(headings_rad)
+    if composition == "additive":
+        roll, pitch, yaw = waves_rad.T
+        turned = camera_R_parent(mount.roll_rad + roll, mount.pitch_rad + pitch, mount.yaw_rad + headings_rad + yaw)
+        return CameraPoses(turned, positions_m + nominal @ place)
+    vcf_R_world = vehicle_R_nominal(waves_rad) @ np.swapaxes(nominal, -1, -2)
     camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
-    centres = positions_m + world_R_vcf @ np.array(mount.position_m, dtype=np.float64)
-    return CameraPoses(camera_R_vcf @ np.swapaxes(world_R_vcf, -1, -2), centres)
+    return CameraPoses(camera_R_vcf @ vcf_R_world, positions_m + np.swapaxes(vcf_R_world, -1, -2) @ place)
 
 
 def near_plane(intrinsics: Intrinsics) -> Array:

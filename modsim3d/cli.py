@@ -97,7 +97,7 @@ def run_command(
     """
 
     from modsim3d.run import run_scene
-    from modsim3d.scene import load_scene
+    from modsim3d.scene_reader import load_scene
 
     loaded = load_scene(
         scene,
@@ -131,7 +131,7 @@ def check_command(scene: SceneArgument) -> None:
 
     Example: modsim3d check my/scene.yaml
     """
-    from modsim3d.scene import load_scene
+    from modsim3d.scene_reader import load_scene
 
     loaded = load_scene(scene)
     typer.echo(
@@ -158,7 +158,7 @@ def compare_command(
 
     from modsim3d import compare_report
     from modsim3d.compare import compare_sources
-    from modsim3d.scene import load_scene
+    from modsim3d.scene_reader import load_scene
     from modsim3d.simulate import open_renderer
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
@@ -195,7 +195,7 @@ def scenes_command() -> None:
 
     Example: modsim3d scenes
     """
-    from modsim3d.scene import shipped_scenes
+    from modsim3d.scene_reader import shipped_scenes
 
     for name, path in shipped_scenes().items():
         first = path.read_text(encoding="utf-8").partition("\n")[0]

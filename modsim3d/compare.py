@@ -18,13 +18,12 @@ from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
 from modsim3d.annotate.full_frame import pixel_masks
 from modsim3d.annotate.modes import SOURCES
-from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.camera import Camera
 from modsim3d.frames import Array
-from modsim3d.poses import Poses
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
 from modsim3d.vessels import shoebox
@@ -194,23 +193,12 @@ def compare_sources(
     shoebox()  # loads what makes solids, which is no part of the time per frame
     for start in range(0, len(steps), BLOCK_STEPS):
         chosen = steps[start : start + BLOCK_STEPS]
-        poses = _poses_at(scene, chosen)
         for index, camera in enumerate(scene.cameras):
-            _compare_camera(report, scene, renderer, index, camera, poses, chosen)
+            _compare_camera(report, scene, renderer, index, camera, chosen)
         report.steps += len(chosen)
         progress(len(chosen))
     report.worst = sorted(report.worst, key=lambda case: -case.badness)[:WORST]
     return report
-
-
-def _poses_at(scene: Scene, steps: NDArray[np.int64]) -> Poses:
-    """Poses at chosen steps."""
-    parts = [scene.poses.poses(int(step), int(step) + 1) for step in steps]
-    return Poses(
-        np.concatenate([part.present for part in parts]),
-        np.concatenate([part.positions_m for part in parts]),
-        np.concatenate([part.headings_rad for part in parts]),
-    )
 
 
 def _compare_camera(
@@ -219,13 +207,10 @@ def _compare_camera(
     renderer: IdRenderer,
     index: int,
     camera: Camera,
-    poses: Poses,
     steps: NDArray[np.int64],
 ) -> None:
-    camera_poses = scene.camera_poses(camera, poses, int(steps[0]))
-    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
     started = time.perf_counter()
-    outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
+    outlines = scene.sight(camera, steps).outlines(camera.intrinsics, scene.vessels)
     shared = time.perf_counter() - started
     scale = scene.annotation.supersample
     sources: dict[str, Callable[[], Occlusion]] = {

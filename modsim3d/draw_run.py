@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from modsim3d.annotate.outlines import outline, triangles_of
+from modsim3d.annotate.outlines import triangles_of
 from modsim3d.block import frames_of
+from modsim3d.camera import Camera
 from modsim3d.compare import Case
+from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.scene import Scene
 from modsim3d.simulate import Simulation, open_renderer, truth_block
@@ -23,10 +25,7 @@ SHEET_FILE = "contact_sheet.png"
 def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -> Ids:
     """The whole ID image of a camera at a step: vessel index + 1, zero where no vessel is."""
     camera = scene.cameras[camera_index]
-    poses = scene.poses.poses(step, step + 1)
-    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
-    camera_poses = scene.camera_poses(camera, poses, step)
-    outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
+    outlines = scene.sight(camera, np.array([step])).outlines(camera.intrinsics, scene.vessels)
     triangles = triangles_of(outlines, camera.intrinsics)
     ids = outlines.vessel[triangles.row] + 1
     return renderer.draw(
@@ -34,11 +33,16 @@ def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -
     )
 
 
+def _sea_half_plane(scene: Scene, camera: Camera, step: int) -> Array:
+    """The side of the horizon on which the sea lies at a step, shape (3,)."""
+    camera_poses = scene.sight(camera, np.array([step])).camera_poses
+    return camera.intrinsics.sea_half_plane(camera_poses.camera_R_world[0])
+
+
 def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
     """A case of a comparison: the boxes of all sources over the ID image."""
     camera = scene.cameras[case.camera]
-    poses = scene.camera_poses(camera, scene.poses.poses(case.step, case.step + 1), case.step)
-    half_plane = camera.intrinsics.sea_half_plane(poses.camera_R_world[0])
+    half_plane = _sea_half_plane(scene, camera, case.step)
     return comparison_picture(case.boxes_px, half_plane, id_image(scene, case.camera, case.step, renderer))
 
 
@@ -63,8 +67,7 @@ def draw_contact_sheet(scene: Scene, folder: Path) -> Path:
             camera = scene.cameras[index]
             block = simulation.detect(truth_block(scene, step, step + 1, renderer), step, step + 1)
             frame = list(frames_of(block, scene))[index]
-            poses = scene.camera_poses(camera, scene.poses.poses(step, step + 1), step)
-            half_plane = camera.intrinsics.sea_half_plane(poses.camera_R_world[0])
+            half_plane = _sea_half_plane(scene, camera, step)
             ids = id_image(scene, index, step, renderer) if renderer else None
             return frame, ids, half_plane, camera.intrinsics.image_size_px
 

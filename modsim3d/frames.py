@@ -81,6 +81,22 @@ def world_R_vehicle(heading_rad: ArrayLike) -> Array:
     return rotation(2, heading_rad)
 
 
+def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
+    """Rotation from the nominal vehicle frame to the one that waves have turned (eq. 7.25, in vehicle axes).
+
+    The angles are those of a camera that looks forward: positive roll lowers the port side, positive pitch the bow,
+    positive yaw turns to port.
+
+    Args:
+        angles_rad: Roll, pitch and yaw, shape (..., 3).
+
+    Returns:
+        Matrices of shape (..., 3, 3).
+    """
+    roll, pitch, yaw = np.moveaxis(np.asarray(angles_rad, dtype=np.float64), -1, 0)
+    return BASE_R_WORLD.T @ attitude(roll, pitch, yaw) @ BASE_R_WORLD
+
+
 def heading_of(direction: ArrayLike) -> Array:
     """Heading of direction vectors by atan2; the arccos of eq. 7.3 loses the sign.
 

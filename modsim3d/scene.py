@@ -1,43 +1,70 @@
-"""A scene: its file, validated, and what is where at each step."""
+"""A scene: what is where at each step, and what each camera has before it."""
 
 from __future__ import annotations
 
-import hashlib
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import ValidationError
+from numpy.typing import NDArray
 
 from modsim3d.annotate.inside import check_cameras_outside
 from modsim3d.annotate.modes import Annotation
-from modsim3d.camera import Camera, CameraPoses, Intrinsics, Mount, poses_ashore, poses_on_board
-from modsim3d.detector.loader import load_detector
+from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
-from modsim3d.poses import Poses, PoseSource, circular_motion, load_poses, waypoint_tracks
-from modsim3d.scene_file import CameraKeys, SceneKeys
-from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
-from modsim3d.vessels import Vessel, load_mapping, parse_vessels
+from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
+from modsim3d.poses import Poses, PoseSource
+from modsim3d.vessels import Vessel
+from modsim3d.waves import WaveMotion
 
-T = TypeVar("T")
+Indices = NDArray[np.int64]
 
-CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
-CHECKED_STEPS = 1000
-"""Steps whose camera positions are looked at together; it bounds the memory."""
-OVERRIDES = {
-    "seed": ("seed",),
-    "steps": ("steps",),
-    "mode": ("annotation", "mode"),
-    "source": ("annotation", "source"),
-    "supersample": ("annotation", "supersample"),
-    "render": ("annotation", "render"),
-}
-"""What a caller may change in a scene file without editing it, and where it stands."""
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """How waves move the vessels of a scene.
+
+    Attributes:
+        motion: Gives angles.
+        apply_to: `ownship`: only vessels that carry a camera are turned; `all`: every vessel.
+        composition: How a camera's own angles and its vessel's combine: `rigid` or `additive`.
+    """
+
+    motion: WaveMotion
+    apply_to: str = "ownship"
+    composition: str = "rigid"
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a camera has before it at S steps, and from where.
+
+    Attributes:
+        steps: Shape (S,).
+        poses: Of all V vessels.
+        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
+        others: Vessels that are there and do not carry the camera, shape (S, V).
+        camera_poses: Of the camera.
+    """
+
+    steps: Indices
+    poses: Poses
+    world_R_vessel: Array
+    others: NDArray[np.bool_]
+    camera_poses: CameraPoses
+
+    def outlines(self, intrinsics: Intrinsics, vessels: Sequence[Vessel]) -> Outlines:
+        """The other vessels before the camera."""
+        return outline(intrinsics, self.camera_poses, vessels, self.others, self.poses.positions_m, self.world_R_vessel)
+
+    def vessel_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
+        """The first step (as an index) and vessel that the camera is inside of, or None."""
+        return check_cameras_outside(
+            self.camera_poses.positions_m, vessels, self.others, self.poses, self.world_R_vessel
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +82,7 @@ class Scene:
         cameras: In the order of the scene file.
         annotation: Mode, source and filters.
         detector: The statistical detector's parameters.
+        waves: How vessels move in waves, if they do.
     """
 
     name: str
@@ -67,6 +95,7 @@ class Scene:
     cameras: tuple[Camera, ...]
     annotation: Annotation
     detector: DetectorModel
+    waves: Waves | None = None
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
@@ -87,300 +116,56 @@ class Scene:
         start = float(self.poses.timestamps[0])
         return np.array([float(text) for text in self.timestamps(first, stop)]) - start
 
-    def camera_poses(self, camera: Camera, poses: Poses, first: int) -> CameraPoses:
-        """Where a camera is at a run of steps.
+    def sight(self, camera: Camera, steps: Indices) -> Sight:
+        """What a camera has before it at some steps, and from where.
 
         Args:
             camera: One of the scene's.
-            poses: Of the vessels at those steps.
-            first: The run's first step, for messages.
+            steps: Ascending, shape (S,).
 
         Raises:
             InputError: The vessel that carries the camera is not there at a step.
         """
+        poses = self._poses_at(steps)
+        rotations = self._world_R_vessel(poses, steps)
+        others = poses.present & (np.array(self.vessel_names) != camera.mount.vessel)
+        return Sight(steps, poses, rotations, others, self._camera_poses(camera, poses, steps))
+
+    def _poses_at(self, steps: Indices) -> Poses:
+        first, stop = int(steps[0]), int(steps[-1]) + 1
+        poses = self.poses.poses(first, stop)
+        chosen = steps - first
+        return Poses(poses.present[chosen], poses.positions_m[chosen], poses.headings_rad[chosen])
+
+    def _times_at(self, steps: Indices) -> Array:
+        start = float(self.poses.timestamps[0])
+        return np.array([float(self.poses.timestamps[step]) for step in steps.tolist()]) - start
+
+    def wave_angles(self, vessel: str, steps: Indices) -> Array:
+        """Roll, pitch and yaw of a vessel in waves, shape (S, 3)."""
+        if self.waves is None:
+            return np.zeros((len(steps), 3))
+        return self.waves.motion.angles(vessel, self._times_at(steps), steps)
+
+    def _world_R_vessel(self, poses: Poses, steps: Indices) -> Array:
+        nominal = world_R_vehicle(poses.headings_rad)
+        if self.waves is None or self.waves.apply_to == "ownship":
+            return nominal  # own ship is in nobody's picture but its own
+        angles = np.stack([self.wave_angles(name, steps) for name in self.vessel_names], axis=1)
+        return nominal @ np.swapaxes(vehicle_R_nominal(angles), -1, -2)
+
+    def _camera_poses(self, camera: Camera, poses: Poses, steps: Indices) -> CameraPoses:
         mount = camera.mount
         if mount.vessel is None:
-            return poses_ashore(mount, len(poses.present))
+            return poses_ashore(mount, len(steps))
         column = self.vessel_names.index(mount.vessel)
         absent = np.flatnonzero(~poses.present[:, column])
         if len(absent):
-            when = self.timestamps(first + int(absent[0]), first + int(absent[0]) + 1)[0]
+            when = self.poses.timestamps[int(steps[absent[0]])]
             raise InputError(
                 f"scene {self.path}",
                 [f"cameras.{camera.name}.mount.vessel: '{mount.vessel}' has no pose at time {when} s"],
             )
-        return poses_on_board(mount, poses.positions_m[:, column], poses.headings_rad[:, column])
-
-
-def data_folder(kind: str) -> Path:
-    """The folder of shipped `scenes` or `meshes`: in the installed package, or at the top of the repository."""
-    package = Path(__file__).resolve().parent
-    installed = package / "_data" / kind
-    return installed if installed.is_dir() else package.parent / kind
-
-
-def shipped_scenes() -> dict[str, Path]:
-    """Scenes that come with the package, by name."""
-    return {path.stem: path for path in sorted(data_folder("scenes").glob("*.yaml"))}
-
-
-def find_scene(scene: str | Path) -> Path:
-    """The scene file that a path or the name of a shipped scene means.
-
-    Raises:
-        InputError: There is neither.
-    """
-    path, shipped = Path(scene), shipped_scenes()
-    try:
-        exists, folder = path.exists(), path.is_dir()
-    except OSError as error:
-        raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {error.strerror}"]) from None
-    if exists and not (folder and str(scene) in shipped):
-        return path
-    if str(scene) in shipped:
-        return shipped[str(scene)]
-    raise InputError(
-        f"scene {scene}",
-        [f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"],
-    )
-
-
-def load_scene(
-    scene: str | Path,
-    *,
-    seed: int | None = None,
-    steps: int | None = None,
-    mode: int | None = None,
-    source: str | None = None,
-    supersample: int | None = None,
-    render: str | None = None,
-) -> Scene:
-    """Read and validate a scene and every file that it names.
-
-    Args:
-        scene: A scene file, or the name of a shipped scene.
-        seed: In place of the file's.
-        steps: In place of the file's.
-        mode: In place of the file's annotation mode.
-        source: In place of the file's annotation source.
-        supersample: In place of the file's.
-        render: In place of the file's, `regions` or `full`.
-
-    Raises:
-        InputError: With every problem found, each with its path in the file.
-    """
-    path = find_scene(scene)
-    data = load_yaml(path, "scene")
-    if not isinstance(data, dict):
-        raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
-    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
-    for name, value in given.items():
-        if value is not None:
-            _override(data, OVERRIDES[name], value)
-    return _Reader(path, data).scene()
-
-
-def _override(data: dict[str, Any], keys: tuple[str, ...], value: object) -> None:
-    for key in keys[:-1]:
-        inner = data.get(key)
-        data[key] = dict(inner) if isinstance(inner, dict) else {} if inner is None else inner
-        data = data[key]
-    if isinstance(data, dict):
-        data[keys[-1]] = value
-
-
-class _Reader:
-    """Reads the parts of a scene one by one and collects what is wrong with each."""
-
-    def __init__(self, path: Path, data: dict[str, Any]) -> None:
-        self.path = path
-        self.data = data
-        self.folder = path.resolve().parent
-        self.problems: list[str] = []
-
-    def scene(self) -> Scene:
-        """The scene, or every problem at once."""
-        keys = self._keys()
-        entries = self._vessel_entries()
-        vessels = self._vessels(entries)
-        detector = self._detector()
-        # The names, and not the vessels: one that is wrong must not keep the rest from being looked at.
-        names = None if entries is None else [str(name) for name in entries]
-        if names:
-            self._check_mounts(names)
-        if entries is not None and detector is not None:
-            self._check_labels(entries, detector)
-        poses = self._poses(keys, names, vessels)
-        if keys is None or vessels is None or detector is None or poses is None or self.problems:
-            raise InputError(f"scene {self.path}", self.problems)
-        annotation = keys.annotation
-        scene = Scene(
-            name=self.path.stem,
-            path=self.path,
-            sha256=self._sha256(keys),
-            seed=keys.seed,
-            steps=keys.steps or len(poses.timestamps),
-            vessels=vessels,
-            poses=poses,
-            cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
-            annotation=Annotation(**annotation.model_dump()),
-            detector=detector,
-        )
-        self._check_places(scene)
-        if self.problems:
-            raise InputError(f"scene {self.path}", self.problems)
-        return scene
-
-    def _collect(self, read: Callable[[], T]) -> T | None:
-        """What `read` gives, or None and its problems kept."""
-        try:
-            return read()
-        except InputError as error:
-            here = error.source == f"scene {self.path}"
-            self.problems += [problem if here else f"{error.source}: {problem}" for problem in error.problems]
-            return None
-
-    def _keys(self) -> SceneKeys | None:
-        cameras = self.data.get("cameras")
-        if isinstance(cameras, dict):
-            if not cameras:
-                self.problems.append("cameras: no cameras; a scene needs at least one")
-            self.problems += [
-                f"cameras.{name}: a camera's name goes into file names: at most 100 letters, digits, '_', '-' and '.' "
-                "only, the first a letter or digit"
-                for name in cameras
-                if not CAMERA_NAME.fullmatch(str(name))
-            ]
-        try:
-            return SceneKeys.model_validate(self.data)
-        except ValidationError as error:
-            self.problems += describe(error, SceneKeys)
-            return None
-
-    def _vessels_source(self) -> tuple[str, tuple[str, ...]]:
-        """What to call the place where the vessels stand, and the path there."""
-        entry = self.data.get("vessels")
-        if isinstance(entry, str):
-            return f"vessels file {self.folder / entry}", ()
-        return f"scene {self.path}", ("vessels",)
-
-    def _vessel_entries(self) -> dict[Any, Any] | None:
-        """The mapping of vessels as it stands in its file; None if there is no such thing."""
-        entry = self.data.get("vessels")
-        if isinstance(entry, str):
-            return self._collect(lambda: load_mapping(self.folder / entry))
-        return entry if isinstance(entry, dict) else None  # the scene's own keys say what is wrong
-
-    def _vessels(self, entries: dict[Any, Any] | None) -> tuple[Vessel, ...] | None:
-        if entries is None:
-            return None
-        source, path = self._vessels_source()
-        return self._collect(lambda: parse_vessels(entries, source, *path))
-
-    def _detector(self) -> DetectorModel | None:
-        entry = self.data.get("detector")
-        return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
-
-    def _poses(
-        self, keys: SceneKeys | None, names: list[str] | None, vessels: tuple[Vessel, ...] | None
-    ) -> PoseSource | None:
-        entry = self.data.get("poses")
-        file = entry.get("file") if isinstance(entry, dict) else None
-        if isinstance(file, str):
-            recorded = self._collect(lambda: load_poses(self.folder / file, names))
-            asked = self.data.get("steps")
-            if recorded is not None and isinstance(asked, int) and asked > len(recorded.timestamps):
-                self.problems.append(f"steps: {asked} asked for, but the pose file has {len(recorded.timestamps)}")
-            return recorded
-        if keys is None or vessels is None:
-            return None
-        circular, tracks = keys.poses.circular, keys.poses.tracks
-        steps, interval = keys.steps or 0, keys.time_step_s or 0.0
-        if tracks is not None:
-            return self._collect(lambda: waypoint_tracks(tracks, names or [], steps, interval))
-        if circular is None:
-            return None
-        return self._collect(
-            lambda: circular_motion(
-                vessels,
-                steps,
-                interval,
-                circular.centre_m,
-                circular.radius_m,
-                circular.rotation_rate_rad_s,
-                keys.seed,
-            )
-        )
-
-    def _check_mounts(self, names: list[str]) -> None:
-        cameras = self.data.get("cameras")
-        for name, camera in cameras.items() if isinstance(cameras, dict) else ():
-            mount = camera.get("mount") if isinstance(camera, dict) else None
-            vessel = mount.get("vessel") if isinstance(mount, dict) else None
-            if isinstance(vessel, str) and vessel not in names:
-                self.problems.append(f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})")
-
-    def _check_labels(self, entries: dict[Any, Any], detector: DetectorModel) -> None:
-        source, path = self._vessels_source()
-        where = "" if path else f"{source}: "
-        for name, entry in entries.items():
-            label = entry.get("label") if isinstance(entry, dict) else None
-            if isinstance(label, str) and label not in detector.labels:
-                self.problems.append(
-                    f"{where}{join_path(*path, str(name))}.label: '{label}' is not one of the detector's labels "
-                    f"({nearest(label, detector.labels)})"
-                )
-
-    def _check_places(self, scene: Scene) -> None:
-        """Whether each camera has a place at each step, and no vessel around it."""
-        found: set[str] = set()
-        for first in range(0, scene.steps, CHECKED_STEPS):
-            poses = scene.poses.poses(first, min(first + CHECKED_STEPS, scene.steps))
-            for camera in scene.cameras:
-                if camera.name in found:
-                    continue
-                try:
-                    _check_place(scene, camera, poses, first)
-                except InputError as error:
-                    self.problems += error.problems
-                    found.add(camera.name)
-
-    def _sha256(self, keys: SceneKeys) -> str:
-        named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
-        digest = hashlib.sha256()
-        for path in [self.path, *(self.folder / name for name in named if name is not None)]:
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return digest.hexdigest()
-
-
-def _check_place(scene: Scene, camera: Camera, poses: Poses, first: int) -> None:
-    camera_poses = scene.camera_poses(camera, poses, first)
-    if scene.annotation.allow_camera_inside:
-        return
-    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
-    inside = check_cameras_outside(camera_poses.positions_m, scene.vessels, others, poses)
-    if inside is None:
-        return
-    frame, vessel = inside
-    (when,) = scene.timestamps(first + frame, first + frame + 1)
-    raise InputError(
-        f"scene {scene.path}",
-        [
-            f"cameras.{camera.name}: is inside vessel '{scene.vessels[vessel].name}' at time {when} s: move one of "
-            "them, or set annotation.allow_camera_inside: true"
-        ],
-    )
-
-
-def _camera(name: str, keys: CameraKeys) -> Camera:
-    intrinsics = Intrinsics.from_lens(
-        keys.focal_length_m,
-        keys.pixel_size_m,
-        keys.principal_point_px,
-        keys.image_size_px,
-        keys.skew,
-        keys.near_clip_m,
-    )
-    place = keys.mount or keys.pose
-    values: Mapping[str, Any] = place.model_dump() if place is not None else {}
-    return Camera(name, intrinsics, Mount(**values))
+        composition = self.waves.composition if self.waves else "rigid"
+        angles = self.wave_angles(mount.vessel, steps)
+        return poses_on_board(mount, poses.positions_m[:, column], poses.headings_rad[:, column], angles, composition)

@@ -114,6 +114,36 @@ class AnnotationKeys(Strict):
     allow_camera_inside: Annotated[bool, Field(strict=True)] = False
 
 
+class AxisKeys(Strict):
+    """One angle's second-order process (Jessen & Mohr (2023), eq. 7.23, 7.24)."""
+
+    a: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.99
+    b: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.99
+    sigma_rad: NotNegative = 0.0
+    start_rad: tuple[Number, Number] = (0.0, 0.0)
+
+
+class WavesKeys(Strict):
+    """How waves turn vessels: a named level, or the coefficients of each axis."""
+
+    level: Literal["none", "small", "medium", "large", "huge"] | None = None
+    roll: AxisKeys | None = None
+    pitch: AxisKeys | None = None
+    yaw: AxisKeys | None = None
+    interval_s: Interval | None = None
+    apply_to: Literal["ownship", "all"] = "ownship"
+    composition: Literal["rigid", "additive"] = "rigid"
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> WavesKeys:
+        axes = [name for name in ("roll", "pitch", "yaw") if getattr(self, name) is not None]
+        if (self.level is None) == (not axes):
+            raise ValueError("give either level, or the coefficients of roll, pitch and yaw")
+        if self.composition == "additive" and self.apply_to == "all":
+            raise ValueError("composition: additive knows no attitude of other vessels: it goes with apply_to: ownship")
+        return self
+
+
 class SceneKeys(Strict):
     """A scene file. `vessels` is looked at apart from this: it may be a file."""
 
@@ -123,6 +153,7 @@ class SceneKeys(Strict):
     vessels: str | dict[str, object]
     poses: PosesKeys
     cameras: dict[str, CameraKeys]
+    waves: WavesKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 

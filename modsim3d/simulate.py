@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.inside import check_cameras_outside
 from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
-from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion, Truth, concatenate
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
@@ -20,7 +19,6 @@ from modsim3d.camera import Camera, Intrinsics
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.poses import Poses
 from modsim3d.scene import Scene
 
 if TYPE_CHECKING:
@@ -57,33 +55,20 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
         renderer: For the rendered source.
 
     Raises:
-        ModsimError: A camera is inside a vessel, or its own vessel is missing.
+        ModsimError: The vessel that carries a camera is missing.
     """
-    poses = scene.poses.poses(first, stop)
+    steps = np.arange(first, stop)
     return concatenate(
-        [_camera_truth(scene, index, camera, poses, first, renderer) for index, camera in enumerate(scene.cameras)]
+        [_camera_truth(scene, index, camera, steps, renderer) for index, camera in enumerate(scene.cameras)]
     )
 
 
 def _camera_truth(
-    scene: Scene, index: int, camera: Camera, poses: Poses, first: int, renderer: IdRenderer | None
+    scene: Scene, index: int, camera: Camera, steps: NDArray[np.int64], renderer: IdRenderer | None
 ) -> Truth:
-    camera_poses = scene.camera_poses(camera, poses, first)
-    others = poses.present & (np.array(scene.vessel_names) != camera.mount.vessel)
-    if not scene.annotation.allow_camera_inside:
-        inside = check_cameras_outside(camera_poses.positions_m, scene.vessels, others, poses)
-        if inside is not None:
-            frame, vessel = inside
-            (when,) = scene.timestamps(first + frame, first + frame + 1)
-            raise ModsimError(
-                f"camera '{camera.name}' is inside vessel '{scene.vessels[vessel].name}' at time {when} s; move one of "
-                "them, or set annotation.allow_camera_inside: true"
-            )
-    outlines = outline(camera.intrinsics, camera_poses, scene.vessels, others, poses.positions_m, poses.headings_rad)
+    outlines = scene.sight(camera, steps).outlines(camera.intrinsics, scene.vessels)
     occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
-    truth = occlusion.truth(
-        first + outlines.frame, index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m
-    )
+    truth = occlusion.truth(steps[outlines.frame], index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m)
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
 
 
@@ -124,13 +109,12 @@ class Simulation:
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
         scene = self.scene
-        poses = scene.poses.poses(first, stop)
         times_s = scene.times_s(first, stop)
         parts = []
         for index, camera in enumerate(scene.cameras):
             seen = truth.take(truth.camera == index)
             rows = np.flatnonzero(seen.annotated)
-            camera_poses = scene.camera_poses(camera, poses, first)
+            camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
             frames = Frames(
                 camera=camera.name,
                 first_step=first,

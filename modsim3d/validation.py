@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import gzip
 import json
 import re
 import reprlib
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
@@ -86,13 +88,16 @@ _Yaml12Loader.add_constructor("tag:yaml.org,2002:map", _construct_mapping)
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of an input file.
+    """The text of an input file, unpacked if its name ends in `.gz`.
 
     Raises:
-        InputError: There is no such file, it is a folder, it cannot be read, or it is not UTF-8.
+        InputError: There is no such file, it is a folder, it cannot be read or unpacked, or it is not UTF-8.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        content = path.read_bytes()
+        return (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8")
+    except (gzip.BadGzipFile, EOFError, zlib.error):
+        problem = "is not a complete gzip file"
     except FileNotFoundError:
         problem = "no such file"
     except IsADirectoryError:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.camera import Intrinsics, Mount, poses_ashore
 from modsim3d.frames import world_R_vehicle
-from modsim3d.scene import data_folder
+from modsim3d.scene_reader import data_folder
 from modsim3d.vessels import Vessel
 
 CAMERA_HEIGHT_M = 10.0
@@ -36,7 +36,7 @@ def outlines_of(
     mount = mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M))
     vessels = [vessel for vessel, _, _ in places]
     present = np.ones((1, len(places)), dtype=bool)
-    return outline(intrinsics, poses_ashore(mount, 1), vessels, present, positions, headings)
+    return outline(intrinsics, poses_ashore(mount, 1), vessels, present, positions, world_R_vehicle(headings))
 
 
 def random_places(
@@ -120,9 +120,8 @@ def outlines_at(boxes: Sequence[Box], intrinsics: Intrinsics = INTRINSICS, mount
     positions = np.array([[place for _, place, _ in boxes]], dtype=np.float64)
     headings = np.array([[heading for _, _, heading in boxes]])
     camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
-    return outline(
-        intrinsics, camera, [box[0] for box in boxes], np.ones((1, len(boxes)), dtype=bool), positions, headings
-    )
+    vessels, present = [box[0] for box in boxes], np.ones((1, len(boxes)), dtype=bool)
+    return outline(intrinsics, camera, vessels, present, positions, world_R_vehicle(headings))
 
 
 def moved(

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.scene import load_scene
+from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import truth_block
 from tests.scenes import INTRINSICS, crossing, outlines_of, vessel
 

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from modsim3d import cli
 from modsim3d.errors import InputError
 from modsim3d.render import context
-from modsim3d.scene import load_scene
+from modsim3d.scene_reader import load_scene
 
 DELETED = object()
 COVARIANCE = [[100.0, 5, 0, 0], [5, 90, 0, 0], [0, 0, 120, 8], [0, 0, 8, 80]]

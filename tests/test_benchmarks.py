@@ -11,7 +11,7 @@ from shapely import affinity, box, intersects
 
 from benchmarks import bench, child, scenes
 from modsim3d.frames import world_R_vehicle
-from modsim3d.scene import load_scene
+from modsim3d.scene_reader import load_scene
 
 HERE = scenes.HERE
 FILES = {"small": scenes.small, "dense": scenes.dense}
@@ -49,7 +49,7 @@ def test_waterlines_are_in_the_image(name):
     scene = load_scene(HERE / f"{name}.yaml")
     camera = scene.cameras[0]
     poses = scene.poses.poses(0, scene.steps)
-    camera_poses = scene.camera_poses(camera, poses, 0)
+    camera_poses = scene.sight(camera, np.arange(scene.steps)).camera_poses
     size = np.array([(v.length_m, v.beam_m, 0) for v in scene.vessels]) / 2
     signs = [(0, 0, 0)] if name == "dense" else [(a, b, 0) for a in (-1, 1) for b in (-1, 1)]
     turn = world_R_vehicle(poses.headings_rad)

@@ -99,8 +99,13 @@ def test_nothing_is_written_unasked(monkeypatch, tmp_path, scene):
 )
 def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, options, steps):
     looked_at = []
-    poses_at = compare._poses_at
-    monkeypatch.setattr(compare, "_poses_at", lambda s, chosen: (looked_at.extend(chosen), poses_at(s, chosen))[1])
+    compare_camera = compare._compare_camera
+
+    def watched(*arguments):
+        looked_at.extend(arguments[-1])
+        compare_camera(*arguments)
+
+    monkeypatch.setattr(compare, "_compare_camera", watched)
     _, found = figures_of(monkeypatch, tmp_path / "out", scene, *options)
     assert found["steps"] == steps
     named = dict(zip(options[::2], options[1::2], strict=True))

@@ -10,7 +10,7 @@ import pytest
 import shapely
 
 from modsim3d.frames import world_R_vehicle
-from modsim3d.scene import data_folder, load_scene
+from modsim3d.scene_reader import data_folder, load_scene
 from modsim3d.simulate import truth_block
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from modsim3d.annotate.full_frame import full_frame_occlusion
-from modsim3d.annotate.outlines import outline, within_guard
+from modsim3d.annotate.outlines import within_guard
 from modsim3d.annotate.record import COLUMNS
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.annotate.spans import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_mask
 from modsim3d.render.id_pass import Region
-from modsim3d.scene import load_scene
+from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import truth_block
 from modsim3d.vessels import shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel
@@ -54,16 +54,7 @@ def test_several_frames_at_once_give_the_truth_of_each(renderer):
     camera = scene.cameras[0]
 
     def occlusion(first, stop):
-        poses = scene.poses.poses(first, stop)
-        camera_poses = scene.camera_poses(camera, poses, first)
-        outlines = outline(
-            camera.intrinsics,
-            camera_poses,
-            scene.vessels,
-            poses.present,
-            poses.positions_m,
-            poses.headings_rad,
-        )
+        outlines = scene.sight(camera, np.arange(first, stop)).outlines(camera.intrinsics, scene.vessels)
         return rendered_occlusion(outlines, camera.intrinsics, renderer)
 
     together = occlusion(100, 112)

@@ -12,7 +12,7 @@ import pytest
 import modsim3d
 from modsim3d.errors import RunDirectoryError
 from modsim3d.run import run_scene
-from modsim3d.scene import data_folder, load_scene
+from modsim3d.scene_reader import data_folder, load_scene
 from modsim3d.simulate import Simulation, block_ranges, simulate_frames, truth_block
 
 STEPS = 600

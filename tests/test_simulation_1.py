@@ -5,10 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from modsim3d.annotate.outlines import outline
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.poses.circular import swept_ring
-from modsim3d.scene import load_scene
+from modsim3d.scene_reader import load_scene
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +41,7 @@ def test_rendered_and_projected_full_boxes_agree_within_a_pixel_over_the_whole_s
     camera = scene.cameras[0]
     worst, compared = 0.0, 0
     for first in range(0, scene.steps, 250):
-        poses = scene.poses.poses(first, first + 250)
-        outlines = outline(
-            camera.intrinsics,
-            scene.camera_poses(camera, poses, first),
-            scene.vessels,
-            poses.present,
-            poses.positions_m,
-            poses.headings_rad,
-        )
+        outlines = scene.sight(camera, np.arange(first, first + 250)).outlines(camera.intrinsics, scene.vessels)
         seen = rendered_occlusion(outlines, camera.intrinsics, renderer)
         difference = np.abs(seen.full_boxes_px - outlines.boxes_px)
         worst, compared = max(worst, float(difference.max())), compared + len(outlines)

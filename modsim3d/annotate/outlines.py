@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.camera import CameraPoses, Intrinsics, clip_triangles, guard_planes, near_plane
-from modsim3d.frames import Array, world_R_vehicle
+from modsim3d.frames import Array
 from modsim3d.vessels import Solid, Vessel, shoebox
 
 GUARD_PX = 2048.0
@@ -57,13 +57,13 @@ class Outlines:
         return len(self.frame)
 
 
-def corners_world(vessels: Sequence[Vessel], positions_m: Array, headings_rad: Array, solid: Solid) -> Array:
+def corners_world(vessels: Sequence[Vessel], positions_m: Array, world_R_vessel: Array, solid: Solid) -> Array:
     """Vertices of the vessels' solids in the world (Jessen & Mohr (2023), eq. 7.1).
 
     Args:
         vessels: V of them.
         positions_m: Shape (S, V, 3).
-        headings_rad: Shape (S, V).
+        world_R_vessel: Rotations VCF to WCF, shape (S, V, 3, 3).
         solid: In units of length, beam and air draft.
 
     Returns:
@@ -71,7 +71,7 @@ def corners_world(vessels: Sequence[Vessel], positions_m: Array, headings_rad: A
     """
     extents = np.array([vessel.extents_m for vessel in vessels])
     body = solid.vertices * extents[:, None, :]
-    turned = body @ np.swapaxes(world_R_vehicle(headings_rad), -1, -2)
+    turned = body @ np.swapaxes(world_R_vessel, -1, -2)
     corners: Array = turned + positions_m[:, :, None, :]
     return corners
 
@@ -82,7 +82,7 @@ def outline(
     vessels: Sequence[Vessel],
     present: NDArray[np.bool_],
     positions_m: Array,
-    headings_rad: Array,
+    world_R_vessel: Array,
 ) -> Outlines:
     """Project all vessels at S steps and keep those whose silhouette overlaps the image.
 
@@ -92,10 +92,10 @@ def outline(
         vessels: V of them.
         present: Which are to be looked at, shape (S, V).
         positions_m: Shape (S, V, 3).
-        headings_rad: Shape (S, V).
+        world_R_vessel: Rotations VCF to WCF, shape (S, V, 3, 3).
     """
     solid = shoebox()
-    camera = camera_poses.to_camera(corners_world(vessels, positions_m, headings_rad, solid))
+    camera = camera_poses.to_camera(corners_world(vessels, positions_m, world_R_vessel, solid))
     in_front = camera[..., 2] >= intrinsics.near_clip_m
     frame, vessel = np.nonzero(present & in_front.any(axis=-1))
     vertices, behind = camera[frame, vessel], ~in_front[frame, vessel]

@@ -85,7 +85,8 @@ def _hider(row: dict[str, Any]) -> str:
     hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"]
     if _fraction(row) == 0:
         return f"wholly hidden by {hider}"
-    return f"{1 - _fraction(row):.0%} hidden by {hider}, {'detected' if row['detected'] else 'missed'}"
+    hidden = min(1 - _fraction(row), 0.99)  # something is seen: "100 %" would be another thing
+    return f"{hidden:.0%} hidden by {hider}, {'detected' if row['detected'] else 'missed'}"
 
 
 def _false_alarm(truth: list[dict[str, Any]], detections: list[dict[str, Any]]) -> Moment | None:
