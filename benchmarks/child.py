@@ -196,11 +196,11 @@ class OurPass:
         from modsim3d.render.context import open_context
         from modsim3d.render.id_pass import IdRenderer
         from modsim3d.scene_reader import load_scene
-        from modsim3d.simulate import BLOCK_STEPS
+        from modsim3d.simulate import block_steps
 
-        self._block = BLOCK_STEPS
         self._drawn = count_drawing()
         self._scene = load_scene(scene, mode=2)
+        self._block = block_steps(self._scene)
         self._open = ExitStack()  # as long as this process lives
         self._renderer = IdRenderer(self._open.enter_context(open_context()))
         self.time(list(range(WARM_UP_STEPS)))

@@ -13,7 +13,7 @@ from typing import Any
 from modsim3d.counts import Counts
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.scene import Scene
-from modsim3d.simulate import block_ranges
+from modsim3d.simulate import block_ranges, block_steps
 from modsim3d.workers import open_workers
 
 FORMAT = 1
@@ -64,7 +64,7 @@ def run_scene(
     with open_workers(scene, workers) as made:
         settings = _settings(scene, made.backend)
         with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-            for block in made.blocks(directory.work, block_ranges(scene.steps)):
+            for block in made.blocks(directory.work, block_ranges(scene.steps, block_steps(scene))):
                 directory.write(block.files)
                 counts += block.counts
                 resumed += block.steps if block.resumed else 0

@@ -24,8 +24,8 @@ from modsim3d.scene import Scene
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-BLOCK_STEPS = 250
-"""Steps that are looked at together; no result depends on it."""
+BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 250
+"""Vessels times steps that are looked at together, and most steps: few calls for many, but arrays that fit a cache."""
 
 
 @contextmanager
@@ -135,7 +135,12 @@ class Simulation:
         return Block(first, scene.timestamps(first, stop), tuple(parts))
 
 
-def block_ranges(steps: int, block_steps: int = BLOCK_STEPS) -> list[tuple[int, int]]:
+def block_steps(scene: Scene) -> int:
+    """How many steps of a scene are looked at together; no result depends on it."""
+    return max(1, min(MOST_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
+
+
+def block_ranges(steps: int, block_steps: int) -> list[tuple[int, int]]:
     """First step and the step after the last of each block of a run."""
     return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
 
@@ -151,6 +156,6 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
     """
     simulation = Simulation(scene)
     with open_renderer(scene) as renderer:
-        for first, stop in block_ranges(scene.steps):
+        for first, stop in block_ranges(scene.steps, block_steps(scene)):
             block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
             yield from frames_of(block, scene)
