@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
 
-BAD_INPUT = 2
+BAD_INPUT, INTERRUPTED = 2, 130
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -36,6 +36,8 @@ app = typer.Typer(
   modsim3d run my/scene.yaml --out runs/mine  a scene of your own
 
   modsim3d check my/scene.yaml                what is wrong with it, all at once
+
+  modsim3d compare my/scene.yaml              rendered truth against exact geometry
 
   modsim3d scenes                             the scenes that come with it""",
 )
@@ -108,16 +110,20 @@ def run_command(
         render=render.value if render else None,
     )
     folder = out if out is not None else Path("runs") / loaded.name
-    with _progress_bar() as bar:
-        task = bar.add_task(loaded.name, total=loaded.steps)
-        result = run_scene(
-            loaded,
-            folder,
-            overwrite=overwrite,
-            resume=resume,
-            workers=workers,
-            progress=lambda steps: bar.update(task, advance=steps, refresh=True),
-        )
+    try:
+        with _progress_bar() as bar:
+            task = bar.add_task(loaded.name, total=loaded.steps)
+            result = run_scene(
+                loaded,
+                folder,
+                overwrite=overwrite,
+                resume=resume,
+                workers=workers,
+                progress=lambda steps: bar.update(task, advance=steps, refresh=True),
+            )
+    except KeyboardInterrupt:
+        typer.echo("\nmodsim3d: interrupted; what was finished is kept: go on with --resume", err=True)
+        raise typer.Exit(INTERRUPTED) from None
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
 
@@ -162,6 +168,8 @@ def compare_command(
     from modsim3d.simulate import open_renderer
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)  # better now than after all the work
     with open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("the rendered source is needed to compare with")
@@ -231,8 +239,6 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
     table.add_column(justify="right")
     table.add_column(style="dim")
     true = max(counts.detected, 1)
-    known = scene.annotation.source == "rendered"
-    hidden = f"{counts.partly_hidden} partly, {counts.fully_hidden} fully" if known else "not asked"
     rows: list[tuple[str, str, str]] = [
         (
             "frames",
@@ -241,10 +247,10 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
         ),
         (
             "vessels seen",
-            str(counts.seen if known else counts.vessel_frames),
+            str(counts.seen),
             "vessels in images, summed over frames",
         ),
-        ("occlusions", hidden, ""),
+        ("occlusions", f"{counts.partly_hidden} partly, {counts.fully_hidden} fully", ""),
         ("annotated", str(counts.annotated), ""),
         ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
         ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "of annotated")),
@@ -276,6 +282,9 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
         table.add_row(*row)
     console = Console()
     console.print(table)
+    for pair in result.intersecting:
+        message = f"{' and '.join(pair)} intersect: what is seen of them is left open; only the rendered source decides"
+        console.print(message, highlight=False, soft_wrap=True, style="yellow")
     console.print(f"\nrun directory  {result.folder}", highlight=False, soft_wrap=True)
     if sheet:
         console.print(f"contact sheet  {result.folder / 'contact_sheet.png'}", highlight=False, soft_wrap=True)
@@ -298,9 +307,6 @@ def main() -> None:
     except OSError as error:
         typer.echo(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
         sys.exit(BAD_INPUT)
-    except KeyboardInterrupt:
-        typer.echo("\nmodsim3d: interrupted; what was finished is kept: go on with --resume", err=True)
-        sys.exit(130)
 
 
 if __name__ == "__main__":

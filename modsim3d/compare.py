@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
-from modsim3d.annotate.full_frame import pixel_masks
+from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
 from modsim3d.annotate.modes import SOURCES
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
@@ -196,8 +196,8 @@ def compare_sources(
         for index, camera in enumerate(scene.cameras):
             _compare_camera(report, scene, renderer, index, camera, chosen)
         report.steps += len(chosen)
+        report.worst = sorted(report.worst, key=lambda case: -case.badness)[:WORST]
         progress(len(chosen))
-    report.worst = sorted(report.worst, key=lambda case: -case.badness)[:WORST]
     return report
 
 
@@ -213,8 +213,9 @@ def _compare_camera(
     outlines = scene.sight(camera, steps).outlines(camera.intrinsics, scene.vessels)
     shared = time.perf_counter() - started
     scale = scene.annotation.supersample
+    draw = full_frame_occlusion if scene.annotation.render == "full" else rendered_occlusion
     sources: dict[str, Callable[[], Occlusion]] = {
-        "rendered": lambda: rendered_occlusion(outlines, camera.intrinsics, renderer, scale),
+        "rendered": lambda: draw(outlines, camera.intrinsics, renderer, scale),
         "analytic": lambda: analytic_occlusion(outlines, camera.intrinsics),
         "rectangles": lambda: rectangle_occlusion(outlines),
     }

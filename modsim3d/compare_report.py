@@ -19,7 +19,8 @@ Rows = list[tuple[str, str]]
 def verdict_rows(figures: dict[str, Any]) -> list[tuple[str, str, str]]:
     """How many full and visible boxes agree, or why they do not."""
     full, visible = figures["full_box"]["verdicts"], figures["visible_box"]["verdicts"]
-    return [(name, str(full[name]), str(visible[name])) for name in full]
+    whole = figures["vessel_frames"]
+    return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
 
 
 def figure_rows(figures: dict[str, Any]) -> Rows:

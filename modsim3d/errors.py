@@ -23,6 +23,10 @@ class InputError(ModsimError):
         self.problems = tuple(problems)
         super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self.problems)]))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, tuple[str, ...]]]:
+        """From what it is made again in another process."""
+        return InputError, (self.source, self.problems)
+
 
 class RendererError(ModsimError):
     """No OpenGL software renderer can be used, or it does not do what the ID pass needs."""

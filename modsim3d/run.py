@@ -29,12 +29,14 @@ class RunResult:
         counts: What happened.
         seconds: Wall-clock time.
         resumed_steps: Steps whose truth was taken from an interrupted run.
+        intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
     """
 
     folder: Path
     counts: Counts
     seconds: float
     resumed_steps: int
+    intersecting: tuple[tuple[str, str], ...]
 
 
 def run_scene(
@@ -60,13 +62,14 @@ def run_scene(
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
     started = time.perf_counter()
-    counts, resumed = Counts(), 0
+    counts, resumed, pairs = Counts(), 0, set[tuple[int, int]]()
     with open_workers(scene, workers) as made:
         settings = _settings(scene, made.backend)
         with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
             for block in made.blocks(directory.work, block_ranges(scene.steps, block_steps(scene))):
                 directory.write(block.files)
                 counts += block.counts
+                pairs |= block.intersecting
                 resumed += block.steps if block.resumed else 0
                 progress(block.steps)
             directory.finish({**settings, "counts": asdict(counts)})
@@ -75,7 +78,8 @@ def run_scene(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
         f"{counts.frames} frames in {seconds:.3f} s, {resumed} steps taken from an interrupted run\n"
     )
-    return RunResult(folder, counts, seconds, resumed)
+    names = scene.vessel_names
+    return RunResult(folder, counts, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
 
 
 def _settings(scene: Scene, backend: str) -> dict[str, Any]:

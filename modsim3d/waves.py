@@ -13,7 +13,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
-from scipy.signal import lfilter
 
 from modsim3d.frames import Array
 from modsim3d.random_streams import Streams
@@ -76,6 +75,8 @@ def second_order(noise: Array, axis: Axis, state: tuple[float, float]) -> tuple[
     Returns:
         x' after each step, shape (n,), and the last x and x'.
     """
+    from scipy.signal import lfilter  # slow to import, and no calm sea needs it
+
     first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * state[0]])
     second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * state[1]])
     return second, (float(first[-1]), float(second[-1]))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
+import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -22,6 +25,7 @@ from modsim3d.simulate import Simulation, open_renderer, truth_block
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
 BLOCKS_AHEAD = 3
 """Blocks for each worker that may wait for their turn to be written: it bounds the memory."""
 
@@ -38,12 +42,14 @@ class FinishedBlock:
         files: Rows and lines.
         counts: What happened in it.
         resumed: Whether its truth was taken from an interrupted run.
+        intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
     """
 
     steps: int
     files: BlockFiles
     counts: Counts
     resumed: bool
+    intersecting: frozenset[tuple[int, int]]
 
 
 class BlockMaker:
@@ -71,7 +77,8 @@ class BlockMaker:
             keep_truth(folder, truth, first, stop)
         block = self._simulation.detect(truth, first, stop)
         counts = Counts.of(block, self._scene)
-        return FinishedBlock(stop - first, BlockFiles.of(block, self._scene), counts, resumed)
+        intersecting = frozenset((first, second) for first, second in truth.intersections[:, 2:].tolist())
+        return FinishedBlock(stop - first, BlockFiles.of(block, self._scene), counts, resumed, intersecting)
 
 
 class Workers(Protocol):
@@ -161,21 +168,31 @@ def _start_method() -> str:
     return "fork" if threads == 1 else "spawn"
 
 
-_maker: BlockMaker | None = None
+_maker: BlockMaker | ModsimError | None = None
 _open = ExitStack()
 
 
 def _start(scene: Scene) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _maker
-    _maker = BlockMaker(scene, _open.enter_context(open_renderer(scene)))
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)  # a killed parent must not leave workers behind
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that they work for says what was interrupted
+    try:
+        _maker = BlockMaker(scene, _open.enter_context(open_renderer(scene)))
+    except ModsimError as error:
+        _maker = error  # an error here would break the pool, and nobody would learn what it was
+
+
+def _this_maker() -> BlockMaker:
+    if isinstance(_maker, BlockMaker):
+        return _maker
+    raise _maker or ModsimError("this process was not set up as a worker")
 
 
 def _backend() -> str:
-    return _maker.backend if _maker else ""
+    return _this_maker().backend
 
 
 def _make(folder: Path, first: int, stop: int) -> FinishedBlock:
-    if _maker is None:
-        raise ModsimError("this process was not set up as a worker")
-    return _maker.make(folder, first, stop)
+    return _this_maker().make(folder, first, stop)

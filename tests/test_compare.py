@@ -172,6 +172,11 @@ def silhouette_counted_twice(seen):
     return replace(seen, silhouette_px=seen.silhouette_px * np.where(np.arange(len(seen.visible_px)) == 0, 2, 1))
 
 
+def counts_times(factor):
+    """Both counts wrong alike: the fraction stays."""
+    return lambda seen: replace(seen, silhouette_px=factor * seen.silhouette_px, visible_px=factor * seen.visible_px)
+
+
 PLANTED = {
     "counts of two vessels swapped": swapped_counts,
     "full box 3 px to the right": shifted("full_boxes_px", [3, 0, 3, 0]),
@@ -180,6 +185,8 @@ PLANTED = {
     "nobody hides anybody": nobody_hides,
     "a hidden vessel is seen": hidden_one_is_seen,
     "a silhouette counted twice": silhouette_counted_twice,
+    "every count doubled": counts_times(2.0),
+    "every count halved": counts_times(0.5),
 }
 
 

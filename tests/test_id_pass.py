@@ -44,6 +44,18 @@ def test_region_holds_the_pixels_of_the_whole_image(renderer):
         np.testing.assert_array_equal(part, whole[y : y + region.height, x : x + region.width])
 
 
+@pytest.mark.parametrize("size", [(3600, 64), (12000, 64)])
+def test_region_of_a_wide_image_holds_its_pixels_too(renderer, size):
+    """Corners up to 2048 px outside the image, as they come from clipping."""
+    rng = np.random.default_rng(2)
+    corners = rng.uniform((-2048, -2048), (size[0] + 2048, size[1] + 2048), (40, 3, 2))
+    depth, ids = rng.uniform(0.01, 1, (40, 3)), np.arange(1, 41)
+    whole = renderer.draw(corners, depth, ids, Region(0, 0, *size))
+    for x in np.linspace(0, size[0] - 300, 9).astype(int):
+        part = renderer.draw(corners, depth, ids, Region(int(x), 10, 300, 50))
+        np.testing.assert_array_equal(part, whole[10:60, x : x + 300])
+
+
 def test_drawing_leaves_nothing_for_the_next(renderer):
     draw(renderer, [[[0, 0], [800, 0], [0, 600]]], [3])
     image = draw(renderer, [[[0, 0], [8, 0], [0, 8]]], [4])

@@ -44,7 +44,46 @@ def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_blo
     assert kept
     resumed = subprocess.run([*COMMAND, *out, "--resume"], capture_output=True, text=True, timeout=180, check=False)
     assert resumed.returncode == 0, resumed.stderr
-    assert "steps taken from the interrupted run" in resumed.stdout
+    ranges = [name.removesuffix(".npz").split("_")[1:] for name in kept]
+    steps = sum(int(stop) - int(first) for first, stop in ranges)
+    assert f"{steps}  steps taken from the interrupted run" in resumed.stdout
+    whole = subprocess.run(
+        [*COMMAND, "--render", "full", "--out", str(tmp_path / "whole")], capture_output=True, timeout=180, check=False
+    )
+    assert whole.returncode == 0
+    assert contents(tmp_path / "run") == contents(tmp_path / "whole")
+
+
+def test_workers_without_a_renderer_say_what_one_process_says(tmp_path):
+    said = []
+    for workers in ("1", "2"):
+        out = ["--steps", "5", "--workers", workers, "--out", str(tmp_path / workers)]
+        done = subprocess.run(
+            [*COMMAND, *out],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            env={**os.environ, "MODSIM3D_GL": "nonsense"},
+        )
+        assert done.returncode == 2
+        said.append([line for line in done.stderr.splitlines() if line.startswith("modsim3d:")])
+    assert said[0] == said[1]
+    assert len(said[0]) == 1
+
+
+def test_interrupted_command_says_how_to_go_on(tmp_path):
+    out = ["--out", str(tmp_path / "run"), "--render", "full"]
+    running = subprocess.Popen([*COMMAND, *out], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    parts = tmp_path / "run" / "unfinished"
+    deadline = time.monotonic() + 60
+    while not list(parts.glob("truth_*.npz")) and time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "go on with --resume" in said
+    assert "Traceback" not in said
 
 
 def test_script_without_a_main_guard_is_told_what_to_do(tmp_path):

@@ -129,6 +129,9 @@ def compare_with_analytic(
     unordered[analytic.intersecting.ravel()] = True
     pixel = 1 / supersample
     full_off = np.any(np.abs(full_side) > pixel, axis=1)
+    full_off |= np.abs(rendered.silhouette_px - analytic.silhouette_px) > (
+        boundary_pixels(regions.silhouettes, supersample) / supersample**2
+    )
     visible_off = np.any(np.abs(visible_side) > pixel, axis=1) | seen_differs | (np.abs(fraction) > bound)
     visible_off &= ~unordered
     full = np.zeros(len(outlines), dtype=np.int64)

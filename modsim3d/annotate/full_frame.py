@@ -69,8 +69,8 @@ def pixel_masks(
     drawing = _Drawing(outlines, triangles_of(outlines, intrinsics, supersample), intrinsics, renderer, supersample)
     frame = slice(*np.searchsorted(outlines.frame, (outlines.frame[row], outlines.frame[row] + 1)))
     region = drawing.region(slice(row, row + 1))
-    silhouette = drawing.draw(slice(row, row + 1), region) > 0
-    visible = drawing.draw(frame, region) == outlines.vessel[row] + 1
+    silhouette = drawing.draw_in_tiles(slice(row, row + 1), region) > 0
+    visible = drawing.draw_in_tiles(frame, region) == outlines.vessel[row] + 1
     return PixelMasks(region.x, region.y, silhouette, visible)
 
 
@@ -125,6 +125,14 @@ class _Drawing:
         corners = self.triangles.corners_px[chosen] * self.supersample
         return self.renderer.draw(corners, self.triangles.inverse_depth[chosen], ids, region)
 
+    def draw_in_tiles(self, rows: slice, region: Region) -> Ids:
+        """The same for a region that may be larger than a buffer."""
+        ids = np.empty((region.height, region.width), dtype=np.uint32)
+        for tile in _tiles(region):
+            y, x = tile.y - region.y, tile.x - region.x
+            ids[y : y + tile.height, x : x + tile.width] = self.draw(rows, tile)
+        return ids
+
 
 def _count(drawing: _Drawing, tally: _Tally, rows: slice, tile: Region) -> None:
     """Count the pixels of a frame's rows in a tile."""
@@ -137,6 +145,7 @@ def _count(drawing: _Drawing, tally: _Tally, rows: slice, tile: Region) -> None:
         seen = scene[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
         mask = seen == drawing.outlines.vessel[row] + 1
         silhouette = drawing.draw(slice(row, row + 1), region) > 0 if _overlaps_another(boxes, row, rows) else mask
+        mask |= silhouette & (seen == 0)  # far outside the buffer OpenGL cuts edges itself, here and there differently
         _add(tally.silhouette, tally.full, row, silhouette, region)
         _add(tally.visible, tally.seen, row, mask, region)
         for hider, pixels in zip(*np.unique(seen[silhouette & ~mask], return_counts=True), strict=True):

@@ -192,7 +192,7 @@ class TableWriter:
         """Add rows."""
         self._waiting.append(table)
         self._rows += len(table)
-        while self._rows >= ROW_GROUP_ROWS:
+        while self._rows > ROW_GROUP_ROWS:  # what is left is written at the end, and is not empty
             joined = pa.concat_tables(self._waiting)
             self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS))
             self._waiting = [joined.slice(ROW_GROUP_ROWS)]

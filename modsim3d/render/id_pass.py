@@ -21,10 +21,10 @@ from modsim3d.render.context import GLContext
 
 SUBPIXELS = 256
 VIEWPORT_PX = 16384
-VIEWPORT_ORIGIN_PX = -4096
-"""The viewport is a power of two wide, so that pixels map to it exactly, and reaches beyond the image, so that
-OpenGL's own clipping moves no corner near it."""
-MAX_REGION_PX = VIEWPORT_PX + VIEWPORT_ORIGIN_PX
+"""The viewport is a power of two wide, so that pixels map to it exactly, and is put where it holds the corners of what
+is drawn, so that OpenGL moves none by cutting edges itself. With images up to 12,000 px and corners at most 2048 px
+outside them it holds them all; of a supersampled image that is wider, edges far outside a tile may be cut."""
+MAX_REGION_PX = 12_288
 SMALLEST_BUFFER_PX = 64
 KEPT_BUFFERS_PX = 12_000_000
 """Buffers are kept for the next region of their size until all together hold more pixels than this."""
@@ -121,10 +121,10 @@ class IdRenderer:
             raise RendererError(
                 f"an ID buffer of {region.width} × {region.height} px was asked for; {MAX_REGION_PX} a side is the most"
             )
-        vertices = self._vertices(corners_px, inverse_depth, ids, region)
+        vertices, origin = self._vertices(corners_px, inverse_depth, ids, region)
         gl = self.context.gl
         self._bind_buffer(region.width, region.height)
-        gl.glViewport(VIEWPORT_ORIGIN_PX, VIEWPORT_ORIGIN_PX, VIEWPORT_PX, VIEWPORT_PX)
+        gl.glViewport(*origin, VIEWPORT_PX, VIEWPORT_PX)
         gl.glClearBufferuiv(gl.GL_COLOR, 0, np.zeros(4, dtype=np.uint32))
         gl.glClear(gl.GL_DEPTH_BUFFER_BIT)
         gl.glBufferData(gl.GL_ARRAY_BUFFER, vertices.nbytes, vertices, gl.GL_STREAM_DRAW)
@@ -134,14 +134,17 @@ class IdRenderer:
 
     def _vertices(
         self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region
-    ) -> NDArray[np.void]:
+    ) -> tuple[NDArray[np.void], list[int]]:
         """The vertex buffer: row 0 of the region is row 0 in memory, which is OpenGL's lowest."""
         vertices = np.empty((len(ids), 3), dtype=_VERTEX)
         snapped = np.rint(corners_px * SUBPIXELS) / SUBPIXELS - (region.x, region.y)
-        vertices["position"][..., :2] = (snapped - VIEWPORT_ORIGIN_PX) * (2 / VIEWPORT_PX) - 1
+        # Where the viewport begins: at the least corner, or as far from it as the region allows.
+        side = np.array([region.width, region.height])
+        origin = np.clip(np.floor(snapped.min(axis=(0, 1))), side - VIEWPORT_PX, 0)
+        vertices["position"][..., :2] = (snapped - origin) * (2 / VIEWPORT_PX) - 1
         vertices["position"][..., 2] = inverse_depth
         vertices["id"] = np.asarray(ids)[:, None]
-        return vertices.reshape(-1)
+        return vertices.reshape(-1), origin.astype(int).tolist()
 
     def _bind_buffer(self, width: int, height: int) -> None:
         """Bind a buffer little larger than a region, as all of it is cleared; made at first use."""

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from modsim3d.frames import Array
+
+SIDES = ("x_min", "y_min", "x_max", "y_max")
 
 
 @dataclass(frozen=True)
@@ -26,75 +35,111 @@ class Moment:
     caption: str
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Columns of a part of `truth.parquet`; a fraction that is not known counts as one."""
+
+    fraction: Array
+    silhouette_px: Array
+    visible_px: Array
+    occluded: NDArray[np.bool_]
+    annotated: NDArray[np.bool_]
+    detected: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, table: pa.Table) -> _Rows:
+        def numbers(name: str) -> Array:
+            return np.asarray(table[name].to_numpy(), dtype=np.float64)
+
+        def flags(name: str) -> NDArray[np.bool_]:
+            return np.asarray(table[name].to_numpy(), dtype=bool)
+
+        return cls(
+            np.where(np.isnan(numbers("visible_fraction")), 1.0, numbers("visible_fraction")),
+            numbers("silhouette_px"),
+            numbers("visible_px"),
+            pc.list_value_length(table["occluded_by"]).to_numpy() > 0,
+            flags("annotated"),
+            flags("detected"),
+        )
+
+    @property
+    def hidden_in_part(self) -> NDArray[np.bool_]:
+        return self.occluded & (self.fraction > 0) & (self.fraction < 1) & self.annotated
+
+    @property
+    def clear(self) -> NDArray[np.bool_]:
+        clear: NDArray[np.bool_] = (self.fraction == 1) & self.annotated
+        return clear
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Rows that are wanted, what they are ranked by (the least is shown), and what is said of it."""
+
+    wanted: Callable[[_Rows], NDArray[np.bool_]]
+    rank: Callable[[_Rows], Array]
+    say: Callable[[dict[str, Any]], str]
+
+
+def _hider(row: dict[str, Any]) -> str:
+    hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"]
+    if row["visible_fraction"] == 0:
+        return f"wholly hidden by {hider}"
+    hidden = min(1 - row["visible_fraction"], 0.99)  # something is seen: "100 %" would be another thing
+    return f"{hidden:.0%} hidden by {hider}, {'detected' if row['detected'] else 'missed'}"
+
+
+KINDS = (
+    _Kind(lambda r: r.hidden_in_part & r.detected, lambda r: np.abs(r.fraction - 0.5), _hider),
+    _Kind(lambda r: r.hidden_in_part & ~r.detected, lambda r: r.fraction, _hider),
+    _Kind(lambda r: (r.visible_px == 0) & r.occluded, lambda r: -r.silhouette_px, _hider),
+    _Kind(lambda r: r.clear & r.detected, lambda r: -r.silhouette_px, lambda row: "detected"),
+    _Kind(lambda r: r.clear & ~r.detected, lambda r: -r.silhouette_px, lambda row: "missed, though in plain view"),
+)
+
+
 def pick_moments(folder: Path) -> list[Moment]:
     """One moment of each kind that the run has: occlusion, recovery from it, a miss, a false alarm, and so on.
 
     Args:
         folder: A finished run directory.
     """
-    truth = pq.read_table(folder / "truth.parquet").to_pylist()
-    detections = pq.read_table(folder / "detections.parquet").to_pylist()
-    candidates = [
-        _best(
-            truth,
-            lambda r: _hidden(r) and r["annotated"] and r["detected"],
-            lambda r: abs(_fraction(r) - 0.5),
-            _hider,
-        ),
-        _best(truth, lambda r: _hidden(r) and r["annotated"] and not r["detected"], _fraction, _hider),
-        _best(
-            truth,
-            lambda r: r["visible_px"] == 0 and r["occluded_by"],
-            lambda r: -r["silhouette_px"],
-            _hider,
-        ),
-        _best(truth, lambda r: _clear(r) and r["detected"], lambda r: -r["silhouette_px"], lambda r: "detected"),
-        _best(
-            truth,
-            lambda r: _clear(r) and not r["detected"],
-            lambda r: -r["silhouette_px"],
-            lambda r: "missed, though in plain view",
-        ),
-        _false_alarm(truth, detections),
+    best: list[tuple[float, dict[str, Any]] | None] = [None] * len(KINDS)
+    for table in _parts(folder / "truth.parquet"):
+        rows = _Rows.of(table)
+        for k, kind in enumerate(KINDS):
+            best[k] = _better(best[k], table, np.where(kind.wanted(rows), kind.rank(rows), np.inf))
+    found = [
+        Moment(row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {say}")
+        for row, say in ((entry[1], kind.say(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry)
     ]
-    return [moment for moment in candidates if moment is not None]
+    false: tuple[float, dict[str, Any]] | None = None
+    for table in _parts(folder / "detections.parquet"):
+        size = table["width_px"].to_numpy() * table["height_px"].to_numpy()
+        false = _better(false, table, np.where(table["vessel"].is_null().to_numpy(), -size, np.inf))
+    return found if false is None else [*found, _false_alarm(false[1])]
 
 
-def _best(rows: list[dict[str, Any]], wanted: Any, rank: Any, say: Any) -> Moment | None:
-    """The row that is wanted and ranks lowest."""
-    chosen = min((row for row in rows if wanted(row)), key=rank, default=None)
-    if chosen is None:
-        return None
-    box = tuple(chosen[f"full_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max"))
-    return Moment(chosen["step"], chosen["camera"], box, f"{chosen['vessel']}: {say(chosen)}")
+def _parts(path: Path) -> Iterator[pa.Table]:
+    """A table row group by row group: a long run's is larger than memory."""
+    with pq.ParquetFile(path) as file:
+        for group in range(file.num_row_groups):
+            yield file.read_row_group(group)
 
 
-def _fraction(row: dict[str, Any]) -> float:
-    return 1.0 if row["visible_fraction"] is None else row["visible_fraction"]
+def _better(
+    best: tuple[float, dict[str, Any]] | None, table: pa.Table, rank: Array
+) -> tuple[float, dict[str, Any]] | None:
+    """The row that ranks least, of the best so far and a part of a table; infinite where a row is not wanted."""
+    least = float(rank.min(initial=np.inf))
+    if least >= (best[0] if best else np.inf):
+        return best
+    row = int(np.argmin(rank))
+    return least, table.slice(row, 1).to_pylist()[0]
 
 
-def _hidden(row: dict[str, Any]) -> bool:
-    return bool(row["occluded_by"]) and 0 < _fraction(row) < 1
-
-
-def _clear(row: dict[str, Any]) -> bool:
-    return bool(_fraction(row) == 1 and row["annotated"])
-
-
-def _hider(row: dict[str, Any]) -> str:
-    hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"]
-    if _fraction(row) == 0:
-        return f"wholly hidden by {hider}"
-    hidden = min(1 - _fraction(row), 0.99)  # something is seen: "100 %" would be another thing
-    return f"{hidden:.0%} hidden by {hider}, {'detected' if row['detected'] else 'missed'}"
-
-
-def _false_alarm(truth: list[dict[str, Any]], detections: list[dict[str, Any]]) -> Moment | None:
+def _false_alarm(row: dict[str, Any]) -> Moment:
     """The largest false positive."""
-    false = [row for row in detections if row["vessel"] is None]
-    row = max(false, key=lambda row: row["width_px"] * row["height_px"], default=None)
-    if row is None:
-        return None
-    half = row["width_px"] / 2, row["height_px"] / 2
-    box = (row["x_px"] - half[0], row["y_px"] - half[1], row["x_px"] + half[0], row["y_px"] + half[1])
-    return Moment(row["step"], row["camera"], box, "a false positive")
+    x, y, half = row["x_px"], row["y_px"], (row["width_px"] / 2, row["height_px"] / 2)
+    return Moment(row["step"], row["camera"], (x - half[0], y - half[1], x + half[0], y + half[1]), "a false positive")
