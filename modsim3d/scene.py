@@ -17,6 +17,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
 from modsim3d.poses import Poses, PoseSource
+from modsim3d.scene_copy import SceneCopy
 from modsim3d.vessels import Vessel
 from modsim3d.waves import WaveMotion
 
@@ -82,6 +83,7 @@ class Scene:
         cameras: In the order of the scene file.
         annotation: Mode, source and filters.
         detector: The statistical detector's parameters.
+        copy: What it was read from.
         waves: How vessels move in waves, if they do.
     """
 
@@ -95,6 +97,7 @@ class Scene:
     cameras: tuple[Camera, ...]
     annotation: Annotation
     detector: DetectorModel
+    copy: SceneCopy
     waves: Waves | None = None
 
     @property

@@ -19,8 +19,9 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
+from modsim3d.scene_copy import SceneCopy
 from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
-from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
+from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
 
@@ -99,7 +100,7 @@ def load_scene(
         InputError: With every problem found, each with its path in the file.
     """
     path = find_scene(scene)
-    data = load_yaml(path, "scene")
+    data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
     if not isinstance(data, dict):
         raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
     given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
@@ -155,6 +156,7 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             waves=_waves(keys.waves, keys.seed),
+            copy=self._copy(keys, entries or {}),
         )
         self._check_places(scene)
         if self.problems:
@@ -274,6 +276,16 @@ class _Reader:
                 except InputError as error:
                     self.problems += error.problems
                     found.add(camera.name)
+
+    def _copy(self, keys: SceneKeys, entries: dict[Any, Any]) -> SceneCopy:
+        """The scene with every file that it names under a plain name beside it."""
+        files = {f"detector{Path(keys.detector).suffix}": self.folder / keys.detector}
+        document = {**self.data, "vessels": entries, "detector": next(iter(files))}
+        if keys.poses.file is not None:
+            name = f"poses.json{'.gz' if keys.poses.file.endswith('.gz') else ''}"
+            files[name] = self.folder / keys.poses.file
+            document["poses"] = {"file": name}
+        return SceneCopy(self.path.stem, document, files)
 
     def _sha256(self, keys: SceneKeys) -> str:
         named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]

@@ -24,6 +24,7 @@ FILES = {
     "frames.parquet",
     "truth.parquet",
     "detections.parquet",
+    "scene",
 }
 
 
@@ -40,7 +41,7 @@ def finished(scene, tmp_path_factory) -> Path:
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "run.log"}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file() and path.name != "run.log"}
 
 
 def test_run_directory_holds_what_is_promised_and_nothing_else(finished):

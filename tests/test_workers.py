@@ -13,7 +13,7 @@ COMMAND = [sys.executable, "-m", "modsim3d.cli", "run", "harbour", "--no-sheet"]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "run.log"}
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "run.log"}
 
 
 def test_two_workers_write_the_bytes_of_one(tmp_path):

@@ -18,6 +18,8 @@ from modsim3d.scene import Scene
 UNFINISHED = "unfinished"
 """The folder inside a run directory that holds what is written while the run goes on."""
 RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
+SCENE_FOLDER = "scene"
+"""A copy of the scene and of every file that it names."""
 
 
 class RunDirectory:
@@ -54,6 +56,7 @@ class RunDirectory:
         self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
         try:
             self._prepare(overwrite, resume)
+            scene.copy.write(self.work / SCENE_FOLDER)
             self._writers = {
                 name: tables.TableWriter(self.work / f"{name}.parquet", schema) for name, (schema, _) in TABLES.items()
             }
@@ -163,6 +166,9 @@ class RunDirectory:
             with joined.open("wb") as out:
                 thesis_json.join_lines(lines, out)
             place(joined, self.folder / joined.name)
+        if (self.folder / SCENE_FOLDER).is_dir():  # put there by a run that was killed just then
+            shutil.rmtree(self.folder / SCENE_FOLDER)
+        (self.work / SCENE_FOLDER).replace(self.folder / SCENE_FOLDER)
         partial = self.work / RUN_FILE
         partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
         place(partial, self.folder / RUN_FILE)

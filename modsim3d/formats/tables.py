@@ -19,7 +19,7 @@ from modsim3d.scene import Scene
 ROW_GROUP_ROWS = 65_536
 
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
-_BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
 _OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
 
 
@@ -39,7 +39,7 @@ TRUTH = pa.schema(
         *_KEYS,
         ("vessel", pa.string()),
         ("label", pa.string()),
-        *_doubles(*(f"full_{side}" for side in _BOX_SIDES), *(f"visible_{side}" for side in _BOX_SIDES)),
+        *_doubles(*(f"full_{side}" for side in BOX_SIDES), *(f"visible_{side}" for side in BOX_SIDES)),
         *_doubles("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m"),
         ("occluded_by", _OCCLUDERS),
         ("annotated", pa.bool_()),
@@ -160,7 +160,7 @@ def _nullable(values: Array) -> pa.Array:
 
 
 def _box_columns(prefix: str, boxes_px: Array) -> dict[str, pa.Array]:
-    return {f"{prefix}_{side}": _nullable(boxes_px[:, i]) for i, side in enumerate(_BOX_SIDES)}
+    return {f"{prefix}_{side}": _nullable(boxes_px[:, i]) for i, side in enumerate(BOX_SIDES)}
 
 
 def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:

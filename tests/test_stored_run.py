@@ -1,0 +1,92 @@
+"""A run directory opened again gives what the run had, and can be run again from its own copy."""
+
+import shutil
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.annotate.record import COLUMNS
+from modsim3d.errors import RunDirectoryError
+from modsim3d.run import run_scene
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import open_renderer, simulate_frames, truth_block
+from modsim3d.stored_run import open_run
+
+STEPS = 300
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("simulation_3", mode=2, seed=5, steps=STEPS)
+
+
+@pytest.fixture(scope="module")
+def finished(scene, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("stored") / "run"
+    run_scene(scene, folder)
+    return folder
+
+
+def assert_same_frames(found, expected):
+    for a, b in zip(found, expected, strict=True):
+        assert (a.camera, a.step, a.timestamp, a.state) == (b.camera, b.step, b.timestamp, b.state)
+        for part in ("truth", "detections"):
+            for field in fields(getattr(a, part)):
+                ours, theirs = getattr(getattr(a, part), field.name), getattr(getattr(b, part), field.name)
+                if isinstance(theirs, np.ndarray):
+                    # The files give a box as centre and size: back to sides it may differ by rounding.
+                    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+                else:
+                    assert ours == theirs
+
+
+def test_frames_read_back_are_those_of_the_simulation(scene, finished):
+    assert_same_frames(open_run(finished).frames(), simulate_frames(scene))
+
+
+def test_some_steps_read_back_are_those_steps(finished):
+    run = open_run(finished)
+    everything = list(run.frames())
+    assert_same_frames(run.frames(240, 260), [frame for frame in everything if 240 <= frame.step < 260])
+
+
+def test_truth_read_back_is_the_truth(scene, finished):
+    read = open_run(finished).truth(10, 120)
+    with open_renderer(scene) as renderer:
+        made = truth_block(scene, 10, 120, renderer)
+    for name in COLUMNS:
+        if name != "intersections":
+            np.testing.assert_array_equal(getattr(read, name), getattr(made, name), err_msg=name)
+
+
+def test_a_run_repeated_from_its_own_copy_gives_the_same_bytes(finished, tmp_path):
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(finished, moved)
+    run_scene(open_run(moved).scene, tmp_path / "again")
+    for name in ("truth.parquet", "detections.parquet", "detections_C1.json", "frames.parquet"):
+        assert (tmp_path / "again" / name).read_bytes() == (finished / name).read_bytes()
+
+
+def test_an_interrupted_run_gives_the_steps_that_it_has_kept(scene, finished, tmp_path):
+    class Stop(Exception):
+        pass
+
+    def stop_at_once(steps: int) -> None:
+        raise Stop
+
+    with pytest.raises(Stop):
+        run_scene(scene, tmp_path / "cut", progress=stop_at_once)
+    run = open_run(tmp_path / "cut")
+    assert not run.finished
+    assert 0 < run.steps < STEPS
+    assert_same_frames(run.frames(), [f for f in open_run(finished).frames() if f.step < run.steps])
+
+
+@pytest.mark.parametrize("content", [None, "", "{}", '{"scene": 3}', "[1]"])
+def test_a_folder_that_is_no_run_is_refused(tmp_path, content):
+    if content is not None:
+        (tmp_path / "run.json").write_text(content)
+    with pytest.raises(RunDirectoryError, match=r"run\.json|copy of its scene"):
+        open_run(tmp_path)
