@@ -236,26 +236,43 @@ def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
         half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
 
     Returns:
-        Triangles in CCF, shape (T', 3, 3); order kept.
+        Triangles in CCF, shape (T', 3, 3); order and orientation kept.
     """
-    kept: list[NDArray[np.float64]] = []
-    for triangle in triangles_camera:
-        polygon = triangle
-        for plane in half_spaces:
-            polygon = _clip_polygon(polygon, polygon @ plane[:3] - plane[3])
-        kept.extend(np.array([polygon[0], *polygon[i : i + 2]]) for i in range(1, len(polygon) - 1))
-    return np.array(kept) if kept else np.empty((0, 3, 3))
+    kept = triangles_camera
+    for plane in half_spaces:
+        kept = _clip_by(kept, kept @ plane[:3] - plane[3])
+    return kept
 
 
-def _clip_polygon(polygon: Array, height: Array) -> Array:
-    """The part of a polygon where a linear function of its corners is not negative."""
-    corners = []
-    for i in range(len(polygon)):
-        start, end = i - 1, i
-        if (height[start] >= 0) != (height[end] >= 0):
-            # From the corner inside, so that two triangles with this edge get the very same point.
-            a, b = (start, end) if height[start] >= 0 else (end, start)
-            corners.append(polygon[a] + height[a] / (height[a] - height[b]) * (polygon[b] - polygon[a]))
-        if height[end] >= 0:
-            corners.append(polygon[end])
-    return np.array(corners) if corners else np.empty((0, 3))
+def _clip_by(triangles: Array, height: Array) -> Array:
+    """The parts of triangles where a linear function of their corners, shape (T, 3), is not negative."""
+    inside = height >= 0
+    if inside.all():
+        return triangles
+    count = inside.sum(axis=1)
+    # Turn each triangle so that its odd corner, the one inside or the one outside, comes first.
+    odd = np.where(count == 1, inside.argmax(axis=1), inside.argmin(axis=1))
+    turn = (odd[:, None] + np.arange(3)) % 3
+    corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
+    heights = np.take_along_axis(height, turn, axis=1)
+    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
+    tip = np.stack(
+        [corners[one, 0], _crossing(corners, heights, one, 0, 1), _crossing(corners, heights, one, 0, 2)], axis=1
+    )
+    first, last = _crossing(corners, heights, two, 1, 0), _crossing(corners, heights, two, 2, 0)
+    near = np.stack([first, corners[two, 1], corners[two, 2]], axis=1)
+    far = np.stack([first, corners[two, 2], last], axis=1)
+    whole = np.flatnonzero(count == 3)
+    source = np.concatenate([whole, one, two, two])
+    parts = np.concatenate([triangles[whole], tip, near, far])
+    return parts[np.argsort(source, kind="stable")]
+
+
+def _crossing(corners: Array, heights: Array, rows: NDArray[np.int64], inner: int, outer: int) -> Array:
+    """Where edges leave the half-space, shape (k, 3).
+
+    From the corner inside, so that two triangles with this edge get the very same point.
+    """
+    a, b = corners[rows, inner], corners[rows, outer]
+    height_a, height_b = heights[rows, inner, None], heights[rows, outer, None]
+    return a + height_a / (height_a - height_b) * (b - a)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,41 +16,21 @@ from modsim3d.frames import Array
 from modsim3d.validation import Strict, describe, join_path, load_json, shown
 
 
-@dataclass(frozen=True)
-class Vessel:
-    """A vessel as the scene describes it.
-
-    Attributes:
-        name: Its ID.
-        label: Its true class.
-        length_m: Along v1.
-        beam_m: Along v2.
-        air_draft_m: Height above the waterline, along v3.
-    """
-
-    name: str
-    label: str
-    length_m: float
-    beam_m: float
-    air_draft_m: float
-
-    @property
-    def extents_m(self) -> Array:
-        """Length, beam and air draft, shape (3,)."""
-        return np.array([self.length_m, self.beam_m, self.air_draft_m])
-
-
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A closed triangle mesh in VCF units of length, beam and air draft.
+    """A triangle mesh in VCF units of length, beam and air draft; faces are counter-clockwise seen from outside.
 
     Attributes:
         vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
         faces: Vertex indices, shape (F, 3).
+        convex: Whether its silhouette is the hull of its vertices.
+        closed: Whether the faces bound a volume.
     """
 
     vertices: Array
     faces: NDArray[np.int64]
+    convex: bool = True
+    closed: bool = True
 
 
 @cache
@@ -66,6 +46,37 @@ def shoebox() -> Solid:
     vertices.setflags(write=False)
     faces.setflags(write=False)
     return Solid(vertices, faces)
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """A vessel as the scene describes it.
+
+    Attributes:
+        name: Its ID.
+        label: Its true class.
+        length_m: Along v1.
+        beam_m: Along v2.
+        air_draft_m: Height above the waterline, along v3.
+        solid: Its shape, in units of these three.
+    """
+
+    name: str
+    label: str
+    length_m: float
+    beam_m: float
+    air_draft_m: float
+    solid: Solid = field(default_factory=shoebox)
+
+    @property
+    def extents_m(self) -> Array:
+        """Length, beam and air draft, shape (3,)."""
+        return np.array([self.length_m, self.beam_m, self.air_draft_m])
+
+    @property
+    def has_mesh(self) -> bool:
+        """Whether its shape is another than the shoebox."""
+        return self.solid is not shoebox()
 
 
 MAPPING_NEEDED = "a mapping of vessel ID to vessel is needed"
