@@ -275,4 +275,5 @@ def _crossing(corners: Array, heights: Array, rows: NDArray[np.int64], inner: in
     """
     a, b = corners[rows, inner], corners[rows, outer]
     height_a, height_b = heights[rows, inner, None], heights[rows, outer, None]
-    return a + height_a / (height_a - height_b) * (b - a)
+    crossing: Array = a + height_a / (height_a - height_b) * (b - a)
+    return crossing

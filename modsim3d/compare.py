@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
 from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
+from modsim3d.annotate.looseness import Looseness, add_looseness
 from modsim3d.annotate.modes import SOURCES
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
@@ -101,6 +102,7 @@ class Report:
         pixels_looked_at: Vessel-frames of which every pixel was checked.
         intersecting: Pairs of vessels whose boxes intersect → frames.
         rule: The rectangle rule against the rendered source.
+        looseness: Vessel with a mesh → how much looser its shoebox is.
         seconds: Source → time spent.
         worst: The worst differences.
     """
@@ -121,6 +123,7 @@ class Report:
     pixels_looked_at: int = 0
     intersecting: dict[str, int] = field(default_factory=dict)
     rule: RectangleRule = field(default_factory=RectangleRule)
+    looseness: dict[str, Looseness] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0.0))
     worst: list[Case] = field(default_factory=list)
 
@@ -161,6 +164,7 @@ class Report:
                 "visible_vessel_dropped": self.rule.dropped_visible,
                 "wrong_share": self.rule.wrong_share,
             },
+            "shoebox_against_mesh": {name: loose.figures() for name, loose in sorted(self.looseness.items())},
             "ms_per_frame": {source: 1e3 * seconds / frames for source, seconds in self.seconds.items()},
         }
 
@@ -210,47 +214,56 @@ def _compare_camera(
     steps: NDArray[np.int64],
 ) -> None:
     started = time.perf_counter()
-    outlines = scene.sight(camera, steps).outlines(camera.intrinsics, scene.vessels)
+    sight = scene.sight(camera, steps)
+    everything = sight.outlines(camera.intrinsics, scene.vessels)
     shared = time.perf_counter() - started
     scale = scene.annotation.supersample
     draw = full_frame_occlusion if scene.annotation.render == "full" else rendered_occlusion
+    known, boxed = np.flatnonzero(everything.convex), np.flatnonzero(everything.boxed)
     sources: dict[str, Callable[[], Occlusion]] = {
-        "rendered": lambda: draw(outlines, camera.intrinsics, renderer, scale),
-        "analytic": lambda: analytic_occlusion(outlines, camera.intrinsics),
-        "rectangles": lambda: rectangle_occlusion(outlines),
+        "rendered": lambda: draw(everything, camera.intrinsics, renderer, scale),
+        "analytic": lambda: analytic_occlusion(everything.take(known), camera.intrinsics),
+        "rectangles": lambda: rectangle_occlusion(everything),
     }
     seen = {}
     for name, source in sources.items():
         started = time.perf_counter()
         seen[name] = source()
         report.seconds[name] += time.perf_counter() - started + shared
+    for first, second in everything.vessel[known][seen["analytic"].intersecting]:
+        pair = f"{scene.occluder_names[first]} and {scene.occluder_names[second]}"
+        report.intersecting[pair] = report.intersecting.get(pair, 0) + 1
     found = compare_with_analytic(
-        outlines,
+        everything,
         camera.intrinsics,
         seen["rendered"],
-        lambda row: pixel_masks(outlines, camera.intrinsics, renderer, row, scale),
+        lambda row: pixel_masks(everything, camera.intrinsics, renderer, row, scale),
         scale,
     )
+    seen["analytic"] = seen["analytic"].among(known, len(everything))
+    seen = {name: occlusion.take(boxed) for name, occlusion in seen.items()}
+    outlines = everything.take(boxed)
     report.frames += len(steps)
     report.vessel_frames += len(outlines)
     report.occluded += int((seen["rendered"].visible_px < seen["rendered"].silhouette_px).sum())
     _add_differences(report, found)
-    for first, second in seen["analytic"].intersecting:
-        names = [scene.vessel_names[outlines.vessel[row]] for row in (first, second)]
-        pair = " and ".join(names)
-        report.intersecting[pair] = report.intersecting.get(pair, 0) + 1
     place = _Place(index, steps, outlines, seen)
     _add_worst(report, found, place)
     _add_rule(report.rule, place)
+    if len(known) < len(everything):
+        shoeboxes = sight.outlines(camera.intrinsics, scene.vessels, as_shoeboxes=True)
+        add_looseness(report.looseness, scene.vessels, outlines, shoeboxes)
 
 
 def _add_differences(report: Report, found: Comparison) -> None:
     for verdict in Verdict:
         report.full[verdict] += int((found.full == verdict).sum())
         report.visible[verdict] += int((found.visible == verdict).sum())
-    report.full_side_px.append(np.abs(found.full_side_px).max(axis=1, initial=0.0))
-    sides = np.abs(found.visible_side_px)
-    report.visible_side_px.append(sides[~np.isnan(sides).any(axis=1)].max(axis=1, initial=0.0))
+    for kept, sides in (
+        (report.full_side_px, np.abs(found.full_side_px)),
+        (report.visible_side_px, np.abs(found.visible_side_px)),
+    ):
+        kept.append(sides[~np.isnan(sides).any(axis=1)].max(axis=1, initial=0.0))
     told = ~np.isnan(found.fraction)
     report.fraction.append(np.abs(found.fraction[told]))
     report.fraction_bound.append(found.fraction_bound[told])
@@ -281,7 +294,7 @@ def _add_worst(report: Report, found: Comparison, place: _Place) -> None:
     """Unexplained differences come first, then the largest; what the analytic source cannot tell comes last."""
     sides = np.abs(np.concatenate([found.full_side_px, found.visible_side_px], axis=1))
     size = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(found.seen_differs, 1.0, 0.0)
-    size[found.visible == Verdict.INTERSECTING] *= 1e-3
+    size[(found.visible == Verdict.INTERSECTING) | (found.worst == Verdict.NOT_COMPARABLE)] *= 1e-3
     badness = size + 1e6 * (found.worst == Verdict.UNEXPLAINED)
     for row in np.argsort(-badness)[:WORST]:
         reason = EXPLANATIONS[Verdict(int(found.worst[row]))]

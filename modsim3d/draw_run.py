@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from modsim3d.annotate.outlines import triangles_of
+from modsim3d.annotate.triangles import triangles_of
 from modsim3d.block import frames_of
 from modsim3d.camera import Camera
 from modsim3d.compare import Case

@@ -78,7 +78,7 @@ def run_scene(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
         f"{counts.frames} frames in {seconds:.3f} s, {resumed} steps taken from an interrupted run\n"
     )
-    names = scene.vessel_names
+    names = scene.occluder_names
     return RunResult(folder, counts, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
 
 

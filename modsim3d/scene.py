@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.inside import check_cameras_outside
+from modsim3d.annotate.inside import first_body_around
 from modsim3d.annotate.modes import Annotation
 from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.bodies import Bodies, vessel_bodies
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
+from modsim3d.obstacles import PREFIX, Obstacle, obstacle_bodies
 from modsim3d.poses import Poses, PoseSource
 from modsim3d.scene_copy import SceneCopy
 from modsim3d.vessels import Vessel
@@ -48,24 +50,45 @@ class Sight:
         poses: Of all V vessels.
         world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
         others: Vessels that are there and do not carry the camera, shape (S, V).
+        carriers: The vessel that carries the camera, shape (S, V).
         camera_poses: Of the camera.
+        obstacles: Of the scene.
     """
 
     steps: Indices
     poses: Poses
     world_R_vessel: Array
     others: NDArray[np.bool_]
+    carriers: NDArray[np.bool_]
     camera_poses: CameraPoses
+    obstacles: tuple[Obstacle, ...] = ()
 
-    def outlines(self, intrinsics: Intrinsics, vessels: Sequence[Vessel]) -> Outlines:
-        """The other vessels before the camera."""
-        return outline(intrinsics, self.camera_poses, vessels, self.others, self.poses.positions_m, self.world_R_vessel)
+    def outlines(self, intrinsics: Intrinsics, vessels: Sequence[Vessel], *, as_shoeboxes: bool = False) -> Outlines:
+        """What is before the camera: the other vessels, the obstacles, and the hull that carries it if that has a mesh.
 
-    def vessel_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
-        """The first step (as an index) and vessel that the camera is inside of, or None."""
-        return check_cameras_outside(
-            self.camera_poses.positions_m, vessels, self.others, self.poses, self.world_R_vessel
+        Args:
+            intrinsics: Of the camera.
+            vessels: Of the scene.
+            as_shoeboxes: Whether vessels with a mesh are to be taken for their shoeboxes.
+        """
+        bodies = self._bodies(vessels, self.others, as_shoeboxes=as_shoeboxes)
+        if not as_shoeboxes:
+            with_mesh = np.array([vessel.has_mesh for vessel in vessels])
+            bodies += self._bodies(vessels, self.carriers & with_mesh, boxed=False)
+        bodies += obstacle_bodies(self.obstacles, len(vessels), len(self.steps))
+        return outline(intrinsics, self.camera_poses, bodies)
+
+    def _bodies(
+        self, vessels: Sequence[Vessel], present: NDArray[np.bool_], *, as_shoeboxes: bool = False, boxed: bool = True
+    ) -> list[Bodies]:
+        return vessel_bodies(
+            vessels, present, self.poses.positions_m, self.world_R_vessel, as_shoeboxes=as_shoeboxes, boxed=boxed
         )
+
+    def body_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
+        """The first step (as an index) and occluder that the camera is inside of, or None."""
+        bodies = self._bodies(vessels, self.others) + obstacle_bodies(self.obstacles, len(vessels), len(self.steps))
+        return first_body_around(self.camera_poses.positions_m, bodies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +108,7 @@ class Scene:
         detector: The statistical detector's parameters.
         copy: What it was read from.
         waves: How vessels move in waves, if they do.
+        obstacles: What stands still and hides vessels.
     """
 
     name: str
@@ -99,6 +123,7 @@ class Scene:
     detector: DetectorModel
     copy: SceneCopy
     waves: Waves | None = None
+    obstacles: tuple[Obstacle, ...] = ()
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
@@ -107,8 +132,8 @@ class Scene:
 
     @property
     def occluder_names(self) -> tuple[str, ...]:
-        """Names of what can hide a vessel: the vessels."""
-        return self.vessel_names
+        """Names of what can hide a vessel: the vessels, then the obstacles."""
+        return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
 
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
         """The text of the times of steps first to stop − 1."""
@@ -131,8 +156,16 @@ class Scene:
         """
         poses = self._poses_at(steps)
         rotations = self._world_R_vessel(poses, steps)
-        others = poses.present & (np.array(self.vessel_names) != camera.mount.vessel)
-        return Sight(steps, poses, rotations, others, self._camera_poses(camera, poses, steps))
+        carrier = np.array(self.vessel_names) == camera.mount.vessel
+        return Sight(
+            steps,
+            poses,
+            rotations,
+            others=poses.present & ~carrier,
+            carriers=poses.present & carrier,
+            camera_poses=self._camera_poses(camera, poses, steps),
+            obstacles=self.obstacles,
+        )
 
     def _poses_at(self, steps: Indices) -> Poses:
         first, stop = int(steps[0]), int(steps[-1]) + 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import shapely
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from modsim3d.validation import Number, Probability, Strict, shown
@@ -24,6 +25,7 @@ Steps = Annotated[int, Field(strict=True, gt=0, le=MAX_STEPS)]
 Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Vector = tuple[Metres, Metres, Metres]
+Size = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
 MAX_IMAGE_SIDE_PX = 12_000
 ImageSide = Annotated[int, Field(strict=True, gt=0, le=MAX_IMAGE_SIDE_PX)]
 
@@ -144,6 +146,43 @@ class WavesKeys(Strict):
         return self
 
 
+class ObstacleKeys(Strict):
+    """What stands still and hides vessels: a prism over a polygon, or a mesh."""
+
+    polygon_m: list[tuple[Metres, Metres]] | None = None
+    height_m: Size | None = None
+    base_m: Metres = 0.0
+    mesh: str | dict[str, str] | None = None
+    size_m: tuple[Size, Size, Size] | None = None
+    position_m: Vector = (0.0, 0.0, 0.0)
+    heading_rad: Number = 0.0
+
+    @field_validator("polygon_m")
+    @classmethod
+    def _simple(cls, polygon_m: list[tuple[float, float]] | None) -> list[tuple[float, float]] | None:
+        if polygon_m is None:
+            return None
+        if len(polygon_m) < 3:
+            raise ValueError(f"a polygon needs three corners or more (got {len(polygon_m)})")
+        polygon = shapely.Polygon(polygon_m)
+        if not polygon.is_valid or polygon.area <= 0:
+            why = shapely.is_valid_reason(polygon) if not polygon.is_valid else "its area is zero"
+            raise ValueError(f"the sides of a polygon must not cross or lie on each other ({why})")
+        return polygon_m
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ObstacleKeys:
+        if (self.polygon_m is None) == (self.mesh is None):
+            raise ValueError("give either polygon_m with height_m, or mesh with size_m")
+        needed, other = ("height_m", "size_m") if self.mesh is None else ("size_m", "height_m")
+        if getattr(self, needed) is None:
+            raise ValueError(f"{needed}: missing")
+        misplaced = {other} | ({"position_m", "heading_rad"} if self.mesh is None else {"base_m"})
+        if wrong := sorted(misplaced & self.model_fields_set):
+            raise ValueError(f"{', '.join(wrong)}: not for {'a polygon' if self.mesh is None else 'a mesh'}")
+        return self
+
+
 class SceneKeys(Strict):
     """A scene file. `vessels` is looked at apart from this: it may be a file."""
 
@@ -154,6 +193,7 @@ class SceneKeys(Strict):
     poses: PosesKeys
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
+    obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 

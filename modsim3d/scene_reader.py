@@ -17,10 +17,11 @@ from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
+from modsim3d.obstacles import PREFIX, Obstacle, extruded
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import CameraKeys, ObstacleKeys, SceneKeys, WavesKeys
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
@@ -141,6 +142,7 @@ class _Reader:
         if entries is not None and detector is not None:
             self._check_labels(entries, detector)
         poses = self._poses(keys, names, vessels)
+        obstacles = tuple(_obstacle(name, entry) for name, entry in keys.obstacles.items()) if keys else ()
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
@@ -157,6 +159,7 @@ class _Reader:
             detector=detector,
             waves=_waves(keys.waves, keys.seed),
             copy=self._copy(keys, entries or {}),
+            obstacles=obstacles,
         )
         self._check_places(scene)
         if self.problems:
@@ -297,16 +300,19 @@ class _Reader:
 
 def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     sight = scene.sight(camera, steps)
-    inside = None if scene.annotation.allow_camera_inside else sight.vessel_around(scene.vessels)
+    inside = None if scene.annotation.allow_camera_inside else sight.body_around(scene.vessels)
     if inside is None:
         return
-    frame, vessel = inside
+    frame, body = inside
     when = scene.poses.timestamps[int(steps[frame])]
+    kind, name = ("vessel", scene.occluder_names[body])
+    if body >= len(scene.vessels):
+        kind, name = "obstacle", name.removeprefix(PREFIX)
     raise InputError(
         f"scene {scene.path}",
         [
-            f"cameras.{camera.name}: is inside vessel '{scene.vessels[vessel].name}' at time {when} s: move one of "
-            "them, or set annotation.allow_camera_inside: true"
+            f"cameras.{camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
+            "annotation.allow_camera_inside: true"
         ],
     )
 
@@ -321,6 +327,11 @@ def _waves(keys: WavesKeys | None, seed: int) -> Waves | None:
         roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
         axes = (roll, pitch, yaw)
     return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)
+
+
+def _obstacle(name: str, keys: ObstacleKeys) -> Obstacle:
+    assert keys.polygon_m is not None and keys.height_m is not None
+    return Obstacle(name, extruded(np.array(keys.polygon_m), keys.base_m, keys.height_m))
 
 
 def _camera(name: str, keys: CameraKeys) -> Camera:

@@ -66,9 +66,11 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
 def _camera_truth(
     scene: Scene, index: int, camera: Camera, steps: NDArray[np.int64], renderer: IdRenderer | None
 ) -> Truth:
-    outlines = scene.sight(camera, steps).outlines(camera.intrinsics, scene.vessels)
+    sight = scene.sight(camera, steps)
+    outlines = sight.outlines(camera.intrinsics, scene.vessels, as_shoeboxes=scene.annotation.source != "rendered")
     occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
     truth = occlusion.truth(steps[outlines.frame], index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m)
+    truth = truth.take(outlines.boxed)
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.bodies import vessel_bodies
 from modsim3d.camera import Intrinsics, Mount, poses_ashore
 from modsim3d.frames import world_R_vehicle
 from modsim3d.scene_reader import data_folder
@@ -36,7 +37,8 @@ def outlines_of(
     mount = mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M))
     vessels = [vessel for vessel, _, _ in places]
     present = np.ones((1, len(places)), dtype=bool)
-    return outline(intrinsics, poses_ashore(mount, 1), vessels, present, positions, world_R_vehicle(headings))
+    bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
+    return outline(intrinsics, poses_ashore(mount, 1), bodies)
 
 
 def random_places(
@@ -121,7 +123,7 @@ def outlines_at(boxes: Sequence[Box], intrinsics: Intrinsics = INTRINSICS, mount
     headings = np.array([[heading for _, _, heading in boxes]])
     camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
     vessels, present = [box[0] for box in boxes], np.ones((1, len(boxes)), dtype=bool)
-    return outline(intrinsics, camera, vessels, present, positions, world_R_vehicle(headings))
+    return outline(intrinsics, camera, vessel_bodies(vessels, present, positions, world_R_vehicle(headings)))
 
 
 def moved(

@@ -209,9 +209,10 @@ def test_planted_error_in_what_was_counted_is_unexplained(monkeypatch, tmp_path,
 
 def behind_is_before(outlines):
     """The same outlines in the image with 1 / c3 turned about, which is what a reversed depth test draws."""
-    depth = outlines.vertices_camera[..., 2]
+    (part,) = outlines.parts
+    depth = part.vertices_camera[..., 2]
     turned = 1 / (1 / depth.min() + 1 / depth.max() - 1 / depth)
-    return replace(outlines, vertices_camera=outlines.vertices_camera * (turned / depth)[..., None])
+    return replace(outlines, parts=(replace(part, vertices_camera=part.vertices_camera * (turned / depth)[..., None]),))
 
 
 def test_reversed_depth_test_is_unexplained(monkeypatch, tmp_path, scene):

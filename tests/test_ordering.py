@@ -142,7 +142,8 @@ def tumbled_pairs(rng, count):
     extents = np.exp(rng.uniform(np.log(1), np.log(30), (2 * count, 3)))
     outlines = outlines_of([(vessel("any"), (100.0 + 20 * i, 0.0), 0.0) for i in range(2 * count)])
     assert len(outlines) == 2 * count
-    turned = outlines.solid.vertices - [0, 0, 0.5]
+    (part,) = outlines.parts
+    turned = part.solid.vertices - [0, 0, 0.5]
     angles = rng.uniform(-np.pi, np.pi, (3, 2 * count))
     turns = rotation(0, angles[0]) @ rotation(1, angles[1]) @ rotation(2, angles[2])
     half = np.linalg.norm(extents, axis=1).reshape(count, 2) / 2
@@ -153,7 +154,8 @@ def tumbled_pairs(rng, count):
     places = np.concatenate([centres, centres + apart[:, None]], axis=1).reshape(-1, 1, 3)
     vertices = (turned * extents[:, None]) @ np.swapaxes(turns, 1, 2) + places
     boxes = np.tile([0.0, 0.0, 10.0, 10.0], (2 * count, 1))
-    return replace(outlines, frame=np.repeat(np.arange(count), 2), vertices_camera=vertices, boxes_px=boxes), (
+    parts = (replace(part, vertices_camera=vertices),)
+    return replace(outlines, frame=np.repeat(np.arange(count), 2), boxes_px=boxes, parts=parts), (
         extents,
         turns,
         places[:, 0],
@@ -174,7 +176,7 @@ def test_separating_planes_are_found_exactly_where_linear_programming_finds_one(
     outlines, _ = tumbled_pairs(np.random.default_rng(5), 300)
     order = order_of(outlines)
     np.testing.assert_array_equal(order.first, np.arange(0, 600, 2))
-    gaps = np.array([margin_of_separation(*outlines.vertices_camera[[i, i + 1]]) for i in range(0, 600, 2)])
+    gaps = np.array([margin_of_separation(*outlines.parts[0].vertices_camera[[i, i + 1]]) for i in range(0, 600, 2)])
     clear = (gaps == 0) | (gaps > 1e-6)
     assert clear.sum() > 290
     np.testing.assert_array_equal(order.intersecting[clear], (gaps == 0)[clear])
@@ -220,11 +222,12 @@ def test_order_is_that_in_which_rays_meet_the_boxes():
     outlines, (extents, turns, places) = tumbled_pairs(np.random.default_rng(7), 200)
     order = order_of(outlines)
     rng = np.random.default_rng(8)
+    vertices = outlines.parts[0].vertices_camera
     both = 0
     for pair in np.flatnonzero(~order.intersecting):
         a, b = order.first[pair], order.second[pair]
         weights = rng.dirichlet(np.ones(8), 300)
-        rays = np.concatenate([weights @ outlines.vertices_camera[a], weights @ outlines.vertices_camera[b]])
+        rays = np.concatenate([weights @ vertices[a], weights @ vertices[b]])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         met_a, met_b = (first_met(rays, extents[i], turns[i], places[i]) for i in (a, b))
         meet = np.isfinite(met_a) & np.isfinite(met_b)

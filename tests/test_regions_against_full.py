@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from modsim3d.annotate.full_frame import full_frame_occlusion
-from modsim3d.annotate.outlines import within_guard
 from modsim3d.annotate.record import COLUMNS
 from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.annotate.spans import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_mask
+from modsim3d.annotate.spans import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_ids
+from modsim3d.annotate.triangles import within_guard
 from modsim3d.render.id_pass import Region
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import truth_block
@@ -78,12 +78,13 @@ def test_scan_conversion_fills_the_pixels_that_the_rasteriser_fills(renderer, se
     outlines = outlines_of(places, intrinsics, mount)
     rows = np.flatnonzero(within_guard(outlines, intrinsics))
     width, height = intrinsics.image_size_px
-    vertices, edges = outlines.vertices_px[rows], Edges.of(outlines.solid)
-    spans, odd = scan_convert(vertices, outlines.solid, edges, (width, height))
-    for i in sorted(set(range(len(rows))) - set(odd.tolist()))[:12]:
-        corners = vertices[i][outlines.solid.faces]
-        drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, width, height))
-        np.testing.assert_array_equal(painted(spans, i, (height, width)), drawn > 0)
+    for part in outlines.parts:
+        vertices = part.vertices_px[rows]
+        spans, odd = scan_convert(vertices, part.solid, Edges.of(part.solid), (width, height))
+        for i in sorted(set(range(len(rows))) - set(odd.tolist()))[:12]:
+            corners = vertices[i][part.solid.faces]
+            drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, width, height))
+            np.testing.assert_array_equal(painted(spans, i, (height, width)), drawn > 0)
 
 
 def flat_box(left: float, top: float, right: float, bottom: float) -> np.ndarray:
@@ -130,12 +131,11 @@ def test_faces_turned_to_the_camera_are_those_whose_corners_run_counter_clockwis
     assert facing(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])) == 0
 
 
-def test_spans_of_a_mask_are_its_pixels():
-    rng = np.random.default_rng(3)
-    ids = (rng.random((30, 41)) < 0.4).astype(np.uint32) * 7
-    spans = spans_of_mask(ids, 0, 0, 0)
-    np.testing.assert_array_equal(painted(spans, 0, ids.shape), ids > 0)
-    assert (np.diff(spans.y * 1000 + spans.start) > 0).all()
+def test_spans_of_an_id_image_are_the_pixels_of_each_silhouette():
+    ids = np.random.default_rng(3).integers(0, 4, (30, 41)).astype(np.uint32)
+    spans = spans_of_ids(ids)
+    for row in range(3):
+        np.testing.assert_array_equal(painted(spans, row, ids.shape), ids == row + 1)
 
 
 def test_empty_outlines_have_an_empty_truth(renderer):

@@ -12,9 +12,10 @@ import numpy as np
 import shapely
 
 from modsim3d.annotate.ordering import Order, order_of
-from modsim3d.annotate.outlines import Outlines, silhouette_polygons
+from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
 from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.silhouettes import silhouette_polygons
 from modsim3d.camera import Intrinsics
 
 
@@ -50,7 +51,7 @@ def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
     """Full and visible boxes, areas and occluders of every outline.
 
     Args:
-        outlines: The vessels in front of the camera.
+        outlines: The convex solids in front of the camera.
         intrinsics: Of the camera.
     """
     return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
@@ -61,6 +62,7 @@ def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
     order = regions.order
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
     pairs = np.column_stack([order.first, order.second])[order.intersecting]
+    pairs = pairs[outlines.boxed[pairs].any(axis=1)]  # that a bridge stands on a quay is no matter
     boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
     farther = pairs[np.arange(len(pairs)), np.argmax(outlines.depth_m[pairs], axis=1)]
     ties = Hiding.of(farther, pairs.sum(axis=1) - farther) if len(pairs) else None
@@ -77,9 +79,12 @@ def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
 
 def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
     """Silhouettes cut at the image edge, shape (n,)."""
-    silhouettes = silhouette_polygons(
-        intrinsics, outlines.vertices_camera, outlines.vertices_px, outlines.crosses_near, outlines.solid
-    )
+    silhouettes = np.empty(len(outlines), dtype=object)
+    for part in outlines.parts:
+        crosses = outlines.crosses_near[part.rows]
+        silhouettes[part.rows] = silhouette_polygons(
+            intrinsics, part.vertices_camera, part.vertices_px, crosses, part.solid
+        )
     cut = ~(outlines.in_frame_fraction == 1.0)
     image = shapely.box(0, 0, *map(float, intrinsics.image_size_px))
     silhouettes[cut] = shapely.intersection(silhouettes[cut], image)

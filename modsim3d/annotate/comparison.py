@@ -11,7 +11,7 @@ those of these pixels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
@@ -19,6 +19,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import Regions, occlusion_of_regions, visible_regions
+from modsim3d.annotate.ordering import overlapping_pairs
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
 from modsim3d.camera import Intrinsics
@@ -38,7 +39,8 @@ class Verdict(IntEnum):
     SLIVER = 2
     BOUNDARY_ROUNDING = 3
     INTERSECTING = 4
-    UNEXPLAINED = 5
+    NOT_COMPARABLE = 5
+    UNEXPLAINED = 6
 
 
 EXPLANATIONS = {
@@ -47,6 +49,7 @@ EXPLANATIONS = {
     Verdict.SLIVER: "sliver thinner than a pixel",
     Verdict.BOUNDARY_ROUNDING: "boundary rounding",
     Verdict.INTERSECTING: "intersecting boxes: only the rendered source decides",
+    Verdict.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
     Verdict.UNEXPLAINED: "unexplained",
 }
 
@@ -96,6 +99,10 @@ class Comparison:
     visible: NDArray[np.int64]
     pixels_looked_at: Mask
 
+    def take(self, rows: NDArray[np.int64]) -> Comparison:
+        """The rows chosen."""
+        return Comparison(*(getattr(self, field.name)[rows] for field in fields(self)))
+
     @property
     def worst(self) -> NDArray[np.int64]:
         """The greater of a row's two verdicts, shape (n,)."""
@@ -111,13 +118,47 @@ def compare_with_analytic(
 ) -> Comparison:
     """Compare rendered truth with the analytic one, vessel by vessel.
 
+    The analytic source knows convex solids only: of a mesh, and of what is visible of a vessel in front of or behind
+    one, it can say nothing.
+
     Args:
-        outlines: What both looked at.
+        outlines: What both looked at; n of its rows get a box.
         intrinsics: Of the camera.
         rendered: What the pixels said.
-        look_again: Gives a row's masks, where its boxes differ by more than a pixel.
+        look_again: Gives the masks of a row of `outlines`, where its boxes differ by more than a pixel.
         supersample: Buffer pixels for each image pixel and axis.
     """
+    known = np.flatnonzero(outlines.convex)
+    found = _compare_convex(
+        outlines.take(known), intrinsics, rendered.take(known), lambda row: look_again(int(known[row])), supersample
+    )
+    if len(known) == len(outlines):
+        return found.take(np.flatnonzero(outlines.boxed))
+    return _with_meshes(found, known, outlines).take(np.flatnonzero(outlines.boxed))
+
+
+def _with_meshes(found: Comparison, known: NDArray[np.int64], outlines: Outlines) -> Comparison:
+    """The comparison of some rows as one of all; the others, and what is seen of those beside them, are not known."""
+    count, unknown = len(outlines), ~outlines.convex
+    columns = {}
+    for field in fields(Comparison):
+        column = getattr(found, field.name)
+        nothing = np.nan if column.dtype == np.float64 else 0
+        whole = np.full((count, *column.shape[1:]), nothing, dtype=column.dtype)
+        whole[known] = column
+        columns[field.name] = whole
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    beside = np.zeros(count, dtype=bool)
+    beside[first[unknown[second]]] = beside[second[unknown[first]]] = True
+    columns["full"][unknown] = columns["visible"][unknown | beside] = Verdict.NOT_COMPARABLE
+    columns["seen_differs"] &= ~beside
+    columns["visible_side_px"][beside] = columns["fraction"][beside] = np.nan
+    return Comparison(**columns)
+
+
+def _compare_convex(
+    outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, look_again: LookAgain, supersample: int
+) -> Comparison:
     regions = visible_regions(outlines, intrinsics)
     analytic = occlusion_of_regions(outlines, regions)
     full_side = rendered.full_boxes_px - analytic.full_boxes_px
@@ -134,6 +175,7 @@ def compare_with_analytic(
     )
     visible_off = np.any(np.abs(visible_side) > pixel, axis=1) | seen_differs | (np.abs(fraction) > bound)
     visible_off &= ~unordered
+    full_off, visible_off = full_off & outlines.boxed, visible_off & outlines.boxed
     full = np.zeros(len(outlines), dtype=np.int64)
     visible = np.where(unordered, int(Verdict.INTERSECTING), 0)
     nobody = regions.silhouettes[:0]

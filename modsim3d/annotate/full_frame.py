@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.annotate.comparison import PixelMasks
-from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of
+from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Hidden, Occlusion
+from modsim3d.annotate.triangles import Triangles, triangles_of
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
@@ -27,7 +28,7 @@ TILE_PX = (8192, 4096)
 def full_frame_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """Draw every frame and count pixels.
+    """Draw every frame and count the pixels of vessels.
 
     A silhouette that holds no pixel centre has no pixels; its full box is then the projected one.
 
@@ -119,7 +120,7 @@ class _Drawing:
         return Region.around(union, (self.frame.width, self.frame.height))
 
     def draw(self, rows: slice, region: Region) -> Ids:
-        """Vessel index + 1 at each pixel."""
+        """Occluder index + 1 at each pixel."""
         chosen = slice(*np.searchsorted(self.triangles.row, (rows.start, rows.stop)))
         ids = self.outlines.vessel[self.triangles.row[chosen]] + 1
         corners = self.triangles.corners_px[chosen] * self.supersample
@@ -135,10 +136,10 @@ class _Drawing:
 
 
 def _count(drawing: _Drawing, tally: _Tally, rows: slice, tile: Region) -> None:
-    """Count the pixels of a frame's rows in a tile."""
+    """Count the pixels of a frame's vessels in a tile."""
     scene = drawing.draw(rows, tile)
     boxes = drawing.outlines.boxes_px
-    for row in range(rows.start, rows.stop):
+    for row in (rows.start + np.flatnonzero(drawing.outlines.boxed[rows])).tolist():
         region = drawing.region(slice(row, row + 1)).common(tile)
         if not region.width or not region.height:
             continue

@@ -1,36 +1,54 @@
-"""Whether a camera is inside a vessel, where no picture makes sense."""
+"""Whether a camera is inside a body, where no picture makes sense."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.bodies import Bodies
 from modsim3d.frames import Array
-from modsim3d.poses import Poses
-from modsim3d.vessels import Vessel
+
+INSIDE = 2 * np.pi
+"""A closed mesh fills the whole sphere of 4π seen from inside it, and nothing from outside."""
 
 
-def check_cameras_outside(
-    positions_m: Array, vessels: Sequence[Vessel], looked_at: NDArray[np.bool_], poses: Poses, world_R_vessel: Array
-) -> tuple[int, int] | None:
-    """The first frame and vessel in whose shoebox a camera is.
+def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, int] | None:
+    """The first frame and occluder that a camera is inside of.
 
     Args:
-        positions_m: Of the camera in WCF, shape (S, 3).
-        vessels: V of them.
-        looked_at: Those that are there and do not carry the camera, shape (S, V).
-        poses: Of the vessels.
-        world_R_vessel: Rotations VCF to WCF, shape (S, V, 3, 3).
+        cameras_m: Places of a camera in WCF, shape (S, 3).
+        bodies: At the same steps.
 
     Returns:
-        Frame and vessel index, or None.
+        Frame and index into the scene's occluder names, or None.
     """
-    offsets = positions_m[:, None, None, :] - poses.positions_m[:, :, None, :]
-    body = (offsets @ world_R_vessel)[:, :, 0, :]
-    extents = np.array([vessel.extents_m for vessel in vessels])
-    within = (np.abs(body[..., :2]) < extents[:, :2] / 2).all(axis=-1)
-    within &= (body[..., 2] > 0) & (body[..., 2] < extents[:, 2]) & looked_at
-    found = np.argwhere(within)
-    return (int(found[0][0]), int(found[0][1])) if len(found) else None
+    found = []
+    for some in bodies:
+        offsets = cameras_m[:, None, None, :] - some.positions_m[:, :, None, :]
+        places = (offsets @ some.world_R_body)[:, :, 0, :]  # in the frame of each body
+        low, high = some.vertices_m.min(axis=1), some.vertices_m.max(axis=1)
+        within = np.all((places > low) & (places < high), axis=-1) & some.present
+        for frame, body in np.argwhere(within).tolist():
+            triangles = some.vertices_m[body][some.solid.faces]
+            if abs(solid_angle(places[frame, body], triangles)) > INSIDE:
+                found.append((frame, int(some.occluder[body])))
+                break
+    return min(found, default=None)
+
+
+def solid_angle(point: Array, triangles: Array) -> float:
+    """The solid angle that oriented triangles subtend at a point (van Oosterom & Strackee, 1983).
+
+    Args:
+        point: Shape (3,).
+        triangles: Corners, shape (T, 3, 3).
+
+    Returns:
+        Steradians; ±4π inside a closed mesh, 0 outside.
+    """
+    a, b, c = np.moveaxis(triangles - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+    volume = np.einsum("ti,ti->t", a, np.cross(b, c))
+    dots = [np.einsum("ti,ti->t", p, q) for p, q in ((a, b), (b, c), (c, a))]
+    return float(2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb).sum())

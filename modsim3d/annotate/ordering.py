@@ -8,6 +8,7 @@ than that of a boat that lies in front of its stern.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -68,61 +69,123 @@ def order_of(outlines: Outlines) -> Order:
 
     Two disjoint convex polyhedra are separated along a face normal of one of them or the cross product of an edge of
     each (Gottschalk, Lin & Manocha (1996), "OBBTree", for boxes).
+
+    Args:
+        outlines: Of convex solids.
     """
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
-    edges = edge_directions(outlines.vertices_camera, outlines.solid)
-    axes = candidate_axes(edges[first], edges[second])
-    low_a, high_a = extents_along(outlines.vertices_camera[first], axes)
-    low_b, high_b = extents_along(outlines.vertices_camera[second], axes)
+    can_hide = np.zeros((len(first), 2), dtype=bool)
+    separated = np.zeros(len(first), dtype=bool)
+    part_of, member_of = _places(outlines)
+    kinds = part_of[first] * len(outlines.parts) + part_of[second]
+    for kind in np.unique(kinds):
+        chosen = np.flatnonzero(kinds == kind)
+        a, b = (outlines.parts[part] for part in divmod(int(kind), len(outlines.parts)))
+        vertices_a = a.vertices_camera[member_of[first[chosen]]]
+        vertices_b = b.vertices_camera[member_of[second[chosen]]]
+        directions_a, directions_b = directions_of(vertices_a, a.solid), directions_of(vertices_b, b.solid)
+        axes = candidate_axes(directions_a, directions_b)
+        can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes)
+    return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
+
+
+def _places(outlines: Outlines) -> tuple[Indices, Indices]:
+    """The part that each row belongs to, and its place there; both of shape (n,)."""
+    part_of, member_of = np.zeros((2, len(outlines)), dtype=np.int64)
+    for index, part in enumerate(outlines.parts):
+        part_of[part.rows] = index
+        member_of[part.rows] = np.arange(len(part.rows))
+    return part_of, member_of
+
+
+def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether the first can hide the second and the second the first, shape (P, 2); whether a plane separates them."""
+    low_a, high_a = extents_along(vertices_a, axes)
+    low_b, high_b = extents_along(vertices_b, axes)
     # The camera is at zero. A plane may be put anywhere between the two; the camera is on the side of the first if
     # it is nearer to it than the second is, or between them, in which case it is on either side as one likes.
     a_below, b_below = high_a <= low_b + TOUCHING_M, high_b <= low_a + TOUCHING_M
     first_is_safe = (a_below & (low_b >= 0)) | (b_below & (high_b <= 0))
     second_is_safe = (b_below & (low_a >= 0)) | (a_below & (high_a <= 0))
     separated: NDArray[np.bool_] = np.any(a_below | b_below, axis=1)
-    return Order(
-        first,
-        second,
-        first_can_hide=separated & ~np.any(second_is_safe, axis=1),
-        second_can_hide=separated & ~np.any(first_is_safe, axis=1),
-        intersecting=~separated,
-    )
+    safe = np.stack([np.any(second_is_safe, axis=1), np.any(first_is_safe, axis=1)], axis=1)
+    return separated[:, None] & ~safe, separated
 
 
-def edge_directions(vertices: Array, solid: Solid) -> Array:
-    """Unit vectors along a shoebox's length, beam and height, shape (n, 3, 3).
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Unit vectors of n convex solids with the same faces.
+
+    Attributes:
+        normals: Of faces that are not parallel, shape (n, N, 3).
+        edges: Along edges that are not parallel, shape (n, E, 3).
+    """
+
+    normals: Array
+    edges: Array
+
+
+def directions_of(vertices: Array, solid: Solid) -> Directions:
+    """Face normals and edge directions of convex solids.
 
     Args:
-        vertices: Of n shoeboxes, shape (n, 8, 3).
-        solid: The unit shoebox, which says which vertex is which.
+        vertices: Of n of them, shape (n, K, 3).
+        solid: Their faces.
     """
-    corner = solid.vertices.min(axis=0)
-    origin = int(np.flatnonzero((solid.vertices == corner).all(axis=1))[0])
-    along = []
-    for axis in range(3):
-        other = corner.copy()
-        other[axis] = solid.vertices[:, axis].max()
-        end = int(np.flatnonzero((solid.vertices == other).all(axis=1))[0])
-        along.append(vertices[:, end] - vertices[:, origin])
-    directions = np.stack(along, axis=1)
-    unit: Array = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    faces, ends = distinct_directions(solid)
+    a, b, c = np.moveaxis(vertices[:, faces], 2, 0)
+    return Directions(_unit(np.cross(b - a, c - a)), _unit(vertices[:, ends[:, 1]] - vertices[:, ends[:, 0]]))
+
+
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     return unit
 
 
-def candidate_axes(edges_a: Array, edges_b: Array) -> Array:
-    """Directions along which two boxes may be apart: three face normals each and nine cross products of edges.
+@cache
+def distinct_directions(solid: Solid) -> tuple[Indices, Indices]:
+    """Faces with normals, and edges with directions, of which no two are parallel; diagonals of flat sides are none.
 
-    Args:
-        edges_a: Unit edge directions, which are also the face normals of a box, shape (P, 3, 3).
-        edges_b: Of the other, shape (P, 3, 3).
+    Which are parallel is a matter of the solid's own vertices: a stretched or turned copy has the same.
 
     Returns:
-        Unit vectors, shape (P, 15, 3); zero where two edges are parallel.
+        Vertex indices, shapes (N, 3) and (E, 2).
     """
-    crosses = np.cross(edges_a[:, :, None, :], edges_b[:, None, :, :]).reshape(-1, 9, 3)
+    corners = solid.vertices[solid.faces]
+    normals = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    beside: dict[tuple[int, int], list[int]] = {}
+    for face, (a, b, c) in enumerate(solid.faces.tolist()):
+        for start, end in ((a, b), (b, c), (c, a)):
+            beside.setdefault((min(start, end), max(start, end)), []).append(face)
+    sharp = [edge for edge, (one, *other) in beside.items() if not other or normals[one] @ normals[other[0]] < 1 - 1e-9]
+    ends = np.array(sharp, dtype=np.int64)
+    along = _unit(solid.vertices[ends[:, 1]] - solid.vertices[ends[:, 0]])
+    return solid.faces[_not_parallel(normals)], ends[_not_parallel(along)]
+
+
+def _not_parallel(unit: Array) -> list[int]:
+    """The first of each set of parallel unit vectors."""
+    chosen: list[int] = []
+    for i, vector in enumerate(unit):
+        if all(abs(vector @ unit[j]) < 1 - 1e-9 for j in chosen):
+            chosen.append(i)
+    return chosen
+
+
+def candidate_axes(a: Directions, b: Directions) -> Array:
+    """Directions along which two convex solids may be apart: face normals of each, cross products of their edges.
+
+    Args:
+        a: Of P solids.
+        b: Of the others.
+
+    Returns:
+        Unit vectors, shape (P, A, 3); zero where two edges are parallel.
+    """
+    crosses = np.cross(a.edges[:, :, None, :], b.edges[:, None, :, :]).reshape(len(a.edges), -1, 3)
     length = np.linalg.norm(crosses, axis=-1, keepdims=True)
     crosses = np.where(length > 1e-6, crosses / np.where(length > 1e-6, length, 1.0), 0.0)
-    return np.concatenate([edges_a, edges_b, crosses], axis=1)
+    return np.concatenate([a.normals, b.normals, crosses], axis=1)
 
 
 def extents_along(vertices: Array, axes: Array) -> tuple[Array, Array]:

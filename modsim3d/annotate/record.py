@@ -101,9 +101,20 @@ class Hidden:
 
     @classmethod
     def of(cls, row: Indices, vessel: Indices, px: Array) -> Hidden:
-        """Put entries in order."""
+        """Put entries in order, and those of the same row and vessel together: it may be there in several parts."""
         order = np.lexsort((vessel, row))
-        return cls(row[order], vessel[order], px[order])
+        row, vessel, px = row[order], vessel[order], px[order]
+        first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(vessel, prepend=-1) != 0))
+        if len(first) < len(row):
+            row, vessel, px = row[first], vessel[first], np.add.reduceat(px, first)
+        return cls(row, vessel, px)
+
+    def of_rows(self, rows: Indices, count: int) -> Hidden:
+        """The entries of the rows chosen, which ascend, of `count`; they count anew."""
+        place = np.full(count, -1)
+        place[rows] = np.arange(len(rows))
+        kept = place[self.row] >= 0
+        return Hidden(place[self.row][kept], self.vessel[kept], self.px[kept])
 
     def offsets(self, count: int) -> Indices:
         """Where the entries of each of `count` rows begin, and the end, shape (count + 1,)."""
@@ -136,6 +147,35 @@ class Occlusion:
         offsets = self.hidden.offsets(len(self.silhouette_px)).tolist()
         entries = list(zip(self.hidden.vessel.tolist(), self.hidden.px.tolist(), strict=True))
         return tuple(tuple(entries[first:stop]) for first, stop in pairwise(offsets))
+
+    def take(self, rows: Indices) -> Occlusion:
+        """The rows chosen, which ascend; of intersecting pairs those of which both are."""
+        count = len(self.silhouette_px)
+        place = np.full(count, -1)
+        place[rows] = np.arange(len(rows))
+        pairs = place[self.intersecting]
+        return Occlusion(
+            full_boxes_px=self.full_boxes_px[rows],
+            visible_boxes_px=self.visible_boxes_px[rows],
+            silhouette_px=self.silhouette_px[rows],
+            visible_px=self.visible_px[rows],
+            hidden=self.hidden.of_rows(rows, count),
+            intersecting=pairs[(pairs >= 0).all(axis=1)],
+        )
+
+    def among(self, rows: Indices, count: int) -> Occlusion:
+        """The same as `rows` of `count`, of which nothing else is known: NaN, and nobody that hides."""
+
+        def spread(column: Array) -> Array:
+            wide = np.full((count, *column.shape[1:]), np.nan)
+            wide[rows] = column
+            return wide
+
+        hidden = Hidden(rows[self.hidden.row], self.hidden.vessel, self.hidden.px)
+        full, visible = spread(self.full_boxes_px), spread(self.visible_boxes_px)
+        return Occlusion(
+            full, visible, spread(self.silhouette_px), spread(self.visible_px), hidden, rows[self.intersecting]
+        )
 
     def visible_fraction(self) -> Array:
         """visible_px / silhouette_px; NaN where there is no silhouette pixel, shape (n,)."""

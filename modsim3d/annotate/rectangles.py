@@ -20,10 +20,12 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     """Occlusion of boxes by boxes; silhouette and visible pixels are areas of rectangles.
 
     Args:
-        outlines: The vessels in front of the camera.
+        outlines: What is in front of the camera; the rule knows of vessels only.
     """
     rectangles = shapely.box(*outlines.boxes_px.T)
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    known = outlines.boxed[first] & outlines.boxed[second]
+    first, second = first[known], second[known]
     nearer = outlines.depth_m[first] < outlines.depth_m[second]
     farther = outlines.depth_m[first] > outlines.depth_m[second]  # of equal depth, neither hides the other
     hiding = Hiding.of(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.full_frame import TILE_PX, full_frame_occlusion, pixel_masks
 from modsim3d.annotate.ordering import overlapping_pairs
-from modsim3d.annotate.outlines import Outlines, Triangles, triangles_of, within_guard
+from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Hidden, Occlusion
 from modsim3d.annotate.spans import (
     Edges,
@@ -26,9 +26,10 @@ from modsim3d.annotate.spans import (
     counts_and_boxes,
     facing,
     scan_convert,
-    spans_of_mask,
+    spans_of_ids,
     spans_of_runs,
 )
+from modsim3d.annotate.triangles import Triangles, triangles_of, within_guard
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
@@ -58,7 +59,7 @@ def rendered_occlusion(
     count = len(outlines)
     spans = _silhouettes(drawing)
     whole_px, whole_boxes = counts_and_boxes(spans, count)
-    clusters = _clusters(outlines.frame, whole_boxes, outlines.in_frame_fraction == 1.0)
+    clusters = _clusters(outlines, np.where(outlines.boxed[:, None], whole_boxes, drawing.pixel_boxes))
     if any(max(cluster.region.width / TILE_PX[0], cluster.region.height / TILE_PX[1]) > 1 for cluster in clusters):
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # larger than a buffer: draw in tiles
     seen_px, seen_boxes = whole_px.copy(), whole_boxes.copy()
@@ -66,7 +67,7 @@ def rendered_occlusion(
     rows = [np.empty(0, dtype=np.int64)]
     for batch in _batches(clusters):
         entries.append(_look(drawing, spans, batch))
-        rows += [cluster.rows for cluster in batch.clusters]
+        rows += [cluster.rows[outlines.boxed[cluster.rows]] for cluster in batch.clusters]
     clustered = np.concatenate(rows)
     if len(clustered):
         seen = concatenate_spans([entry.spans for entry in entries])
@@ -94,7 +95,7 @@ class _Seen:
     @classmethod
     def nothing(cls) -> _Seen:
         empty = np.empty(0, dtype=np.int64)
-        return cls(Spans(empty, empty, empty, empty), empty, empty, empty)
+        return cls(Spans.none(), empty, empty, empty)
 
 
 def _occlusion(
@@ -136,18 +137,20 @@ class _Drawing:
     def triangles(self) -> Triangles:
         if self._triangles is None:
             every = triangles_of(self.outlines, self.intrinsics, self.supersample)
-            self._triangles = every.take(self._facing(every))
+            # Of a whole closed solid, the faces turned to the camera hide the others.
+            self._triangles = every.take(~every.of_whole | (facing(every.corners_px * self.supersample) > 0))
         return self._triangles
 
-    def _facing(self, triangles: Triangles) -> NDArray[np.bool_]:
-        """Triangles that are worth drawing: of a whole closed solid, those turned to the camera hide the others."""
-        whole = within_guard(self.outlines, self.intrinsics, self.supersample)
-        return ~whole[triangles.row] | (facing(triangles.corners_px * self.supersample) > 0)
+    @property
+    def pixel_boxes(self) -> Array:
+        """The least boxes of whole pixels around the silhouettes, shape (n, 4)."""
+        boxes = self.outlines.boxes_px * self.supersample
+        return np.concatenate([np.floor(boxes[:, :2]), np.ceil(boxes[:, 2:])], axis=1)
 
-    def triangles_of_rows(self, rows: Indices) -> Indices:
-        """Indices of the triangles of rows, ordered by row."""
+    def triangles_of_rows(self, rows: Indices) -> tuple[Indices, Indices]:
+        """Indices of the triangles of rows, one row after another, and which of the rows each belongs to."""
         first, stop = (np.searchsorted(self.triangles.row, rows, side=side) for side in ("left", "right"))
-        return _ranges(first, stop - first)
+        return _ranges(first, stop - first), np.repeat(np.arange(len(rows)), stop - first)
 
     def draw(self, triangles: Indices, shift: Array | float, region: Region) -> Ids:
         """Row + 1 at each pixel of a region, with triangles moved by whole pixels."""
@@ -157,36 +160,72 @@ class _Drawing:
 
 
 def _silhouettes(drawing: _Drawing) -> Spans:
-    """The spans of every silhouette: by scan conversion, or drawn alone where the outline has been cut."""
-    outlines = drawing.outlines
-    whole = within_guard(outlines, drawing.intrinsics, drawing.supersample)
-    simple = np.flatnonzero(whole)
-    edges = Edges.of(outlines.solid)
-    spans, odd = scan_convert(outlines.vertices_px[simple] * drawing.supersample, outlines.solid, edges, drawing.size)
-    alone = np.concatenate([np.flatnonzero(~whole), simple[odd]])
-    found = Spans(simple[spans.row], spans.y, spans.start, spans.stop)
-    if not len(alone):
-        return found
-    parts = [found]
-    for row in alone.tolist():
-        region = Region.around(outlines.boxes_px[row] * drawing.supersample, drawing.size)
-        for y in range(region.y, region.y + region.height, TILE_PX[1]):
-            for x in range(region.x, region.x + region.width, TILE_PX[0]):
-                tile = Region(x, y, *TILE_PX).common(region)
-                ids = drawing.draw(drawing.triangles_of_rows(np.array([row])), 0.0, tile)
-                parts.append(spans_of_mask(ids, row, x, y))
-    return concatenate_spans(parts)
+    """The spans of every vessel's silhouette: by scan conversion if it is a whole convex one, drawn alone if not."""
+    outlines, scale = drawing.outlines, drawing.supersample
+    whole = within_guard(outlines, drawing.intrinsics, scale) & outlines.boxed
+    parts, alone = [], [np.flatnonzero(outlines.boxed & ~whole)]
+    for part in outlines.parts:
+        uncut = whole[part.rows]
+        rows = part.rows[uncut]
+        if not part.solid.convex:
+            alone.append(rows)
+            continue
+        corners = part.vertices_px[uncut] * scale
+        spans, odd = scan_convert(corners, part.solid, Edges.of(part.solid), drawing.size)
+        parts.append(Spans(rows[spans.row], spans.y, spans.start, spans.stop))
+        alone.append(rows[odd])
+    drawn = np.sort(np.concatenate(alone))
+    if len(drawn):
+        parts += _drawn_alone(drawing, drawn)
+    return parts[0] if len(parts) == 1 else concatenate_spans([Spans.none(), *parts])
+
+
+def _drawn_alone(drawing: _Drawing, rows: Indices) -> list[Spans]:
+    """The spans of silhouettes that have to be drawn to be known; small ones share a buffer."""
+    boxes, image = drawing.pixel_boxes, Region(0, 0, *drawing.size)
+    uncut = drawing.outlines.in_frame_fraction == 1.0
+    clusters = []
+    for row in rows.tolist():
+        region = Region.around(boxes[row], drawing.size).common(image)
+        clusters.append(_Cluster(np.array([row]), region, region, bool(uncut[row])))
+    found = []
+    for batch in _batches([cluster for cluster in clusters if cluster.region.width and cluster.region.height]):
+        if max(batch.size[0] / TILE_PX[0], batch.size[1] / TILE_PX[1]) > 1:
+            found += _drawn_in_tiles(drawing, batch.clusters[0])
+            continue
+        drawn = np.concatenate([cluster.rows for cluster in batch.clusters])
+        triangles, member = drawing.triangles_of_rows(drawn)
+        corner = np.array([(region.x, region.y) for region in batch.regions])
+        shift = (batch.places - corner)[member][:, None, :]
+        ids = drawing.draw(triangles, shift, Region(0, 0, *batch.size))
+        spans = spans_of_ids(ids)
+        moved = np.zeros((len(drawing.outlines), 2), dtype=np.int64)
+        moved[drawn] = corner - batch.places
+        dx, dy = moved[spans.row].T
+        found.append(Spans(spans.row, spans.y + dy, spans.start + dx, spans.stop + dx))
+    return found
+
+
+def _drawn_in_tiles(drawing: _Drawing, cluster: _Cluster) -> list[Spans]:
+    """The spans of one silhouette that is larger than a buffer."""
+    region, parts = cluster.region, []
+    triangles, _ = drawing.triangles_of_rows(cluster.rows)
+    for y in range(region.y, region.y + region.height, TILE_PX[1]):
+        for x in range(region.x, region.x + region.width, TILE_PX[0]):
+            spans = spans_of_ids(drawing.draw(triangles, 0.0, Region(x, y, *TILE_PX).common(region)))
+            parts.append(Spans(spans.row, spans.y + y, spans.start + x, spans.stop + x))
+    return parts
 
 
 @dataclass(frozen=True, eq=False)
 class _Cluster:
-    """Vessels of a frame that overlap each other, directly or through others.
+    """Vessels of a frame that overlap each other, directly or through others, and what else may hide them.
 
     Attributes:
         rows: Of the outlines, ascending.
         box: Smallest region that holds all their pixels.
-        region: The smallest that holds every pixel that two of them may share.
-        uncut: Whether all of them lie inside the image.
+        region: The smallest that holds every pixel that a vessel of them may share.
+        uncut: Whether all of them are vessels that lie inside the image.
     """
 
     rows: Indices
@@ -195,25 +234,32 @@ class _Cluster:
     uncut: bool
 
 
-def _clusters(frame: Indices, boxes: Array, uncut: NDArray[np.bool_]) -> list[_Cluster]:
-    """Connected groups of rows whose pixel boxes overlap."""
-    first, second = overlapping_pairs(frame, boxes)
+def _clusters(outlines: Outlines, boxes: Array) -> list[_Cluster]:
+    """Connected groups of vessels whose pixel boxes overlap, each with what only hides and overlaps one of them."""
+    boxed = outlines.boxed
+    first, second = overlapping_pairs(outlines.frame, boxes)
+    some = boxed[first] | boxed[second]
+    first, second = first[some], second[some]
     if not len(first):
         return []
-    label = _components(first, second, len(frame))
+    both = boxed[first] & boxed[second]
+    label = _components(first[both], second[both], len(boxed))
+    # Of a pair with one vessel, the cluster is that vessel's: a quay must not join all that lies along it.
+    names = label[np.where(boxed[first], first, second)]
     shared = np.concatenate(
         [np.maximum(boxes[first, :2], boxes[second, :2]), np.minimum(boxes[first, 2:], boxes[second, 2:])], axis=1
     )
-    members = np.unique(np.concatenate([first, second]))
-    members = members[np.argsort(label[members], kind="stable")]
-    pairs = np.argsort(label[first], kind="stable")
-    names = np.unique(label[first])
-    starts = np.searchsorted(label[members], names)
-    regions, unions = _unions(shared[pairs], label[first[pairs]], names), _unions(boxes[members], label[members], names)
-    groups = np.split(members, starts[1:])
+    membership = np.unique(np.concatenate([np.stack([names, first]), np.stack([names, second])], axis=1), axis=1)
+    pairs = np.argsort(names, kind="stable")
+    clusters = np.unique(names)
+    starts = np.searchsorted(membership[0], clusters)
+    members = membership[1]
+    regions = _unions(shared[pairs], names[pairs], clusters)
+    unions = _unions(boxes[members], membership[0], clusters)
+    uncut = (outlines.in_frame_fraction == 1.0) & boxed
     return [
         _Cluster(rows, box, region, bool(uncut[rows].all()))
-        for rows, box, region in zip(groups, unions, regions, strict=True)
+        for rows, box, region in zip(np.split(members, starts[1:]), unions, regions, strict=True)
     ]
 
 
@@ -295,11 +341,12 @@ def _look(drawing: _Drawing, spans: Spans, batch: _Batch) -> _Seen:
     corner = np.array([(region.x, region.y) for region in batch.regions])
     size = np.array([(region.width, region.height) for region in batch.regions])
     shift = batch.places - corner
-    triangles = drawing.triangles_of_rows(rows)
+    triangles, member = drawing.triangles_of_rows(rows)
+    ids = drawing.draw(triangles, shift[cluster[member]][:, None, :], Region(0, 0, *batch.size))
+    boxed = drawing.outlines.boxed[rows]
+    rows, cluster = rows[boxed], cluster[boxed]  # from here on, what is seen of the vessels
     place_of_row = np.zeros(len(drawing.outlines), dtype=np.int64)
     place_of_row[rows] = cluster
-    moved = shift[place_of_row[drawing.triangles.row[triangles]]][:, None, :]
-    ids = drawing.draw(triangles, moved, Region(0, 0, *batch.size))
     first, stop = np.searchsorted(spans.row, rows, side="left"), np.searchsorted(spans.row, rows, side="right")
     own = spans.take(_ranges(first, stop - first))
     here = place_of_row[own.row]

@@ -36,6 +36,12 @@ class Spans:
     start: Indices
     stop: Indices
 
+    @classmethod
+    def none(cls) -> Spans:
+        """No spans."""
+        empty = np.empty(0, dtype=np.int64)
+        return cls(empty, empty, empty, empty)
+
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Spans:
         """The spans chosen."""
         return Spans(self.row[chosen], self.y[chosen], self.start[chosen], self.stop[chosen])
@@ -190,21 +196,17 @@ def spans_of_runs(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
     return starts, flat[starts].astype(np.int64)
 
 
-def spans_of_mask(ids: NDArray[np.uint32], row: int, x: int, y: int) -> Spans:
-    """The spans of one silhouette that was drawn alone.
+def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
+    """The spans of the silhouettes in an ID image in which none hides another; unordered.
 
     Args:
-        ids: Not zero where it is, shape (h, w).
-        row: What to call it.
-        x: Column of the image's left edge.
-        y: Row of its top edge.
+        ids: Silhouette + 1, zero where there is none, shape (h, w).
     """
-    starts, values = spans_of_runs((ids > 0).astype(np.uint32))
+    starts, values = spans_of_runs(ids)
     stops = np.append(starts[1:], ids.size)
     filled = values > 0
     lines, first = np.divmod(starts[filled], ids.shape[1])
-    length = (stops - starts)[filled]
-    return Spans(np.full(len(first), row), lines + y, first + x, first + x + length)
+    return Spans(values[filled] - 1, lines, first, first + (stops - starts)[filled])
 
 
 def concatenate_spans(parts: list[Spans]) -> Spans:

@@ -1,0 +1,96 @@
+"""Silhouettes as polygons, beyond the image too: hulls of convex solids, unions of faces of all others."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from modsim3d.camera import Intrinsics, clip_triangles, near_plane
+from modsim3d.frames import Array
+from modsim3d.vessels import Solid
+
+NO_AREA_PX2 = 1e-9
+"""A face that is seen edge-on adds nothing to a silhouette, and would only make a polygon that is none."""
+
+
+def silhouette_polygons(
+    intrinsics: Intrinsics, vertices: Array, pixels: Array, crosses: NDArray[np.bool_], solid: Solid
+) -> NDArray[np.object_]:
+    """Whole silhouettes as polygons, cut at the near plane.
+
+    Args:
+        intrinsics: Of the camera.
+        vertices: In CCF, shape (n, K, 3).
+        pixels: The same projected, shape (n, K, 2).
+        crosses: Whether the near plane cuts each, shape (n,).
+        solid: Its faces.
+
+    Returns:
+        Polygons, shape (n,).
+    """
+    polygons = np.empty(len(pixels), dtype=object)
+    if not solid.convex:
+        for row in range(len(pixels)):
+            faces = vertices[row][solid.faces]
+            polygons[row] = union_of(intrinsics.project(cut_near(faces, intrinsics) if crosses[row] else faces))
+        return polygons
+    polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
+    for row in np.flatnonzero(crosses).tolist():
+        clipped = cut_near(vertices[row][solid.faces], intrinsics, convex=True)
+        polygons[row] = shapely.convex_hull(shapely.multipoints(intrinsics.project(clipped.reshape(-1, 3))))
+    return polygons
+
+
+def union_of(triangles_px: Array) -> shapely.Geometry:
+    """What triangles cover together.
+
+    Args:
+        triangles_px: Shape (T, 3, 2).
+    """
+    a, b, c = np.moveaxis(triangles_px, 1, 0)
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    return shapely.union_all(shapely.polygons(triangles_px[area > NO_AREA_PX2]), grid_size=1e-9)
+
+
+def cut_near(triangles_camera: Array, intrinsics: Intrinsics, *, convex: bool = False) -> Array:
+    """The triangles of a closed solid beyond the near plane, and the section that closes it there.
+
+    Without the section one would look into the solid, and see the faces of what touches it from behind.
+
+    Args:
+        triangles_camera: In CCF, shape (T, 3, 3).
+        intrinsics: Of the camera.
+        convex: Whether the solid is, so that its section is.
+
+    Returns:
+        Triangles in CCF, shape (T', 3, 3).
+    """
+    near = intrinsics.near_clip_m
+    clipped = clip_triangles(triangles_camera, near_plane(intrinsics))
+    # A corner put on the plane by the cut comes out a rounding error before or behind it.
+    clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
+    section = _convex_section(clipped, near) if convex else _section(clipped, near)
+    return np.concatenate([clipped, section])
+
+
+def _convex_section(clipped: Array, near: float) -> Array:
+    """The fan around the corners on the plane, shape (k, 3, 3)."""
+    section = np.unique(clipped[clipped[..., 2] == near], axis=0)
+    offset = section - section.mean(axis=0) if len(section) else section
+    around = section[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
+    fan = [[around[0], around[i], around[i + 1]] for i in range(1, len(around) - 1)]
+    return np.array(fan).reshape(-1, 3, 3)
+
+
+def _section(clipped: Array, near: float) -> Array:
+    """Triangles that fill what the edges on the plane bound, shape (k, 3, 3); holes stay open."""
+    on_plane = clipped[..., 2] == near
+    cut = clipped[on_plane.sum(axis=1) == 2]
+    if not len(cut):
+        return np.empty((0, 3, 3))
+    ends = cut[on_plane[on_plane.sum(axis=1) == 2]].reshape(-1, 2, 3)[..., :2]
+    filled = shapely.build_area(shapely.node(shapely.multilinestrings(shapely.linestrings(ends))))
+    pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(filled))
+    corners = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
+    return np.concatenate([corners, np.full((len(corners), 3, 1), near)], axis=-1)

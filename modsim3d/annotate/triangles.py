@@ -1,0 +1,86 @@
+"""What is drawn for outlines: triangles in pixels, clipped where OpenGL would have to cut them itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.silhouettes import cut_near
+from modsim3d.camera import Intrinsics, clip_triangles, guard_planes
+from modsim3d.frames import Array
+
+GUARD_PX = 2048.0
+"""Triangles that reach further beyond the image are cut there, in double precision, before they are drawn. Counted in
+buffer pixels, as it keeps corners where OpenGL does not cut them itself."""
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """What is drawn for the rows of `Outlines`: T triangles, ordered by row.
+
+    Attributes:
+        row: Shape (T,).
+        corners_px: Shape (T, 3, 2).
+        inverse_depth: near / c3 in (0, 1], shape (T, 3).
+        of_whole: Whether it is a face of a closed solid that nothing was cut off, shape (T,).
+    """
+
+    row: Indices
+    corners_px: Array
+    inverse_depth: Array
+    of_whole: NDArray[np.bool_]
+
+    def take(self, chosen: NDArray[np.bool_]) -> Triangles:
+        """The triangles chosen."""
+        return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
+
+
+def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> NDArray[np.bool_]:
+    """Whether all vertices are in front of the near plane and not far outside the image, shape (n,)."""
+    guard, size = GUARD_PX / supersample, np.array(intrinsics.image_size_px)
+    inside = np.zeros(len(outlines), dtype=bool)
+    for part in outlines.parts:
+        near = (part.vertices_px >= -guard) & (part.vertices_px <= size + guard)  # NaN is not
+        inside[part.rows] = np.all(near, axis=(1, 2))
+    return inside
+
+
+def triangles_of(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> Triangles:
+    """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
+
+    Args:
+        outlines: The bodies in front of the camera.
+        intrinsics: Of the camera.
+        supersample: Buffer pixels for each image pixel and axis.
+    """
+    inside = within_guard(outlines, intrinsics, supersample)
+    guard = guard_planes(intrinsics, GUARD_PX / supersample)
+    row, whole, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=bool)], [np.empty((0, 3, 3))]
+    for part in outlines.parts:
+        uncut, faces = inside[part.rows], part.solid.faces
+        row.append(np.repeat(part.rows[uncut], len(faces)))
+        whole.append(np.full(len(row[-1]), part.solid.closed))
+        corners.append(part.vertices_camera[uncut][:, faces].reshape(-1, 3, 3))
+        for member in np.flatnonzero(~uncut):
+            camera = part.vertices_camera[member][faces]
+            if outlines.crosses_near[part.rows[member]]:
+                camera = cut_near(camera, intrinsics, convex=part.solid.convex)
+            clipped = clip_triangles(camera, guard)
+            clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
+            row.append(np.full(len(clipped), part.rows[member]))
+            whole.append(np.zeros(len(clipped), dtype=bool))
+            corners.append(clipped)
+    rows = np.concatenate(row)
+    order = np.argsort(rows, kind="stable")
+    ordered = np.concatenate(corners)[order]
+    return Triangles(
+        rows[order],
+        intrinsics.project(ordered),
+        intrinsics.near_clip_m / ordered[..., 2],
+        np.concatenate(whole)[order],
+    )

@@ -1,0 +1,108 @@
+"""What stands still and hides vessels: islands, breakwaters, bridges, quays. They have no box of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from modsim3d.bodies import Bodies
+from modsim3d.frames import Array
+from modsim3d.vessels import Solid
+
+PREFIX = "obstacle:"
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """An obstacle as the scene describes it.
+
+    Attributes:
+        name: Its ID; truth names it with `PREFIX` before it.
+        solids: What it is made of, with the vertices in the world, each of shape (K, 3).
+    """
+
+    name: str
+    solids: tuple[tuple[Solid, Array], ...]
+
+    @property
+    def has_mesh(self) -> bool:
+        """Whether a part of it is not convex."""
+        return not all(solid.convex for solid, _ in self.solids)
+
+
+def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
+    """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex.
+
+    Args:
+        polygon_m: Corners on the sea in WCF, either way round, shape (k, 2).
+        base_m: Height of its lower face above the sea.
+        height_m: From its lower face to its upper one.
+    """
+    outline = shapely.Polygon(polygon_m)
+    hull = shapely.convex_hull(outline)
+    is_convex = shapely.area(hull) - shapely.area(outline) <= 1e-9 * shapely.area(hull)
+    pieces = [hull] if is_convex else shapely.get_parts(shapely.constrained_delaunay_triangles(outline)).tolist()
+    return tuple(
+        _prism(shapely.get_coordinates(shapely.orient_polygons(piece))[:-1], base_m, height_m) for piece in pieces
+    )
+
+
+def _prism(ring: Array, base_m: float, height_m: float) -> tuple[Solid, Array]:
+    """The prism over a convex ring that runs counter-clockwise."""
+    vertices = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (base_m, base_m + height_m)])
+    # No two sides of a triangle are parallel: all triangles can share one solid, and be looked at together.
+    return (_triangular_prism() if len(ring) == 3 else Solid(vertices, _prism_faces(len(ring)))), vertices
+
+
+@cache
+def _triangular_prism() -> Solid:
+    ring = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    return Solid(np.array([(x, y, z) for z in (0.0, 1.0) for x, y in ring]), _prism_faces(3))
+
+
+def _prism_faces(sides: int) -> NDArray[np.int64]:
+    """Triangles of a prism: its lower corners counter-clockwise seen from above, and then its upper ones."""
+    walls = []
+    for low in range(sides):
+        after = (low + 1) % sides
+        walls += [(low, after, after + sides), (low, after + sides, low + sides)]
+    fan = [(0, i, i + 1) for i in range(1, sides - 1)]
+    bottom, top = [(a, c, b) for a, b, c in fan], [(a + sides, b + sides, c + sides) for a, b, c in fan]
+    return np.array([*walls, *bottom, *top], dtype=np.int64)
+
+
+def obstacle_bodies(obstacles: Sequence[Obstacle], first_occluder: int, steps: int) -> list[Bodies]:
+    """The obstacles at S steps, those with the same faces together.
+
+    Args:
+        obstacles: In the order in which they follow the vessels among the scene's occluder names.
+        first_occluder: Index of the first of them there.
+        steps: S.
+    """
+    solids: dict[int, tuple[Solid, list[int], list[Array]]] = {}
+    for index, obstacle in enumerate(obstacles):
+        for solid, vertices in obstacle.solids:
+            _, owners, members = solids.setdefault(id(solid), (solid, [], []))
+            owners.append(first_occluder + index)
+            members.append(vertices)
+    bodies = []
+    for solid, owners, members in solids.values():
+        vertices, count = np.stack(members), len(owners)
+        bodies.append(
+            Bodies(
+                solid=solid,
+                occluder=np.array(owners),
+                boxed=False,
+                vertices_m=vertices,
+                centres_m=(vertices.min(axis=1) + vertices.max(axis=1)) / 2,
+                present=np.ones((steps, count), dtype=bool),
+                positions_m=np.zeros((steps, count, 3)),
+                world_R_body=np.broadcast_to(np.eye(3), (steps, count, 3, 3)),
+            )
+        )
+    return bodies
