@@ -168,7 +168,7 @@ def cyclic_beams() -> tuple[list[Box], Mount]:
 
 
 def write_scene(
-    folder: Path, boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]], steps: int
+    folder: Path, boats: Mapping[str, tuple[Sequence[float], Sequence[Sequence[float]]]], steps: int, **keys: object
 ) -> Path:
     """A scene file: this module's camera, and boats as name → (length, beam and air draft; waypoints); a step a second.
 
@@ -176,6 +176,7 @@ def write_scene(
         folder: Where to write it.
         boats: Waypoints are [time, w1, w2]; none at all for a boat without a track.
         steps: Number of time steps.
+        **keys: Of the scene, beside these or in their place.
     """
     shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", folder / "detector.yaml")
     vessels = {
@@ -197,6 +198,7 @@ def write_scene(
         "cameras": {"C0": camera},
         "annotation": {"mode": 2},
         "detector": "detector.yaml",
+        **keys,
     }
     path = folder / "scene.yaml"
     path.write_text(json.dumps(scene), encoding="utf-8")  # which is YAML too
