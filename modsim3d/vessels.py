@@ -42,15 +42,19 @@ class Vessel:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A closed triangle mesh in VCF units of length, beam and air draft.
+    """A triangle mesh in VCF units of length, beam and air draft.
 
     Attributes:
         vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
-        faces: Vertex indices, shape (F, 3).
+        faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
+        convex: Whether it is its own convex hull.
+        closed: Whether the faces enclose a volume and all are wound outward, so that those turned away are hidden.
     """
 
     vertices: Array
     faces: NDArray[np.int64]
+    convex: bool = True
+    closed: bool = True
 
 
 @cache
