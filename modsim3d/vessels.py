@@ -18,13 +18,13 @@ from modsim3d.validation import Strict, describe, join_path, load_json, shown
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A triangle mesh in VCF units of length, beam and air draft; faces are counter-clockwise seen from outside.
+    """A triangle mesh in VCF units of length, beam and air draft.
 
     Attributes:
         vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
-        faces: Vertex indices, shape (F, 3).
-        convex: Whether its silhouette is the hull of its vertices.
-        closed: Whether the faces bound a volume.
+        faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
+        convex: Whether it is its own convex hull.
+        closed: Whether the faces enclose a volume and all are wound outward, so that those turned away are hidden.
     """
 
     vertices: Array

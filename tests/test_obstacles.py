@@ -178,7 +178,7 @@ def test_camera_in_a_shoebox_is_inside_and_one_beside_it_is_not(place):
 
 
 def test_blocks_of_any_length_give_the_same_truth_behind_obstacles(tmp_path):
-    wall = {"polygon_m": [[100, -50], [110, -50], [110, 5], [105, 0]], "height_m": 9}
+    wall = {"polygon_m": [[100, -50], [110, -50], [110, 5], [105, 0]], "height_m": 6}
     scene = load_scene(scene_with(tmp_path, {"quay": wall}))
     with open_renderer(scene) as renderer:
         together = truth_block(scene, 0, 6, renderer)

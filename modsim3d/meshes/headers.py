@@ -1,0 +1,124 @@
+"""What a mesh file says of its size, read before any of it is parsed: STL, PLY and OBJ.
+
+Each function takes an open file of a known size and returns what the parser may have: all of it, within the limits.
+A hostile file is refused here by counts, so that neither time nor memory grows beyond what the limits allow.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO
+
+from modsim3d.meshes.limits import (
+    MAX_SCANNED_BYTES,
+    Refused,
+    check_faces,
+    check_reference,
+    check_size,
+    check_vertices,
+)
+
+CHUNK_BYTES = 2**20
+MAX_LINE_BYTES = 2**16
+"""Of a header, and of a face with many corners."""
+
+
+def _count(file: BinaryIO, word: bytes) -> int:
+    """How often a word stands in a file, in lower case, from where it is."""
+    found, tail = 0, b""
+    while chunk := file.read(CHUNK_BYTES):
+        joined = tail + chunk.lower()
+        found += joined.count(word)
+        tail = joined[-(len(word) - 1) :]  # too short to hold the word again
+    return found
+
+
+def _scan(file: BinaryIO, size: int, word: bytes) -> int:
+    """How many faces a text file has, by counting the word that each has once."""
+    if size > MAX_SCANNED_BYTES:
+        check_size(size)
+    file.seek(0)
+    return _count(file, word)
+
+
+def _whole(file: BinaryIO, size: int) -> bytes:
+    check_size(size)
+    file.seek(0)
+    return file.read(size)
+
+
+def read_stl(file: BinaryIO, size: int) -> bytes:
+    """A binary STL file, whose header tells its faces, or one in text.
+
+    Raises:
+        Refused: It is neither, or too large.
+    """
+    header = file.read(84)
+    claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
+    if claimed is not None and size == 84 + 50 * claimed:
+        check_faces(claimed)
+        return _whole(file, size)
+    if not header.lstrip().lower().startswith(b"solid"):
+        told = "" if claimed is None else f", whose header would mean {claimed} faces in {84 + 50 * claimed} bytes"
+        raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{told}")
+    check_faces(_scan(file, size, b"endfacet"))
+    content = _whole(file, size)
+    check_vertices(content.lower().count(b"vertex"))
+    return content
+
+
+def read_ply(file: BinaryIO, size: int) -> bytes:
+    """A PLY file, text or binary, whose header tells its vertices and faces.
+
+    Text is returned without blank lines and without what follows the rows that the header announces.
+
+    Raises:
+        Refused: It is not PLY, or too large.
+    """
+    header = file.read(MAX_LINE_BYTES)
+    end = header.find(b"end_header")
+    if not header.startswith(b"ply") or end < 0:
+        raise Refused("is not a PLY file: it must begin with 'ply' and a header that ends with 'end_header'")
+    counts: dict[str, int] = {}
+    for line in header[:end].decode("latin-1").splitlines():
+        words = line.split()
+        if words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdecimal() or words[1] in counts:
+                raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
+            counts[words[1]] = int(words[2])
+        elif words[:2] == ["comment", "TextureFile"]:
+            check_reference(" ".join(words[2:]), "texture")
+    check_faces(counts.get("face", 0))
+    for count in counts.values():
+        check_vertices(count)
+    content = _whole(file, size)
+    if b"ascii" not in header[:end]:
+        return content
+    start = content.index(b"\n", end) + 1 if b"\n" in content[end:] else len(content)
+    rows = [row for row in content[start:].splitlines() if row.strip()]
+    if len(rows) < sum(counts.values()):
+        raise Refused(f"has {len(rows)} rows of the {sum(counts.values())} that its header tells: is it cut off?")
+    return content[:start] + b"\n".join(rows[: sum(counts.values())]) + b"\n"
+
+
+def read_obj(file: BinaryIO, size: int) -> bytes:
+    """A Wavefront OBJ file: its lines are counted, since it has no header.
+
+    Raises:
+        Refused: It is too large, or names a material library outside its folder.
+    """
+    check_faces(_scan(file, size, b"\nf "))
+    content = _whole(file, size)
+    triangles = vertices = 0
+    for number, line in enumerate(content.splitlines(), start=1):
+        if len(line) > MAX_LINE_BYTES:
+            raise Refused(f"has a line of {len(line)} characters (line {number}): triangulate its faces")
+        if line.startswith(b"f "):
+            triangles += max(1, len(line.split()) - 3)
+        elif line.startswith(b"v "):
+            vertices += 1
+        elif line.startswith(b"mtllib"):
+            check_reference(line[6:].decode("utf-8", "replace").strip(), "mtllib")
+    check_faces(triangles)
+    check_vertices(vertices)
+    return content

@@ -1,0 +1,70 @@
+"""How large a mesh may be, and what it may refer to."""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import unquote
+
+MAX_FACES = 50_000
+MAX_VERTICES = 3 * MAX_FACES
+"""As many as faces that share none."""
+MAX_BYTES = 2**26
+"""A GLB file may bring textures, which are not read; text takes some 500 bytes a face at most."""
+MAX_SCANNED_BYTES = 2**30
+"""Of a text file only counting tells how many faces it has; beyond this its size tells enough."""
+MAX_COORDINATE = 1e9
+"""Far beyond any vessel in any unit, and near enough that no product of three overflows."""
+
+
+class Refused(Exception):
+    """Why a file is not taken, as what follows its name: `is empty`."""
+
+
+def check_faces(count: int) -> None:
+    """Refuse too many faces, and none.
+
+    Raises:
+        Refused: With the number.
+    """
+    if count > MAX_FACES:
+        raise Refused(f"has {count} faces; a mesh may have at most {MAX_FACES}: simplify it")
+    if count == 0:
+        raise Refused("holds no faces, only points or nothing: a mesh of triangles is needed")
+
+
+def check_vertices(count: int) -> None:
+    """Refuse more vertices than as many faces as are allowed can need.
+
+    Raises:
+        Refused: With the number.
+    """
+    if count > MAX_VERTICES:
+        raise Refused(f"has {count} vertices; a mesh may have at most {MAX_VERTICES}: simplify it")
+
+
+def check_size(size: int) -> None:
+    """Refuse what would take too much memory to read.
+
+    Raises:
+        Refused: With the size.
+    """
+    if size > MAX_BYTES:
+        raise Refused(f"has {size / 1e6:.0f} MB; a mesh file may have at most {MAX_BYTES / 1e6:.0f} MB: simplify it")
+
+
+def leads_outside(reference: str) -> bool:
+    """Whether a reference is remote, absolute, or leads through a parent folder."""
+    plain = unquote(reference).strip()
+    remote_or_drive = re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", plain)
+    return bool(remote_or_drive) or plain.startswith(("/", "\\", "~")) or ".." in re.split(r"[/\\]", plain)
+
+
+def check_reference(reference: str, what: str) -> None:
+    """Refuse a reference out of the file's own folder; others are harmless, since nothing follows them.
+
+    Raises:
+        Refused: With the reference.
+    """
+    if leads_outside(reference):
+        shortened = reference if len(reference) <= 80 else reference[:77] + "..."
+        raise Refused(f"refers to {shortened!r} ({what}), which is remote or outside its folder: remove the reference")
