@@ -186,6 +186,7 @@ def compare_command(
         ("rendered against analytic", compare_report.figure_rows(figures)),
         ("verdicts: full box, visible part", compare_report.verdict_rows(figures)),
         ("rectangle rule against rendered", compare_report.rule_rows(figures)),
+        ("shoebox against mesh", compare_report.looseness_rows(figures)),
         ("time per frame", compare_report.time_rows(figures)),
         ("intersecting boxes", compare_report.intersection_rows(figures)),
     ):

@@ -55,6 +55,19 @@ def rule_rows(figures: dict[str, Any]) -> Rows:
     ]
 
 
+def looseness_rows(figures: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """How much looser the shoebox of each vessel with a mesh is."""
+    return [
+        (
+            vessel,
+            f"its box is {loose['mean_area_ratio']:.2f} times as large, {loose['max_area_ratio']:.2f} at most",
+            f"a side up to {loose['max_side_px']:.1f} px farther out, within a pixel in "
+            f"{_share(loose['within_a_pixel'], loose['frames'])} frames",
+        )
+        for vessel, loose in figures["shoebox_against_mesh"].items()
+    ]
+
+
 def time_rows(figures: dict[str, Any]) -> Rows:
     """Time per frame of each source."""
     return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures["ms_per_frame"].items()]
@@ -115,6 +128,8 @@ def _page(report: Report, figures: dict[str, Any], scene: Scene, renderer: IdRen
     ]
     if figures["intersecting"]:
         body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
+    if figures["shoebox_against_mesh"]:
+        body += [page.heading("Shoebox against mesh"), page.table(looseness_rows(figures))]
     if report.rule.worst is not None:
         worst = report.rule.worst
         body += [page.heading("The rectangle rule's worst mistake")]

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.bodies import Bodies
-from modsim3d.frames import Array
+from modsim3d.frames import Array, world_R_vehicle
 from modsim3d.vessels import Solid
 
 PREFIX = "obstacle:"
@@ -29,11 +29,6 @@ class Obstacle:
     name: str
     solids: tuple[tuple[Solid, Array], ...]
 
-    @property
-    def has_mesh(self) -> bool:
-        """Whether a part of it is not convex."""
-        return not all(solid.convex for solid, _ in self.solids)
-
 
 def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
     """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex.
@@ -50,6 +45,18 @@ def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[So
     return tuple(
         _prism(shapely.get_coordinates(shapely.orient_polygons(piece))[:-1], base_m, height_m) for piece in pieces
     )
+
+
+def placed(solid: Solid, size_m: Array, position_m: Array, heading_rad: float) -> tuple[Solid, Array]:
+    """A mesh at its place.
+
+    Args:
+        solid: In the unit box.
+        size_m: Length, beam and height to scale it to, shape (3,).
+        position_m: Of the centre of its bottom in WCF, shape (3,).
+        heading_rad: Counter-clockwise from w1.
+    """
+    return solid, (solid.vertices * size_m) @ world_R_vehicle(heading_rad).T + position_m
 
 
 def _prism(ring: Array, base_m: float, height_m: float) -> tuple[Solid, Array]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,11 +19,12 @@ from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
-from modsim3d.obstacles import PREFIX, Obstacle, extruded
+from modsim3d.obstacles import PREFIX, Obstacle
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import CameraKeys, ObstacleKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_meshes import SceneMeshes, read_obstacle
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
@@ -128,6 +131,7 @@ class _Reader:
         self.data = data
         self.folder = path.resolve().parent
         self.problems: list[str] = []
+        self.meshes = SceneMeshes()
 
     def scene(self) -> Scene:
         """The scene, or every problem at once."""
@@ -142,10 +146,13 @@ class _Reader:
         if entries is not None and detector is not None:
             self._check_labels(entries, detector)
         poses = self._poses(keys, names, vessels)
-        obstacles = tuple(_obstacle(name, entry) for name, entry in keys.obstacles.items()) if keys else ()
+        obstacles = self._obstacles(keys) if keys else ()
+        if vessels is not None:
+            vessels = tuple(self._with_mesh(vessel, (entries or {})[vessel.name].get("mesh")) for vessel in vessels)
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
+        copy = self._copy(keys, entries or {})
         scene = Scene(
             name=self.path.stem,
             path=self.path,
@@ -158,7 +165,7 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             waves=_waves(keys.waves, keys.seed),
-            copy=self._copy(keys, entries or {}),
+            copy=copy,
             obstacles=obstacles,
         )
         self._check_places(scene)
@@ -211,6 +218,26 @@ class _Reader:
             return None
         source, path = self._vessels_source()
         return self._collect(lambda: parse_vessels(entries, source, *path))
+
+    def _vessels_folder(self) -> Path:
+        """The folder that paths in the mapping of vessels start from."""
+        entry = self.data.get("vessels")
+        return (self.folder / entry).parent if isinstance(entry, str) else self.folder
+
+    def _with_mesh(self, vessel: Vessel, entry: object) -> Vessel:
+        if entry is None:
+            return vessel
+        source, path = self._vessels_source()
+        where = (*path, vessel.name, "mesh")
+        solid = self._collect(lambda: self.meshes.solid(entry, self._vessels_folder(), source, *where))
+        return vessel if solid is None else replace(vessel, solid=solid)
+
+    def _obstacles(self, keys: SceneKeys) -> tuple[Obstacle, ...]:
+        found = []
+        for name, entry in keys.obstacles.items():
+            read = partial(read_obstacle, name, entry, self.meshes, self.path, keys.annotation.source)
+            found.append(self._collect(read))
+        return tuple(obstacle for obstacle in found if obstacle is not None)
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")
@@ -283,17 +310,29 @@ class _Reader:
     def _copy(self, keys: SceneKeys, entries: dict[Any, Any]) -> SceneCopy:
         """The scene with every file that it names under a plain name beside it."""
         files = {f"detector{Path(keys.detector).suffix}": self.folder / keys.detector}
-        document = {**self.data, "vessels": entries, "detector": next(iter(files))}
+        document = {**self.data, "vessels": self._copied(entries, self._vessels_folder())}
+        document["detector"] = next(iter(files))
+        if "obstacles" in self.data:
+            document["obstacles"] = self._copied(self.data["obstacles"], self.folder)
+        files |= self.meshes.files
         if keys.poses.file is not None:
             name = f"poses.json{'.gz' if keys.poses.file.endswith('.gz') else ''}"
             files[name] = self.folder / keys.poses.file
             document["poses"] = {"file": name}
         return SceneCopy(self.path.stem, document, files)
 
+    def _copied(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
+        """Vessels or obstacles with their meshes under the names that these have in the copy."""
+        return {
+            name: {**entry, "mesh": self.meshes.copied(entry["mesh"], folder)} if entry.get("mesh") else entry
+            for name, entry in entries.items()
+        }
+
     def _sha256(self, keys: SceneKeys) -> str:
         named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
         digest = hashlib.sha256()
-        for path in [self.path, *(self.folder / name for name in named if name is not None)]:
+        given = [self.folder / name for name in named if name is not None]
+        for path in [self.path, *given, *self.meshes.files.values()]:
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         return digest.hexdigest()
 
@@ -327,11 +366,6 @@ def _waves(keys: WavesKeys | None, seed: int) -> Waves | None:
         roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
         axes = (roll, pitch, yaw)
     return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)
-
-
-def _obstacle(name: str, keys: ObstacleKeys) -> Obstacle:
-    assert keys.polygon_m is not None and keys.height_m is not None
-    return Obstacle(name, extruded(np.array(keys.polygon_m), keys.base_m, keys.height_m))
 
 
 def _camera(name: str, keys: CameraKeys) -> Camera:

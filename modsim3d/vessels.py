@@ -85,12 +85,13 @@ Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_
 
 
 class VesselEntry(Strict):
-    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2)."""
+    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2); `mesh` is ours, and read elsewhere."""
 
     length_m: Extent
     beam_m: Extent
     air_draft_m: Extent
     label: str
+    mesh: str | dict[str, str] | None = None
 
     @field_validator("label")
     @classmethod

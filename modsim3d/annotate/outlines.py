@@ -13,9 +13,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.annotate.silhouettes import silhouette_polygons
+from modsim3d.annotate.silhouettes import cut_near, silhouette_polygons
 from modsim3d.bodies import Bodies
-from modsim3d.camera import CameraPoses, Intrinsics
+from modsim3d.camera import CameraPoses, Intrinsics, clip_triangles, guard_planes
 from modsim3d.frames import Array
 from modsim3d.vessels import Solid
 
@@ -139,7 +139,12 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
     fractions = np.where(crosses, np.nan, 1.0)
     whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
     cut = np.flatnonzero(touching & ~whole)
-    if len(cut):
+    if not (solid.convex or bodies.boxed):
+        for row in cut.tolist():  # nobody asks for its area, and a box may be too large
+            boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], intrinsics, solid), intrinsics)
+        touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+        fractions[cut] = np.nan
+    elif len(cut):
         silhouettes = silhouette_polygons(intrinsics, vertices[cut], pixels[cut], crosses[cut], solid)
         inside = shapely.intersection(silhouettes, shapely.box(0, 0, *size))
         areas[cut] = shapely.area(inside)
@@ -161,6 +166,13 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
         "crosses_near": crosses[rows],
     }
     return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
+
+
+def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
+    """The box around what triangles in front of the near plane show in the image, shape (4,); inside out if nothing."""
+    seen = clip_triangles(triangles_camera, guard_planes(intrinsics, 0.0)).reshape(-1, 3)
+    pixels = np.clip(intrinsics.project(seen), 0, intrinsics.image_size_px)
+    return np.concatenate([pixels.min(axis=0, initial=np.inf), pixels.max(axis=0, initial=-np.inf)])
 
 
 def _least(pixels: Array) -> Array:

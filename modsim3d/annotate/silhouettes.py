@@ -32,36 +32,41 @@ def silhouette_polygons(
     polygons = np.empty(len(pixels), dtype=object)
     if not solid.convex:
         for row in range(len(pixels)):
-            faces = vertices[row][solid.faces]
-            polygons[row] = union_of(intrinsics.project(cut_near(faces, intrinsics) if crosses[row] else faces))
+            if crosses[row]:
+                faces = cut_near(vertices[row][solid.faces], intrinsics, solid)
+                polygons[row] = union_of(intrinsics.project(faces))
+            else:
+                polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
         return polygons
     polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
     for row in np.flatnonzero(crosses).tolist():
-        clipped = cut_near(vertices[row][solid.faces], intrinsics, convex=True)
+        clipped = cut_near(vertices[row][solid.faces], intrinsics, solid)
         polygons[row] = shapely.convex_hull(shapely.multipoints(intrinsics.project(clipped.reshape(-1, 3))))
     return polygons
 
 
-def union_of(triangles_px: Array) -> shapely.Geometry:
+def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
     """What triangles cover together.
 
     Args:
         triangles_px: Shape (T, 3, 2).
+        both_sides: Whether those turned away from the camera are needed; of a closed solid they add nothing.
     """
     a, b, c = np.moveaxis(triangles_px, 1, 0)
-    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    return shapely.union_all(shapely.polygons(triangles_px[area > NO_AREA_PX2]), grid_size=1e-9)
+    # Rows run downwards: the area of a face turned to the camera is positive this way round.
+    doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
+    return shapely.union_all(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))
 
 
-def cut_near(triangles_camera: Array, intrinsics: Intrinsics, *, convex: bool = False) -> Array:
-    """The triangles of a closed solid beyond the near plane, and the section that closes it there.
+def cut_near(triangles_camera: Array, intrinsics: Intrinsics, solid: Solid) -> Array:
+    """The triangles of a solid beyond the near plane, and the section that closes it there if it was closed.
 
     Without the section one would look into the solid, and see the faces of what touches it from behind.
 
     Args:
         triangles_camera: In CCF, shape (T, 3, 3).
         intrinsics: Of the camera.
-        convex: Whether the solid is, so that its section is.
+        solid: That they are the faces of.
 
     Returns:
         Triangles in CCF, shape (T', 3, 3).
@@ -70,7 +75,9 @@ def cut_near(triangles_camera: Array, intrinsics: Intrinsics, *, convex: bool = 
     clipped = clip_triangles(triangles_camera, near_plane(intrinsics))
     # A corner put on the plane by the cut comes out a rounding error before or behind it.
     clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
-    section = _convex_section(clipped, near) if convex else _section(clipped, near)
+    if not solid.closed:
+        return clipped
+    section = _convex_section(clipped, near) if solid.convex else _section(clipped, near)
     return np.concatenate([clipped, section])
 
 

@@ -69,7 +69,7 @@ def triangles_of(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 
         for member in np.flatnonzero(~uncut):
             camera = part.vertices_camera[member][faces]
             if outlines.crosses_near[part.rows[member]]:
-                camera = cut_near(camera, intrinsics, convex=part.solid.convex)
+                camera = cut_near(camera, intrinsics, part.solid)
             clipped = clip_triangles(camera, guard)
             clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
             row.append(np.full(len(clipped), part.rows[member]))

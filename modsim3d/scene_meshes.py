@@ -1,0 +1,81 @@
+"""The meshes that a scene names, for vessels and obstacles: each is read once, and copied with the scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import orjson
+
+from modsim3d.errors import InputError
+from modsim3d.meshes import load_mesh, shipped_meshes
+from modsim3d.obstacles import Obstacle, extruded, placed
+from modsim3d.scene_file import ObstacleKeys
+from modsim3d.validation import join_path
+from modsim3d.vessels import Solid
+
+MOST_FACES_OF_CONVEX = 64
+"""A convex mesh with more is treated like any other mesh: putting it in order by planes would take too many of them."""
+
+
+class SceneMeshes:
+    """Meshes by their entries; equal entries of one folder are one solid, so that they are looked at together."""
+
+    def __init__(self) -> None:
+        """Nothing is read yet."""
+        self._solids: dict[bytes, Solid] = {}
+        self.files: dict[str, Path] = {}
+        """Path in a copy of the scene → the mesh file."""
+
+    def solid(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
+        """The solid of an entry; see `load_mesh`.
+
+        Raises:
+            InputError: With what is wrong with the entry or with the file.
+        """
+        key = orjson.dumps([str(folder), entry], default=str)
+        if key not in self._solids:
+            solid = load_mesh(entry, folder, source, *path)
+            few = len(solid.faces) <= MOST_FACES_OF_CONVEX
+            self._solids[key] = replace(solid, convex=solid.convex and few)
+        return self._solids[key]
+
+    def copied(self, entry: object, folder: Path) -> object:
+        """The entry as it stands in a copy of the scene, where the file has a name of its own."""
+        file = entry.get("file") if isinstance(entry, dict) else entry
+        if not isinstance(file, str):
+            return entry
+        if file in shipped_meshes() and not isinstance(entry, dict):
+            self.files.setdefault(f"meshes/{file}.glb", shipped_meshes()[file])
+            return f"meshes/{file}.glb"
+        source = folder / file
+        known = next((name for name, path in self.files.items() if path == source), None)
+        name = known or f"meshes/{len(self.files)}_{source.name}"
+        self.files[name] = source
+        return {**entry, "file": name} if isinstance(entry, dict) else name
+
+
+def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, scene: Path, truth_source: str) -> Obstacle:
+    """An obstacle of a scene file.
+
+    Args:
+        name: Its ID.
+        keys: Its entry.
+        meshes: Those of the scene.
+        scene: The scene file.
+        truth_source: The annotation's.
+
+    Raises:
+        InputError: Its name cannot be one, its mesh cannot be read, or the source knows no meshes.
+    """
+    where = join_path("obstacles", name)
+    if not name or not name.isprintable():
+        raise InputError(f"scene {scene}", [f"{where}: an obstacle's name must be printable text (got {name!r})"])
+    if keys.polygon_m is not None:
+        return Obstacle(name, extruded(np.array(keys.polygon_m), keys.base_m, keys.height_m or 0.0))
+    solid = meshes.solid(keys.mesh, scene.resolve().parent, f"scene {scene}", "obstacles", name, "mesh")
+    if truth_source == "analytic" and not solid.convex:
+        hint = "use annotation.source: rendered, or give a polygon_m with height_m"
+        raise InputError(f"scene {scene}", [f"{where}.mesh: the analytic source knows no meshes: {hint}"])
+    return Obstacle(name, (placed(solid, np.array(keys.size_m), np.array(keys.position_m), keys.heading_rad),))

@@ -1,0 +1,222 @@
+"""A vessel with a mesh gets its truth from the mesh, whole, cut by the image or by the near plane."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from typer.testing import CliRunner
+
+from modsim3d.annotate.full_frame import full_frame_occlusion, mask_box
+from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.annotate.silhouettes import silhouette_polygons
+from modsim3d.cli import app
+from modsim3d.errors import InputError
+from modsim3d.meshes import load_mesh, shipped_meshes
+from modsim3d.render.id_pass import Region
+from modsim3d.run import run_scene
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import simulate_frames
+from modsim3d.stored_run import open_run
+from modsim3d.vessels import shoebox
+from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel, write_scene
+
+
+@cache
+def mesh(name):
+    return load_mesh(name, Path())
+
+
+@cache
+def box_as_mesh():
+    """A shoebox that nothing knows to be convex."""
+    return replace(shoebox(), convex=False)
+
+
+def with_solids(places, solids):
+    return [(replace(ship, solid=solids[i % len(solids)]), *rest) for i, (ship, *rest) in enumerate(places)]
+
+
+def assert_same_truth(one, other, count):
+    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert one.occluders == other.occluders
+    assert len(one.visible_px) == count
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_shoebox_as_a_mesh_gives_the_truth_of_the_shoebox(renderer, seed):
+    places, intrinsics, mount = random_scene(np.random.default_rng(70_000 + seed))
+    boxes = outlines_of(places, intrinsics, mount)
+    meshes = outlines_of(with_solids(places, [box_as_mesh(), shoebox()]), intrinsics, mount)
+    np.testing.assert_array_equal(meshes.vessel, boxes.vessel)
+    np.testing.assert_allclose(meshes.boxes_px, boxes.boxes_px, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(meshes.depth_m, boxes.depth_m)
+    np.testing.assert_allclose(meshes.in_frame_fraction, boxes.in_frame_fraction, rtol=1e-6)
+    seen = [rendered_occlusion(outlines, intrinsics, renderer) for outlines in (meshes, boxes)]
+    # A silhouette without a pixel keeps its projected box, which rounding may change.
+    drawn = np.flatnonzero(seen[1].silhouette_px > 0)
+    assert_same_truth(*(occlusion.take(drawn) for occlusion in seen), len(drawn))
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed):
+    places, intrinsics, mount = random_scene(np.random.default_rng(80_000 + seed))
+    solids = [mesh(name) for name in shipped_meshes()]
+    outlines = outlines_of(with_solids(places, [*solids, shoebox()]), intrinsics, mount)
+    fast = rendered_occlusion(outlines, intrinsics, renderer)
+    plain = full_frame_occlusion(outlines, intrinsics, renderer)
+    drawn = np.flatnonzero(plain.silhouette_px > 0)
+    assert_same_truth(fast.take(drawn), plain.take(drawn), len(drawn))
+
+
+def alone(name, heading=0.7, place=(120.0, 3.0)):
+    ship = replace(vessel("ship", 40, 9, 14), solid=mesh(name))
+    return outlines_of([(ship, place, heading)])
+
+
+@pytest.mark.parametrize("name", shipped_meshes())
+def test_pixels_of_a_mesh_are_those_inside_its_exact_silhouette(renderer, name):
+    outlines = alone(name)
+    (part,) = outlines.parts
+    polygon = silhouette_polygons(INTRINSICS, part.vertices_camera, part.vertices_px, np.zeros(1, bool), part.solid)[0]
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer)
+    x, y = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
+    sure, perhaps = (shapely.contains_xy(polygon.buffer(band), x, y) for band in (-1 / 128, 1 / 128))
+    assert sure.sum() <= seen.silhouette_px[0] <= perhaps.sum() < 1.02 * sure.sum()
+    least, greatest = (mask_box(mask, Region(0, 0, 800, 600)) for mask in (sure, perhaps))
+    assert (seen.full_boxes_px[0, :2] <= least[:2]).all() and (seen.full_boxes_px[0, 2:] >= least[2:]).all()
+    assert (seen.full_boxes_px[0, :2] >= greatest[:2]).all() and (seen.full_boxes_px[0, 2:] <= greatest[2:]).all()
+    assert np.abs(outlines.boxes_px[0] - polygon.bounds).max() < 1e-9
+    assert seen.silhouette_px[0] < 0.97 * shapely.box(*polygon.bounds).area
+
+
+def test_something_is_seen_between_a_sailboats_mast_and_sail(renderer):
+    ship = replace(vessel("yacht", 12, 4, 16), solid=mesh("sailboat"))
+    # Far behind: its box is covered by the yacht's box, and yet a part of it is seen beside the sails.
+    outlines = outlines_of([(ship, (60.0, 0.0), np.pi / 2), (vessel("boat", 2, 2, 3), (90.0, 6.5), 0.0)])
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer)
+    assert (outlines.boxes_px[1, :2] >= outlines.boxes_px[0, :2]).all()
+    assert (outlines.boxes_px[1, 2:] <= outlines.boxes_px[0, 2:]).all()
+    assert seen.visible_px[1] > 0
+
+
+def silhouettes_of(outlines: Outlines):
+    (part,) = outlines.parts
+    args = (part.vertices_camera, part.vertices_px, outlines.crosses_near, part.solid)
+    return silhouette_polygons(INTRINSICS, *args)[0]
+
+
+def test_mesh_cut_by_the_image_edge_has_the_fraction_of_its_area_that_is_inside():
+    outlines = alone("ferry", heading=np.pi / 2, place=(60.0, 20.0))
+    whole = silhouettes_of(outlines)
+    inside = shapely.intersection(whole, shapely.box(0, 0, 800, 600))
+    assert 0 < outlines.in_frame_fraction[0] < 1
+    assert outlines.in_frame_fraction[0] == pytest.approx(inside.area / whole.area)
+    np.testing.assert_allclose(outlines.boxes_px[0], inside.bounds)
+
+
+OWN_CAMERA = {
+    "focal_length_m": 0.01,
+    "pixel_size_m": [1e-5, 1e-5],
+    "principal_point_px": [400, 300],
+    "image_size_px": [800, 600],
+    "mount": {"vessel": "own", "position_m": [-6, 0, 6], "pitch_rad": 0.15},
+}
+"""At the stern, above deck, looking over the whole boat."""
+
+
+def own_ship_scene(folder, own_mesh="fishing_vessel", **keys):
+    boats = {
+        "own": ([14, 5, 5], [[0, 0, 0], [10, 20, 0]]),
+        "near": ([6, 3, 1], [[0, 22, 0.5], [10, 42, 0.5]]),
+        "far": ([40, 9, 14], [[0, 200, -10], [10, 200, 10]]),
+    }
+    path = write_scene(folder, boats, 6, cameras={"stern": OWN_CAMERA}, **keys)
+    scene = json.loads(path.read_text())
+    if own_mesh:
+        scene["vessels"]["own"]["mesh"] = own_mesh
+    scene["vessels"]["far"]["mesh"] = "ferry"
+    path.write_text(json.dumps(scene))
+    return path
+
+
+def test_own_ships_hull_hides_others_in_its_own_camera_and_has_no_box(tmp_path):
+    scene = load_scene(own_ship_scene(tmp_path))
+    frames = list(simulate_frames(scene))
+    assert {name for frame in frames for name in frame.truth.vessels} == {"near", "far"}
+    hidden = [frame.truth.occluded_by[frame.truth.vessels.index("near")] for frame in frames]
+    assert all(set(entry) == {"own"} and entry["own"] > 20 for entry in hidden)
+    shoebox_only = simulate_frames(load_scene(own_ship_scene(tmp_path, own_mesh=None)))
+    assert all("own" not in entry for frame in shoebox_only for entry in frame.truth.occluded_by)
+
+
+def test_hull_turns_with_its_ship_so_that_waves_do_not_move_it_in_its_own_image(tmp_path):
+    scene = load_scene(own_ship_scene(tmp_path, waves={"level": "huge", "interval_s": 0.01}))
+    (camera,) = scene.cameras
+    outlines = scene.sight(camera, np.arange(6)).outlines(camera.intrinsics, scene.vessels)
+    (hull,) = [part for part in outlines.parts if not outlines.boxed[part.rows].any()]
+    np.testing.assert_allclose(hull.vertices_camera - hull.vertices_camera[:1], 0, atol=1e-9)
+    assert np.abs(np.diff(scene.wave_angles("own", np.arange(6)), axis=0)).max() > 1e-3
+
+
+def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
+    source = tmp_path / "source"
+    source.mkdir()
+    shutil.copy(shipped_meshes()["kayak"], source / "hull.glb")
+    path = own_ship_scene(source, own_mesh={"file": "hull.glb"})
+    run_scene(load_scene(path), tmp_path / "run")
+    shutil.rmtree(source)
+    run_scene(open_run(tmp_path / "run").scene, tmp_path / "again")
+    for name in ("truth.parquet", "detections.parquet"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def test_compare_says_how_much_looser_the_shoeboxes_are_and_leaves_meshes_uncompared(tmp_path):
+    path = own_ship_scene(tmp_path)
+    result = CliRunner().invoke(app, ["compare", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    figures = json.loads((tmp_path / "out" / "compare.json").read_text())
+    assert figures["unexplained"] == 0
+    verdicts = figures["full_box"]["verdicts"]
+    assert verdicts["not comparable: a mesh is there, or before it"] == 6
+    assert verdicts["agree within a pixel"] == 6
+    (loose,) = figures["shoebox_against_mesh"].items()
+    assert loose[0] == "far"
+    assert loose[1]["frames"] == 6
+    assert 1.0 <= loose[1]["mean_area_ratio"] <= loose[1]["max_area_ratio"] < 1.5
+    assert "shoebox against mesh" in result.output
+    assert "far" in result.output
+
+
+def test_analytic_source_takes_vessels_for_their_shoeboxes_and_refuses_obstacles_of_mesh(tmp_path):
+    path = own_ship_scene(tmp_path)
+    frames = list(simulate_frames(load_scene(path, source="analytic")))
+    assert all("own" not in entry for frame in frames for entry in frame.truth.occluded_by)
+    scene = json.loads(path.read_text())
+    scene["obstacles"] = {"wreck": {"mesh": "ferry", "size_m": [90, 15, 22], "position_m": [300, 0, 0]}}
+    path.write_text(json.dumps(scene))
+    load_scene(path)
+    with pytest.raises(InputError, match=r"obstacles\.wreck\.mesh: the analytic source knows no meshes: use"):
+        load_scene(path, source="analytic")
+
+
+def test_obstacle_of_mesh_hides_and_is_named(tmp_path):
+    path = own_ship_scene(
+        tmp_path,
+        obstacles={
+            "wreck": {"mesh": "container_ship", "size_m": [90, 15, 30], "position_m": [150, 0, -2], "heading_rad": 1.57}
+        },
+    )
+    hidden = [frame.truth.occluded_by[frame.truth.vessels.index("far")] for frame in simulate_frames(load_scene(path))]
+    assert all(entry.get("obstacle:wreck", 0) > 100 for entry in hidden)
+
+
+def test_wrong_mesh_of_a_vessel_names_the_vessel(tmp_path):
+    with pytest.raises(InputError, match=r"vessels\.own\.mesh: 'hulk\.glb' does not exist"):
+        load_scene(own_ship_scene(tmp_path, own_mesh="hulk.glb"))
