@@ -22,7 +22,7 @@ from modsim3d.scene import Scene, Waves
 from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
 from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
-from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
+from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea, level_axes
 
 Indices = NDArray[np.int64]
 T = TypeVar("T")
@@ -154,7 +154,7 @@ class _Reader:
             cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
-            waves=_waves(keys.waves, keys.seed),
+            waves=_waves(keys.waves, keys.seed, vessels),
         )
         self._check_places(scene)
         if self.problems:
@@ -299,9 +299,19 @@ def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     )
 
 
-def _waves(keys: WavesKeys | None, seed: int) -> Waves | None:
+def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...]) -> Waves | None:
     if keys is None or keys.level == "none":
         return None
+    if keys.spectrum is not None:
+        sea = jonswap_sea(
+            keys.significant_height_m or 0.0,
+            keys.peak_period_s or 0.0,
+            keys.direction_rad or 0.0,
+            seed,
+            keys.peakedness or PEAKEDNESS,
+        )
+        hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
+        return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
     if keys.level is not None:
         axes = level_axes(keys.level)
     else:

@@ -12,6 +12,8 @@ from modsim3d.frames import Array
 
 Indices = NDArray[np.int64]
 
+GRAVITY_M_S2 = 9.80665
+
 
 @dataclass(frozen=True, eq=False)
 class Passage:
