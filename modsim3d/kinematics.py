@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.frames import Array, rotation_vector
 
 Flags = NDArray[np.bool_]
 
@@ -85,6 +85,20 @@ def velocities(times_s: Array, positions_m: Array, present: Flags) -> Array:
     both = np.zeros(present.shape, dtype=bool)
     both[1:-1] = known[:-1] & known[1:]
     return np.where(both[..., None], central, one_sided)
+
+
+def turning(times_s: Array, world_R_body: Array) -> Array:
+    """Angular velocity from each time to the next, right-handed, in body axes: that of the least turn between them.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        world_R_body: Shape (n, ..., 3, 3).
+
+    Returns:
+        Shape (n − 1, ..., 3).
+    """
+    vectors = rotation_vector(np.swapaxes(world_R_body[:-1], -1, -2) @ world_R_body[1:])
+    return vectors / _along(np.diff(times_s), vectors.ndim)
 
 
 def _intervals(times_s: Array, dimensions: int) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
+from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.kinematics import velocities
 from modsim3d.poses import Poses, PoseSource
 from modsim3d.vessels import Vessel
@@ -99,6 +100,7 @@ class Scene:
         annotation: Mode, source and filters.
         detector: The statistical detector's parameters.
         waves: How vessels move in waves, if they do.
+        imu: The inertial unit on board of each vessel that carries a camera.
     """
 
     name: str
@@ -112,6 +114,7 @@ class Scene:
     annotation: Annotation
     detector: DetectorModel
     waves: Waves | None = None
+    imu: Imu = PERFECT_IMU
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
@@ -174,12 +177,13 @@ class Scene:
         everybody = self.waves is not None and self.waves.apply_to == "all"
         return list(range(len(self.vessels)) if everybody else self.own_ships)
 
-    def with_neighbours(self, steps: Indices) -> tuple[int, int]:
+    def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
         """First step and the step after the last of a range that holds the steps and those beside them.
 
-        A velocity needs the neighbouring steps, wherever a block ends; the scene's own ends have one neighbour.
+        A velocity needs the neighbouring steps, wherever a block ends; beyond its own ends the scene has none.
         """
-        return max(int(steps[0]) - 1, 0), max(min(int(steps[-1]) + 2, self.steps), int(steps[-1]) + 1)
+        first, stop = int(steps[0]), int(steps[-1]) + 1
+        return max(first - margin, 0), max(min(stop + margin, self.steps), stop)
 
     def _poses_at(self, steps: Indices) -> Poses:
         first, stop = int(steps[0]), int(steps[-1]) + 1

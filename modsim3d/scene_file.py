@@ -173,6 +173,16 @@ class WavesKeys(Strict):
         return problems
 
 
+class ImuKeys(Strict):
+    """The inertial measurement unit of each vessel that carries a camera."""
+
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rate_noise_rad_s: NotNegative = 0.0
+    rate_bias_rad_s: NotNegative = 0.0
+    acceleration_noise_m_s2: NotNegative = 0.0
+    acceleration_bias_m_s2: NotNegative = 0.0
+
+
 class SceneKeys(Strict):
     """A scene file. `vessels` is looked at apart from this: it may be a file."""
 
@@ -183,6 +193,7 @@ class SceneKeys(Strict):
     poses: PosesKeys
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
+    imu: ImuKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 

@@ -17,6 +17,7 @@ from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
+from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
@@ -155,7 +156,10 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             waves=_waves(keys.waves, keys.seed, vessels),
+            imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
         )
+        if keys.imu is not None and not scene.own_ships:
+            self.problems.append("imu: no camera is mounted on a vessel, so that there is no own ship to measure")
         self._check_places(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
