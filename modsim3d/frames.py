@@ -97,6 +97,31 @@ def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
     return BASE_R_WORLD.T @ attitude(roll, pitch, yaw) @ BASE_R_WORLD
 
 
+def rotation_vector(matrix: ArrayLike) -> Array:
+    """Axis times angle of right-handed rotations, in [0, π]; the inverse of the exponential map.
+
+    Args:
+        matrix: Active rotations, shape (..., 3, 3).
+
+    Returns:
+        Vectors of shape (..., 3).
+    """
+    turn = np.asarray(matrix, dtype=np.float64)
+    odd = turn - np.swapaxes(turn, -1, -2)
+    sine_axis = np.stack([odd[..., 2, 1], odd[..., 0, 2], odd[..., 1, 0]], axis=-1) / 2
+    sine, cosine = np.linalg.norm(sine_axis, axis=-1), (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    by_sine = sine_axis * np.where(sine < 1e-12, 1.0, angle / np.where(sine < 1e-12, 1.0, sine))[..., None]
+    # Near half a turn the sine says nothing, but the even part, (1 − cos) n nᵀ + cos I, does.
+    even = (turn + np.swapaxes(turn, -1, -2)) / 2 - cosine[..., None, None] * np.eye(3)
+    longest = np.argmax(np.diagonal(even, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(even, longest[..., None, None], axis=-1)[..., 0]
+    side = np.where((column * sine_axis).sum(axis=-1) < 0, -1.0, 1.0)
+    length = np.linalg.norm(column, axis=-1)
+    by_even = column * (side * angle / np.where(length == 0, 1.0, length))[..., None]
+    return np.where((cosine < -0.9)[..., None], by_even, by_sine)
+
+
 def heading_of(direction: ArrayLike) -> Array:
     """Heading of direction vectors by atan2; the arccos of eq. 7.3 loses the sign.
 

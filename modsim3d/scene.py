@@ -17,11 +17,13 @@ from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
+from modsim3d.imu import PERFECT_IMU, Imu
+from modsim3d.kinematics import velocities
 from modsim3d.obstacles import PREFIX, Obstacle, obstacle_bodies
 from modsim3d.poses import Poses, PoseSource
 from modsim3d.scene_copy import SceneCopy
 from modsim3d.vessels import Vessel
-from modsim3d.waves import WaveMotion
+from modsim3d.waves import Passage, WaveMotion
 
 Indices = NDArray[np.int64]
 
@@ -31,14 +33,29 @@ class Waves:
     """How waves move the vessels of a scene.
 
     Attributes:
-        motion: Gives angles.
-        apply_to: `ownship`: only vessels that carry a camera are turned; `all`: every vessel.
+        motion: Gives heave and angles.
+        apply_to: `ownship`: only vessels that carry a camera are moved; `all`: every vessel.
         composition: How a camera's own angles and its vessel's combine: `rigid` or `additive`.
     """
 
     motion: WaveMotion
     apply_to: str = "ownship"
     composition: str = "rigid"
+
+
+@dataclass(frozen=True, eq=False)
+class AtSea:
+    """How V vessels lie in the water at S steps.
+
+    Attributes:
+        poses: Positions with heave, and nominal headings.
+        angles_rad: Roll, pitch and yaw in waves, shape (S, V, 3); zero for vessels that no wave moves.
+        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
+    """
+
+    poses: Poses
+    angles_rad: Array
+    world_R_vessel: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +126,7 @@ class Scene:
         copy: What it was read from.
         waves: How vessels move in waves, if they do.
         obstacles: What stands still and hides vessels.
+        imu: The inertial unit on board of each vessel that carries a camera.
     """
 
     name: str
@@ -124,6 +142,7 @@ class Scene:
     copy: SceneCopy
     waves: Waves | None = None
     obstacles: tuple[Obstacle, ...] = ()
+    imu: Imu = PERFECT_IMU
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
@@ -154,44 +173,75 @@ class Scene:
         Raises:
             InputError: The vessel that carries the camera is not there at a step.
         """
-        poses = self._poses_at(steps)
-        rotations = self._world_R_vessel(poses, steps)
+        sea = self.at_sea(steps)
         carrier = np.array(self.vessel_names) == camera.mount.vessel
         return Sight(
             steps,
-            poses,
-            rotations,
-            others=poses.present & ~carrier,
-            carriers=poses.present & carrier,
-            camera_poses=self._camera_poses(camera, poses, steps),
+            sea.poses,
+            sea.world_R_vessel,
+            others=sea.poses.present & ~carrier,
+            carriers=sea.poses.present & carrier,
+            camera_poses=self._camera_poses(camera, sea, steps),
             obstacles=self.obstacles,
         )
 
+    def at_sea(self, steps: Indices) -> AtSea:
+        """How the vessels lie in the water, each moved as everybody sees it.
+
+        Args:
+            steps: Ascending, shape (S,).
+        """
+        if self.waves is None:
+            poses = self._poses_at(steps)
+            return AtSea(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
+        poses, angles = self._in_waves(self.waves.motion, steps)
+        rotations = world_R_vehicle(poses.headings_rad)
+        moved = self._moved
+        in_waves = np.swapaxes(vehicle_R_nominal(angles[:, moved]), -1, -2)
+        rotations[:, moved] = rotations[:, moved] @ in_waves
+        return AtSea(poses, angles, rotations)
+
+    @property
+    def own_ships(self) -> tuple[int, ...]:
+        """Indices of the vessels that carry a camera, ascending."""
+        carriers = {camera.mount.vessel for camera in self.cameras}
+        return tuple(i for i, name in enumerate(self.vessel_names) if name in carriers)
+
+    @property
+    def _moved(self) -> list[int]:
+        """Indices of the vessels that waves move."""
+        everybody = self.waves is not None and self.waves.apply_to == "all"
+        return list(range(len(self.vessels)) if everybody else self.own_ships)
+
+    def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
+        """First step and the step after the last of a range that holds the steps and those beside them.
+
+        A velocity needs the neighbouring steps, wherever a block ends; beyond its own ends the scene has none.
+        """
+        first, stop = int(steps[0]), int(steps[-1]) + 1
+        return max(first - margin, 0), max(min(stop + margin, self.steps), stop)
+
     def _poses_at(self, steps: Indices) -> Poses:
         first, stop = int(steps[0]), int(steps[-1]) + 1
-        poses = self.poses.poses(first, stop)
-        chosen = steps - first
-        return Poses(poses.present[chosen], poses.positions_m[chosen], poses.headings_rad[chosen])
+        return _chosen(self.poses.poses(first, stop), steps - first)
 
-    def _times_at(self, steps: Indices) -> Array:
-        start = float(self.poses.timestamps[0])
-        return np.array([float(self.poses.timestamps[step]) for step in steps.tolist()]) - start
+    def _in_waves(self, motion: WaveMotion, steps: Indices) -> tuple[Poses, Array]:
+        """Poses with heave, and roll, pitch and yaw, shape (S, V, 3)."""
+        first, stop = self.with_neighbours(steps)
+        around, times_s, chosen = self.poses.poses(first, stop), self.times_s(first, stop), steps - first
+        velocity = velocities(times_s, around.positions_m, around.present)[chosen]
+        calm, times_s = _chosen(around, chosen), times_s[chosen]
+        positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
+        for column in self._moved:
+            place, heading = calm.positions_m[:, column], calm.headings_rad[:, column]
+            passage = Passage(times_s, steps, place, heading, velocity[:, column])
+            moved, there = motion.motion(self.vessel_names[column], passage), calm.present[:, column]
+            positions[there, column, 2] += moved.heave_m[there]
+            angles[there, column] = moved.angles_rad[there]
+        return Poses(calm.present, positions, calm.headings_rad), angles
 
-    def wave_angles(self, vessel: str, steps: Indices) -> Array:
-        """Roll, pitch and yaw of a vessel in waves, shape (S, 3)."""
-        if self.waves is None:
-            return np.zeros((len(steps), 3))
-        return self.waves.motion.angles(vessel, self._times_at(steps), steps)
-
-    def _world_R_vessel(self, poses: Poses, steps: Indices) -> Array:
-        nominal = world_R_vehicle(poses.headings_rad)
-        if self.waves is None or self.waves.apply_to == "ownship":
-            return nominal  # own ship is in nobody's picture but its own
-        angles = np.stack([self.wave_angles(name, steps) for name in self.vessel_names], axis=1)
-        return nominal @ np.swapaxes(vehicle_R_nominal(angles), -1, -2)
-
-    def _camera_poses(self, camera: Camera, poses: Poses, steps: Indices) -> CameraPoses:
-        mount = camera.mount
+    def _camera_poses(self, camera: Camera, sea: AtSea, steps: Indices) -> CameraPoses:
+        mount, poses = camera.mount, sea.poses
         if mount.vessel is None:
             return poses_ashore(mount, len(steps))
         column = self.vessel_names.index(mount.vessel)
@@ -203,5 +253,14 @@ class Scene:
                 [f"cameras.{camera.name}.mount.vessel: '{mount.vessel}' has no pose at time {when} s"],
             )
         composition = self.waves.composition if self.waves else "rigid"
-        angles = self.wave_angles(mount.vessel, steps)
-        return poses_on_board(mount, poses.positions_m[:, column], poses.headings_rad[:, column], angles, composition)
+        return poses_on_board(
+            mount,
+            poses.positions_m[:, column],
+            poses.headings_rad[:, column],
+            sea.angles_rad[:, column],
+            composition,
+        )
+
+
+def _chosen(poses: Poses, rows: Indices) -> Poses:
+    return Poses(poses.present[rows], poses.positions_m[rows], poses.headings_rad[rows])

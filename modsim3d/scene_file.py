@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import shapely
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from modsim3d.validation import Number, Probability, Strict, shown
+from modsim3d.waves import GRAVITY_M_S2, STEEPEST
 
 # Far beyond any scene, and near enough that no square or product of them overflows.
 MAX_COORDINATE_M = 1e9
@@ -126,24 +128,61 @@ class AxisKeys(Strict):
 
 
 class WavesKeys(Strict):
-    """How waves turn vessels: a named level, or the coefficients of each axis."""
+    """How waves move vessels: a named level, the coefficients of each axis, or a spectrum."""
 
     level: Literal["none", "small", "medium", "large", "huge"] | None = None
     roll: AxisKeys | None = None
     pitch: AxisKeys | None = None
     yaw: AxisKeys | None = None
     interval_s: Interval | None = None
+    spectrum: Literal["jonswap"] | None = None
+    significant_height_m: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
+    peak_period_s: Annotated[float, Field(strict=True, ge=0.5, le=30)] | None = None
+    direction_rad: Number | None = None
+    peakedness: Annotated[float, Field(strict=True, ge=1, le=10)] | None = None
     apply_to: Literal["ownship", "all"] = "ownship"
     composition: Literal["rigid", "additive"] = "rigid"
 
     @model_validator(mode="after")
     def _one_kind(self) -> WavesKeys:
         axes = [name for name in ("roll", "pitch", "yaw") if getattr(self, name) is not None]
-        if (self.level is None) == (not axes):
-            raise ValueError("give either level, or the coefficients of roll, pitch and yaw")
+        given = [self.level is not None, bool(axes), self.spectrum is not None]
+        if sum(given) != 1:
+            raise ValueError("give exactly one of level, the coefficients of roll, pitch and yaw, and spectrum")
+        problems = self._sea_problems()
+        if problems:
+            raise ValueError("; ".join(problems))
         if self.composition == "additive" and self.apply_to == "all":
             raise ValueError("composition: additive knows no attitude of other vessels: it goes with apply_to: ownship")
         return self
+
+    def _sea_problems(self) -> list[str]:
+        """What is wrong with the keys of a spectrum."""
+        needed = ("significant_height_m", "peak_period_s", "direction_rad")
+        if self.spectrum is None:
+            stray = [key for key in (*needed, "peakedness") if getattr(self, key) is not None]
+            return [f"{key} goes with spectrum: jonswap" for key in stray]
+        problems = [f"spectrum: jonswap needs {key}" for key in needed if getattr(self, key) is None]
+        if self.interval_s is not None:
+            problems.append("interval_s goes with level or coefficients, not with a spectrum")
+        if self.significant_height_m is not None and self.peak_period_s is not None:
+            highest = STEEPEST * GRAVITY_M_S2 * self.peak_period_s**2 / (2 * math.pi)
+            if self.significant_height_m > highest:
+                problems.append(
+                    f"significant_height_m: seas with a peak period of {self.peak_period_s:g} s break before they are "
+                    f"{self.significant_height_m:g} m high: at most {highest:.2f} m, or a longer peak_period_s"
+                )
+        return problems
+
+
+class ImuKeys(Strict):
+    """The inertial measurement unit of each vessel that carries a camera."""
+
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rate_noise_rad_s: NotNegative = 0.0
+    rate_bias_rad_s: NotNegative = 0.0
+    acceleration_noise_m_s2: NotNegative = 0.0
+    acceleration_bias_m_s2: NotNegative = 0.0
 
 
 class ObstacleKeys(Strict):
@@ -194,6 +233,7 @@ class SceneKeys(Strict):
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
     obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
+    imu: ImuKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 

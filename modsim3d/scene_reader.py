@@ -19,6 +19,7 @@ from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
+from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.obstacles import PREFIX, Obstacle
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
@@ -27,7 +28,7 @@ from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
-from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
+from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea, level_axes
 
 Indices = NDArray[np.int64]
 T = TypeVar("T")
@@ -164,10 +165,13 @@ class _Reader:
             cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
-            waves=_waves(keys.waves, keys.seed),
             copy=copy,
             obstacles=obstacles,
+            waves=_waves(keys.waves, keys.seed, vessels),
+            imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
         )
+        if keys.imu is not None and not scene.own_ships:
+            self.problems.append("imu: no camera is mounted on a vessel, so that there is no own ship to measure")
         self._check_places(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
@@ -356,9 +360,19 @@ def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     )
 
 
-def _waves(keys: WavesKeys | None, seed: int) -> Waves | None:
+def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...]) -> Waves | None:
     if keys is None or keys.level == "none":
         return None
+    if keys.spectrum is not None:
+        sea = jonswap_sea(
+            keys.significant_height_m or 0.0,
+            keys.peak_period_s or 0.0,
+            keys.direction_rad or 0.0,
+            seed,
+            keys.peakedness or PEAKEDNESS,
+        )
+        hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
+        return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
     if keys.level is not None:
         axes = level_axes(keys.level)
     else:

@@ -138,7 +138,8 @@ def test_waves_of_all_vessels_turn_their_boxes(tmp_path):
     for apply_to in ("ownship", "all"):
         scene = load_scene(tmp_path / f"{apply_to}.yaml", steps=300)
         turned.append(scene.sight(scene.cameras[0], steps).world_R_vessel)
-    assert (turned[0][..., 2, :2] == 0).all()  # upright
+    assert (turned[0][:, 0, 2, :2] != 0).all()  # own ship, in anybody's picture
+    assert (turned[0][:, 1:, 2, :2] == 0).all()  # upright
     assert (turned[1][..., 2, :2] != 0).all()
 
 

@@ -162,7 +162,7 @@ def test_hull_turns_with_its_ship_so_that_waves_do_not_move_it_in_its_own_image(
     outlines = scene.sight(camera, np.arange(6)).outlines(camera.intrinsics, scene.vessels)
     (hull,) = [part for part in outlines.parts if not outlines.boxed[part.rows].any()]
     np.testing.assert_allclose(hull.vertices_camera - hull.vertices_camera[:1], 0, atol=1e-9)
-    assert np.abs(np.diff(scene.wave_angles("own", np.arange(6)), axis=0)).max() > 1e-3
+    assert np.abs(np.diff(scene.at_sea(np.arange(6)).angles_rad[:, 0], axis=0)).max() > 1e-3
 
 
 def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):

@@ -1,5 +1,7 @@
 """Waves: the source's second-order process, and cameras on vessels that they turn."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from modsim3d.camera import Mount, poses_on_board
 from modsim3d.frames import camera_R_parent, vehicle_R_nominal
+from modsim3d.scene_reader import load_scene
 from modsim3d.waves import (
     LEVELS,
     SMALL_SIGMA_RAD,
@@ -17,6 +20,7 @@ from modsim3d.waves import (
     second_order,
     second_order_variance,
 )
+from tests.scenes import write_scene
 
 FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
 
@@ -144,3 +148,22 @@ def test_without_waves_both_rules_are_the_heading():
     np.testing.assert_allclose(rigid.camera_R_world, added.camera_R_world, atol=1e-12)
     np.testing.assert_allclose(rigid.positions_m, added.positions_m, atol=1e-12)
     np.testing.assert_allclose(rigid.camera_R_world[0], camera_R_parent(0.01, 0.02, 0.3 + 0.7), atol=1e-12)
+
+
+def watched_own_ship(folder, waves):
+    """Own ship before a camera ashore, and with one of its own."""
+    path = write_scene(folder, {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}, 12)
+    data = json.loads(path.read_text())
+    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
+    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [10, 0, 5]}}
+    path.write_text(json.dumps({**data, "waves": waves}))
+    return load_scene(path)
+
+
+def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):
+    scene = watched_own_ship(tmp_path, {"roll": {"sigma_rad": 0, "start_rad": [0, 0.3]}})
+    ashore, bow = scene.cameras
+    steps = np.arange(3)
+    up = scene.sight(ashore, steps).world_R_vessel[:, 0, :, 2]
+    np.testing.assert_allclose(up[0], [-np.sin(0.3), 0, np.cos(0.3)], atol=1e-12)  # it drives along w2: port is −w1
+    np.testing.assert_array_equal(scene.sight(bow, steps).world_R_vessel[:, 0, :, 2], up)

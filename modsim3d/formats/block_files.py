@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pyarrow as pa
 
 from modsim3d.annotate.record import COLUMNS, Truth
 from modsim3d.block import Block
-from modsim3d.formats import tables, thesis_json
+from modsim3d.formats import ownship_table, tables, thesis_json
 from modsim3d.scene import Scene
 
 TABLES = {
@@ -18,7 +19,13 @@ TABLES = {
     "truth": (tables.TRUTH, tables.truth_table),
     "detections": (tables.DETECTIONS, tables.detection_table),
 }
+OWN_SHIP_TABLES = {"ownship": (ownship_table.OWN_SHIP, ownship_table.own_ship_table)}
 JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+
+
+def tables_of(scene: Scene) -> dict[str, tuple[pa.Schema, Callable[[Block, Scene], pa.Table]]]:
+    """The tables that a scene's run has, by name: columns, and what makes its rows of a block."""
+    return {**TABLES, **(OWN_SHIP_TABLES if scene.own_ships else {})}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +44,7 @@ class BlockFiles:
     def of(cls, block: Block, scene: Scene) -> BlockFiles:
         """Format a block."""
         return cls(
-            {name: table(block, scene) for name, (_, table) in TABLES.items()},
+            {name: table(block, scene) for name, (_, table) in tables_of(scene).items()},
             {
                 (kind, part.camera): b"".join(lines(block, part, scene))
                 for part in block.cameras

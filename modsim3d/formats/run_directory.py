@@ -12,7 +12,7 @@ import orjson
 
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats import tables, thesis_json
-from modsim3d.formats.block_files import JSON_LINES, TABLES, BlockFiles
+from modsim3d.formats.block_files import JSON_LINES, BlockFiles, tables_of
 from modsim3d.scene import Scene
 
 UNFINISHED = "unfinished"
@@ -58,7 +58,8 @@ class RunDirectory:
             self._prepare(overwrite, resume)
             scene.copy.write(self.work / SCENE_FOLDER)
             self._writers = {
-                name: tables.TableWriter(self.work / f"{name}.parquet", schema) for name, (schema, _) in TABLES.items()
+                name: tables.TableWriter(self.work / f"{name}.parquet", schema)
+                for name, (schema, _) in tables_of(scene).items()
             }
             self._lines: dict[tuple[str, int], IO[bytes]] = {
                 (kind, index): self._lines_path(kind, index).open("wb")
@@ -158,7 +159,7 @@ class RunDirectory:
         """
         self.__exit__(None, None, None)
         self._remove_replaced()
-        for name in TABLES:
+        for name in self._writers:
             place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
         for kind, camera in self._lines:
             lines = self._lines_path(kind, camera)

@@ -1,4 +1,4 @@
-"""How a vessel moves in waves: slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3).
+"""Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3); no heave.
 
 The angles are those of `frames.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch the
 bow, positive yaw turns to port.
@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from modsim3d.frames import Array
 from modsim3d.random_streams import Streams
-
-Indices = NDArray[np.int64]
+from modsim3d.waves.base import Indices, Motion, Passage
 
 AXES = ("roll", "pitch", "yaw")
 SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)
@@ -26,19 +23,6 @@ LEVELS = {"none": 0.0, "small": 1.0, "medium": 2.0, "large": 4.0, "huge": 8.0}
 """Times the small noise. The source gives numbers for small and large only (Tables 9.8, 9.12); the others are ours."""
 BLOCK_STEPS = 4096
 LEAST_UNIFORM = 2.0**-54  # stands for the 0 whose normal would be −∞
-
-
-class WaveMotion(Protocol):
-    """Gives the attitude of a vessel at times."""
-
-    def angles(self, vessel: str, times_s: Array, steps: Indices) -> Array:
-        """Roll, pitch and yaw at n times, shape (n, 3).
-
-        Args:
-            vessel: ID; each vessel moves on its own, and the same for all its cameras.
-            times_s: Since the scene's first step, shape (n,).
-            steps: Number of each step, shape (n,).
-        """
 
 
 @dataclass(frozen=True)
@@ -103,8 +87,21 @@ class SecondOrderWaves:
         self._streams = Streams(seed)
         self._tracks: dict[str, _Track] = {}
 
+    def motion(self, vessel: str, passage: Passage) -> Motion:
+        """Roll, pitch and yaw of a vessel, wherever it is; heave is zero."""
+        return Motion(np.zeros(len(passage.steps)), self.angles(vessel, passage.times_s, passage.steps))
+
     def angles(self, vessel: str, times_s: Array, steps: Indices) -> Array:
-        """Roll, pitch and yaw at n times, shape (n, 3)."""
+        """Roll, pitch and yaw of a vessel.
+
+        Args:
+            vessel: ID; each vessel moves on its own.
+            times_s: Since the scene's first step, shape (n,).
+            steps: Number of each step, shape (n,).
+
+        Returns:
+            Shape (n, 3).
+        """
         position = np.asarray(steps, dtype=np.float64) if self._interval_s is None else times_s / self._interval_s
         # 0.3 / 0.1 is just below 3: a step that is reached but for rounding is reached.
         nearest = np.rint(position)

@@ -1,0 +1,111 @@
+"""Velocities, accelerations and angular rates from poses at a row of times, by central differences.
+
+Between neighbouring times a motion has a slope. In the middle of a row, the slopes on both sides are weighted so that a
+parabola through three points gets its exact derivative, whatever the intervals. At an end there is one slope, and it is
+taken as it is; the acceleration there is that of the neighbour.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.frames import Array, rotation_vector
+
+Flags = NDArray[np.bool_]
+
+
+def slopes(times_s: Array, values: Array) -> Array:
+    """Change per second from each time to the next.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        values: Shape (n, ...).
+
+    Returns:
+        Shape (n − 1, ...).
+    """
+    return np.diff(values, axis=0) / _along(np.diff(times_s), values.ndim)
+
+
+def first_derivative(times_s: Array, between: Array) -> Array:
+    """The derivative at each time from the slopes between the times.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        between: Slopes, shape (n − 1, ...).
+
+    Returns:
+        Shape (n, ...); zero if there is only one time.
+    """
+    derivative = np.zeros((len(times_s), *between.shape[1:]))
+    if len(between):
+        derivative[0], derivative[-1] = between[0], between[-1]
+    before, after = _intervals(times_s, between.ndim)
+    derivative[1:-1] = (after * between[:-1] + before * between[1:]) / (before + after)
+    return derivative
+
+
+def second_derivative(times_s: Array, between: Array) -> Array:
+    """The second derivative at each time from the slopes between the times.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        between: Slopes, shape (n − 1, ...).
+
+    Returns:
+        Shape (n, ...); zero if there are fewer than three times.
+    """
+    derivative = np.zeros((len(times_s), *between.shape[1:]))
+    if len(between) < 2:
+        return derivative
+    before, after = _intervals(times_s, between.ndim)
+    derivative[1:-1] = 2 * np.diff(between, axis=0) / (before + after)
+    derivative[0], derivative[-1] = derivative[1], derivative[-2]
+    return derivative
+
+
+def velocities(times_s: Array, positions_m: Array, present: Flags) -> Array:
+    """Velocities of vessels that come and go; one that has just come, or is about to leave, is at an end of its row.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        positions_m: Of V vessels, shape (n, V, 3).
+        present: Whether each is there, shape (n, V).
+
+    Returns:
+        Shape (n, V, 3); zero where a vessel is absent, or there at one time only.
+    """
+    between = slopes(times_s, positions_m)
+    known = present[:-1] & present[1:]
+    central = first_derivative(times_s, between)
+    none = np.zeros((1, *between.shape[1:]))
+    one_sided = np.concatenate([none, np.where(known[..., None], between, 0.0)])
+    one_sided[:-1] += np.where(known[..., None], between, 0.0)
+    both = np.zeros(present.shape, dtype=bool)
+    both[1:-1] = known[:-1] & known[1:]
+    return np.where(both[..., None], central, one_sided)
+
+
+def turning(times_s: Array, world_R_body: Array) -> Array:
+    """Angular velocity from each time to the next, right-handed, in body axes: that of the least turn between them.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        world_R_body: Shape (n, ..., 3, 3).
+
+    Returns:
+        Shape (n − 1, ..., 3).
+    """
+    vectors = rotation_vector(np.swapaxes(world_R_body[:-1], -1, -2) @ world_R_body[1:])
+    return vectors / _along(np.diff(times_s), vectors.ndim)
+
+
+def _intervals(times_s: Array, dimensions: int) -> tuple[Array, Array]:
+    """Intervals before and after each time but the first and the last."""
+    intervals = np.diff(times_s)
+    return _along(intervals[:-1], dimensions), _along(intervals[1:], dimensions)
+
+
+def _along(values: Array, dimensions: int) -> Array:
+    return values.reshape(-1, *[1] * (dimensions - 1))

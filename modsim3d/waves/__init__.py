@@ -1,0 +1,41 @@
+"""How vessels move in waves: an interface, and one file for each way of moving."""
+
+from modsim3d.waves.base import GRAVITY_M_S2, Motion, Passage, WaveMotion
+from modsim3d.waves.floating import FloatingVessels
+from modsim3d.waves.hull import Hull
+from modsim3d.waves.jonswap import PEAKEDNESS, STEEPEST, Sea, jonswap_sea
+from modsim3d.waves.second_order import (
+    AXES,
+    BLOCK_STEPS,
+    LEVELS,
+    SMALL_SIGMA_RAD,
+    Axis,
+    SecondOrderWaves,
+    level_axes,
+    long_run_deviation,
+    second_order,
+    second_order_variance,
+)
+
+__all__ = [
+    "AXES",
+    "BLOCK_STEPS",
+    "GRAVITY_M_S2",
+    "LEVELS",
+    "PEAKEDNESS",
+    "SMALL_SIGMA_RAD",
+    "STEEPEST",
+    "Axis",
+    "FloatingVessels",
+    "Hull",
+    "Motion",
+    "Passage",
+    "Sea",
+    "SecondOrderWaves",
+    "WaveMotion",
+    "jonswap_sea",
+    "level_axes",
+    "long_run_deviation",
+    "second_order",
+    "second_order_variance",
+]

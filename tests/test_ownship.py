@@ -1,0 +1,254 @@
+"""Own ship's motion and its inertial unit, against motions whose rates and forces are known."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from modsim3d.errors import InputError
+from modsim3d.frames import Array, rotation_vector, world_R_vehicle
+from modsim3d.imu import Imu
+from modsim3d.ownship import own_ships_at
+from modsim3d.poses.base import generated_timestamps
+from modsim3d.poses.circular import CircularMotion
+from modsim3d.run import run_scene
+from modsim3d.scene import Waves
+from modsim3d.scene_reader import load_scene
+from modsim3d.waves import GRAVITY_M_S2, Motion
+from tests.scenes import write_scene
+
+STEPS, STEP_S = 120, 0.05
+UP = [0.0, 0.0, GRAVITY_M_S2]
+VECTORS = st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array)
+
+
+class Swinging:
+    """Harmonic motion that is the same wherever a vessel is: amplitudes of heave, roll, pitch and yaw."""
+
+    def __init__(self, heave=0.0, roll=0.0, pitch=0.0, yaw=0.0, rate=1.3):
+        self.amplitudes, self.rate = np.array([heave, roll, pitch, yaw]), rate
+
+    def motion(self, vessel, passage):
+        swing = np.sin(self.rate * passage.times_s)[:, None] * self.amplitudes
+        return Motion(swing[:, 0], swing[:, 1:])
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Own ship at rest in a calm sea."""
+    path = write_scene(tmp_path, {"own": ([14, 4, 3], []), "other": ([9, 3, 2], [])}, STEPS)
+    data = json.loads(path.read_text())
+    mounted = {key: value for key, value in data["cameras"]["C0"].items() if key != "pose"}
+    data["cameras"]["bow"] = {**mounted, "mount": {"vessel": "own", "position_m": [7, 0, 3]}}
+    still = {"own": {"center_position_m": [3.0, -2.0, 0.0], "heading_rad": 0.4}}
+    (tmp_path / "poses.json").write_text(json.dumps(dict.fromkeys(generated_timestamps(STEPS, STEP_S), still)))
+    del data["time_step_s"]
+    path.write_text(json.dumps({**data, "poses": {"file": "poses.json"}, "annotation": {"source": "analytic"}}))
+    return load_scene(path)
+
+
+def on_a_circle(scene, radius=40.0, rate=0.2):
+    """The scene with its vessels on a circle about the origin."""
+    poses = CircularMotion(
+        generated_timestamps(STEPS, STEP_S), (0.0, 0.0), np.full(2, radius), np.full(2, rate), np.zeros(2)
+    )
+    return replace(scene, poses=poses)
+
+
+def own_ship(scene):
+    return own_ships_at(scene, 0, STEPS)
+
+
+@settings(max_examples=60)
+@given(VECTORS, st.floats(0, math.pi))
+@example(np.array([0.3, -0.5, 0.8]), math.pi)
+@example(np.array([0.0, 0.0, -1.0]), math.pi)
+def test_rotation_vector_undoes_the_exponential_map(axis, angle):
+    length = np.linalg.norm(axis)
+    vector = angle * axis / length if length > 1e-3 else np.zeros(3)
+    found = rotation_vector(Rotation.from_rotvec(vector).as_matrix())
+    if angle > math.pi - 1e-6 and found @ vector < 0:
+        found = -found  # half a turn is the same both ways
+    np.testing.assert_allclose(found, vector, atol=3e-7)
+
+
+def test_vessel_at_rest_in_a_calm_sea_measures_gravity_upwards(scene):
+    own = own_ship(scene)
+    np.testing.assert_allclose(own.forces_m_s2, np.broadcast_to(UP, (STEPS, 1, 3)), atol=1e-12)
+    np.testing.assert_array_equal(own.rates_rad_s, 0)
+    np.testing.assert_array_equal(own.positions_m[:, 0], np.tile([3.0, -2.0, 0.0], (STEPS, 1)))
+    np.testing.assert_array_equal(own.measured_forces_m_s2, own.forces_m_s2)
+
+
+@pytest.mark.parametrize("rate", [0.2, -0.2])
+def test_on_a_circle_the_force_points_to_its_centre_and_yaw_turns_with_it(scene, rate):
+    """v² / r to port when it turns to port, to starboard otherwise; r = ± v / radius."""
+    own = own_ship(on_a_circle(scene, 40.0, rate))
+    speed = abs(rate) * 40.0
+    np.testing.assert_allclose(own.rates_rad_s[:, 0], np.tile([0, 0, rate], (STEPS, 1)), atol=1e-12)
+    expected = [0, np.sign(rate) * speed**2 / 40.0, GRAVITY_M_S2]
+    np.testing.assert_allclose(own.forces_m_s2[1:-1, 0], np.tile(expected, (STEPS - 2, 1)), rtol=1e-4, atol=1e-6)
+
+
+def test_lever_arm_changes_the_circle(scene):
+    """3 m to port of a vessel that turns to port is 3 m nearer the centre."""
+    moved = replace(on_a_circle(scene), imu=Imu((0.0, 3.0, 2.0)))
+    np.testing.assert_allclose(own_ship(moved).forces_m_s2[5, 0, 1], 0.2**2 * 37.0, rtol=1e-4)
+
+
+def test_roll_is_a_rate_about_the_bow_of_the_other_sign(scene):
+    """Port down is left-handed about v1: p = −d roll / dt."""
+    amplitude, rate = 0.2, 1.3
+    rolling = replace(scene, waves=Waves(Swinging(roll=amplitude)))
+    own = own_ship(rolling)
+    times = STEP_S * np.arange(STEPS)
+    inner = slice(1, -1)
+    p = -amplitude * rate * np.cos(rate * times)
+    np.testing.assert_allclose(own.rates_rad_s[inner, 0, 0], p[inner], atol=1e-3 * rate * amplitude)
+    np.testing.assert_allclose(own.rates_rad_s[:, 0, 1:], 0, atol=1e-12)
+    roll = amplitude * np.sin(rate * times)
+    # Up, in body axes, leans away from the port side that is down.
+    expected = GRAVITY_M_S2 * np.stack([0 * roll, -np.sin(roll), np.cos(roll)], axis=-1)
+    np.testing.assert_allclose(own.forces_m_s2[:, 0], expected, atol=1e-9)
+
+
+def test_pitch_and_yaw_are_right_handed_rates(scene):
+    times = STEP_S * np.arange(STEPS)
+    expected = 0.1 * 1.3 * np.cos(1.3 * times)
+    for name, axis in (("pitch", 1), ("yaw", 2)):
+        own = own_ship(replace(scene, waves=Waves(Swinging(**{name: 0.1}))))
+        np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, axis], expected[1:-1], atol=2e-4)
+        np.testing.assert_allclose(np.delete(own.rates_rad_s[:, 0], axis, axis=1), 0, atol=1e-12)
+
+
+def test_heave_and_a_mast_in_roll_are_felt(scene):
+    times, rate = STEP_S * np.arange(STEPS), 1.3
+    lifted = own_ship(replace(scene, waves=Waves(Swinging(heave=0.5))))
+    expected = GRAVITY_M_S2 - 0.5 * rate**2 * np.sin(rate * times)
+    np.testing.assert_allclose(lifted.forces_m_s2[1:-1, 0, 2], expected[1:-1], atol=1e-3)
+    np.testing.assert_allclose(lifted.positions_m[:, 0, 2], 0.5 * np.sin(rate * times))
+    mast = own_ship(replace(scene, waves=Waves(Swinging(roll=0.2)), imu=Imu((0.0, 0.0, 10.0))))
+    roll, turned = 0.2 * np.sin(rate * times), 0.2 * rate * np.cos(rate * times)
+    tangential = 10 * 0.2 * -(rate**2) * np.sin(rate * times)  # its top goes to port with positive roll
+    np.testing.assert_allclose(
+        mast.forces_m_s2[1:-1, 0, 1], (tangential - GRAVITY_M_S2 * np.sin(roll))[1:-1], atol=5e-3
+    )
+    inward = GRAVITY_M_S2 * np.cos(roll) - 10 * turned**2
+    np.testing.assert_allclose(mast.forces_m_s2[1:-1, 0, 2], inward[1:-1], atol=5e-3)
+
+
+def test_rates_carry_the_attitude_from_step_to_step(scene):
+    """Integrated as a strapdown navigator would: R(t + h) = R(t) exp(ω h), with the mean of two rates."""
+    waves = Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05))
+    rough = replace(on_a_circle(scene), waves=waves)
+    rates, steps = own_ship(rough).rates_rad_s[:, 0], np.arange(STEPS)
+    attitude: Array = rough.at_sea(steps).world_R_vessel[:, 0]
+    turn = Rotation.from_matrix(attitude[1])
+    for step in range(1, STEPS - 2):
+        turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)
+    between = turn.inv() * Rotation.from_matrix(attitude[STEPS - 2])
+    assert between.magnitude() < 2e-3
+
+
+def test_no_row_depends_on_how_the_run_is_split(scene):
+    noisy = replace(
+        on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=Imu((1.0, 2.0, 3.0), 0.01, 0.02, 0.1, 0.2)
+    )
+    whole = own_ship(noisy)
+    for first, stop in ((0, 1), (1, 2), (0, 2), (57, 80), (STEPS - 2, STEPS - 1), (STEPS - 1, STEPS)):
+        part = own_ships_at(noisy, first, stop)
+        for name in ("rates_rad_s", "forces_m_s2", "measured_rates_rad_s", "measured_forces_m_s2", "positions_m"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop], err_msg=name)
+
+
+def test_errors_have_the_asked_spread_and_a_bias_stays(scene):
+    imu = Imu((0.0, 0.0, 0.0), 0.01, 0.0, 0.1, 0.0)
+    own = own_ship(replace(scene, imu=imu))
+    n = 3 * STEPS
+    for measured, true, sigma in (
+        (own.measured_rates_rad_s, own.rates_rad_s, 0.01),
+        (own.measured_forces_m_s2, own.forces_m_s2, 0.1),
+    ):
+        error = (measured - true).ravel()
+        assert abs(error.mean()) < 4 * sigma / np.sqrt(n)
+        assert abs(np.mean(error**2) - sigma**2) < 4 * sigma**2 * np.sqrt(2 / n)
+    biases = []
+    for seed in range(200):
+        own = own_ships_at(replace(scene, imu=Imu(rate_bias_rad_s=0.02, acceleration_bias_m_s2=0.3), seed=seed), 0, 3)
+        error = own.measured_forces_m_s2 - own.forces_m_s2
+        np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), atol=1e-12)
+        biases.append([*(error[0, 0] / 0.3), *((own.measured_rates_rad_s - own.rates_rad_s)[0, 0] / 0.02)])
+    spread = np.mean(np.square(biases))
+    assert abs(spread - 1) < 4 * np.sqrt(2 / np.size(biases))
+
+
+def test_run_writes_a_row_for_each_step_and_own_ship(tmp_path, scene):
+    imu = Imu(rate_noise_rad_s=0.01)
+    rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=imu)
+    run_scene(rough, tmp_path / "run")
+    table = pq.read_table(tmp_path / "run" / "ownship.parquet")
+    assert table.num_rows == STEPS
+    assert table["vessel"].unique().to_pylist() == ["own"]
+    assert table["timestamp"].to_pylist() == list(scene.timestamps(0, STEPS))
+    own = own_ship(rough)
+    np.testing.assert_array_equal(table["w3_m"], own.positions_m[:, 0, 2])
+    np.testing.assert_array_equal(table["roll_rad"], own.angles_rad[:, 0, 0])
+    np.testing.assert_array_equal(table["measured_p_rad_s"], own.measured_rates_rad_s[:, 0, 0])
+    np.testing.assert_array_equal(table["f3_m_s2"], own.forces_m_s2[:, 0, 2])
+
+
+def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monkeypatch):
+    rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
+    written = []
+    for steps in (1, 7, STEPS):
+        monkeypatch.setattr("modsim3d.run.block_steps", lambda scene, steps=steps: steps)
+        run_scene(rough, tmp_path / str(steps))
+        written.append((tmp_path / str(steps) / "ownship.parquet").read_bytes())
+    assert written[0] == written[1] == written[2]
+
+
+def test_run_without_an_own_ship_has_no_such_file(tmp_path, scene):
+    ashore = replace(scene, cameras=scene.cameras[:1])
+    run_scene(ashore, tmp_path / "run")
+    assert not (tmp_path / "run" / "ownship.parquet").exists()
+    assert (tmp_path / "run" / "truth.parquet").exists()
+
+
+def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):
+    circling = on_a_circle(scene)
+    ashore, bow = scene.cameras
+    second = replace(bow, name="second", mount=replace(bow.mount, vessel="other"))
+    both = replace(circling, cameras=(ashore, bow, second))
+    assert both.own_ships == (0, 1)
+    annotation = replace(both.annotation, allow_camera_inside=True)
+    run_scene(replace(both, annotation=annotation), tmp_path / "run")
+    table = pq.read_table(tmp_path / "run" / "ownship.parquet")
+    assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2
+    assert table["step"].to_pylist()[:4] == [0, 0, 1, 1]
+
+
+def test_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path):
+    path = write_scene(tmp_path, {"boat": ([9, 3, 2], [[0, 50, 0], [9, 60, 0]])}, 3)
+    data = json.loads(path.read_text())
+    for imu, said in (
+        ({"rate_noise_rad_s": 0.1}, "imu: no camera is mounted on a vessel"),
+        ({"rate_noise": 0.1}, "imu.rate_noise: unknown key"),
+        ({"rate_noise_rad_s": -1}, "imu.rate_noise_rad_s"),
+    ):
+        path.write_text(json.dumps({**data, "imu": imu}))
+        with pytest.raises(InputError, match=said):
+            load_scene(path)
+
+
+def test_a_vessel_s_heading_is_not_in_its_wave_angles(scene):
+    own = own_ship(on_a_circle(scene))
+    np.testing.assert_array_equal(own.angles_rad, 0)
+    ahead = world_R_vehicle(own.headings_rad[:, 0])[:, :, 0]
+    way = np.diff(own.positions_m[:, 0], axis=0)
+    assert ((way * ahead[:-1]).sum(-1) > 0.999 * np.linalg.norm(way, axis=1)).all()
