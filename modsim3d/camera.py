@@ -6,14 +6,23 @@ pixel, so the image is [0, width] × [0, height].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modsim3d.frames import Array, camera_R_parent, vehicle_R_nominal, world_R_vehicle
+from modsim3d.lens import Distortion
 
 DEFAULT_NEAR_CLIP_M = 0.1
+BORDER_POINTS = 64
+"""Points on each side of an image that tell what a lens shows of the world."""
+BEND_PX = 1 / 256
+"""What is drawn in straight pieces is off the curve that a lens makes of it by no more."""
+MOST_WINDOW = 10
+"""Times its own size that a distorted image may reach in a pinhole's."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +35,7 @@ class Intrinsics:
         image_size_px: Width and height.
         skew: s, in pixels.
         near_clip_m: Nothing nearer than this along c3 is drawn or projected.
+        distortion: Of the lens; None for a pinhole.
     """
 
     focal_px: tuple[float, float]
@@ -33,6 +43,7 @@ class Intrinsics:
     image_size_px: tuple[int, int]
     skew: float = 0.0
     near_clip_m: float = DEFAULT_NEAR_CLIP_M
+    distortion: Distortion | None = None
 
     @classmethod
     def from_lens(
@@ -43,10 +54,11 @@ class Intrinsics:
         image_size_px: tuple[int, int],
         skew: float = 0.0,
         near_clip_m: float = DEFAULT_NEAR_CLIP_M,
+        distortion: Distortion | None = None,
     ) -> Intrinsics:
         """Intrinsics from a lens and a sensor, as a data sheet gives them (eq. 4.8, 4.9)."""
         focal_px = (focal_length_m / pixel_size_m[0], focal_length_m / pixel_size_m[1])
-        return cls(focal_px, principal_point_px, image_size_px, skew, near_clip_m)
+        return cls(focal_px, principal_point_px, image_size_px, skew, near_clip_m, distortion)
 
     @property
     def matrix(self) -> Array:
@@ -67,6 +79,8 @@ class Intrinsics:
         depth = points[..., 2]
         seen = np.where(depth >= self.near_clip_m, depth, np.nan)
         c1, c2 = points[..., 0] / seen, points[..., 1] / seen
+        if self.distortion is not None:
+            c1, c2 = np.moveaxis(self.distortion.distort(np.stack([c1, c2], axis=-1)), -1, 0)
         (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
         return np.stack([f1 * c1 + self.skew * c2 + a1, f2 * c2 + a2], axis=-1)
 
@@ -84,10 +98,81 @@ class Intrinsics:
         (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
         c2 = (pixel[..., 1] - a2) / f2
         c1 = (pixel[..., 0] - a1 - self.skew * c2) / f1
+        if self.distortion is not None:
+            c1, c2 = np.moveaxis(self.distortion.undistort(np.stack([c1, c2], axis=-1)), -1, 0)
         return np.stack([c1 * depth, c2 * depth, depth], axis=-1)
 
+    @cached_property
+    def pinhole(self) -> Intrinsics:
+        """The camera without its distortion: its image is a window that holds all that the lens shows of the world.
+
+        In it straight lines stay straight. Itself for a camera without distortion.
+        """
+        if self.distortion is None:
+            return self
+        low, high = self._window()
+        (a1, a2), (width, height) = self.principal_point_px, (high - low).astype(int).tolist()
+        return replace(
+            self,
+            principal_point_px=(a1 - low[0], a2 - low[1]),
+            image_size_px=(width, height),
+            distortion=None,
+        )
+
+    def through_lens(self, pinhole_px: ArrayLike) -> Array:
+        """Where the lens puts pixels of the pinhole's image, shape (..., 2)."""
+        pixels = np.asarray(pinhole_px, dtype=np.float64)
+        if self.distortion is None:
+            return pixels
+        return self.project(self.pinhole.unproject(pixels, np.full(pixels.shape[:-1], self.near_clip_m)))
+
+    @cached_property
+    def chord_px(self) -> float:
+        """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`.
+
+        A chord of length s is off a curve of curvature κ by κ s² / 8; κ is taken where the lens bends most, at the
+        edge of the image.
+        """
+        if self.distortion is None:
+            return math.inf
+        border, step = self.pinhole.image_border(), 1.0
+        bends = [
+            np.linalg.norm(self.through_lens(border + d) + self.through_lens(border - d) - 2 * bent, axis=1).max()
+            for bent in [self.through_lens(border)]
+            for d in step * np.array([[1.0, 0.0], [0.0, 1.0], [0.7, 0.7], [0.7, -0.7]])
+        ]
+        return min(max(math.sqrt(8 * BEND_PX / (max(bends) / step**2 + 1e-12)), 1.0), 256.0)
+
+    def image_border(self) -> Array:
+        """Points around the edge of the image, shape (n, 2)."""
+        along = np.arange(BORDER_POINTS) / BORDER_POINTS
+        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+        sides = corners[:, None] + along[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
+        border: Array = sides.reshape(-1, 2) * self.image_size_px
+        return border
+
+    def _window(self) -> tuple[Array, Array]:
+        """Least and greatest column and row, in whole pixels, of what the lens shows, as a pinhole would show it."""
+        seen = self.unproject(self.image_border(), np.ones(4 * BORDER_POINTS))
+        pixels = replace(self, distortion=None, near_clip_m=0.5).project(seen)
+        return np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 1
+
+    def lens_problem(self) -> str | None:
+        """Why the lens cannot make this image, or None if it can."""
+        if self.distortion is None:
+            return None
+        low, high = self._window()
+        size = float(np.max(high - low))
+        if not size <= MOST_WINDOW * max(self.image_size_px):
+            return "at some edge of the image nothing can be seen: no lens with these coefficients has such an image"
+        window = self.pinhole.unproject(self.pinhole.image_border(), np.ones(4 * BORDER_POINTS))[:, :2]
+        if not self.distortion.one_to_one(window):
+            return "folds the image over: within it, two directions are seen at the same pixel"
+        return None
+
     def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:
-        """The side of the horizon on which the sea lies, for any roll and pitch; the sea is flat.
+        """The side of the horizon on which the sea lies, for any roll and pitch; the sea is flat, and so is the line:
+        distortion, which would bend it, is left out.
 
         A pixel's ray is K⁻¹ (x, y, 1); it meets the sea, or is parallel to a ray that does, where it points
         below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.

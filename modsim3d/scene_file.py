@@ -47,6 +47,16 @@ class MountKeys(PoseKeys):
     vessel: str
 
 
+class DistortionKeys(Strict):
+    """Coefficients of Brown and Conrady's model, named as OpenCV does."""
+
+    k1: Number = 0.0
+    k2: Number = 0.0
+    p1: Number = 0.0
+    p2: Number = 0.0
+    k3: Number = 0.0
+
+
 class CameraKeys(Strict):
     """A camera: lens, sensor, and either `pose` or `mount`."""
 
@@ -56,6 +66,7 @@ class CameraKeys(Strict):
     image_size_px: tuple[ImageSide, ImageSide]
     skew: Pixels = 0.0
     near_clip_m: NearClip = 0.1
+    distortion: DistortionKeys | None = None
     pose: PoseKeys | None = None
     mount: MountKeys | None = Field(default=None, validate_default=True)
 

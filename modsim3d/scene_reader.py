@@ -20,6 +20,7 @@ from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.imu import PERFECT_IMU, Imu
+from modsim3d.lens import Distortion
 from modsim3d.obstacles import PREFIX, Obstacle
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
@@ -305,6 +306,10 @@ class _Reader:
             for camera in scene.cameras:
                 if camera.name in found:
                     continue
+                if problem := camera.intrinsics.lens_problem():
+                    self.problems.append(f"cameras.{camera.name}.distortion: {problem}")
+                    found.add(camera.name)
+                    continue
                 try:
                     _check_place(scene, camera, steps)
                 except InputError as error:
@@ -382,6 +387,13 @@ def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...]) -> Wa
     return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)
 
 
+def _distortion(keys: CameraKeys) -> Distortion | None:
+    """The lens's distortion, if there is any: with coefficients of zero it is a pinhole."""
+    if keys.distortion is None or not any(keys.distortion.model_dump().values()):
+        return None
+    return Distortion(**keys.distortion.model_dump())
+
+
 def _camera(name: str, keys: CameraKeys) -> Camera:
     intrinsics = Intrinsics.from_lens(
         keys.focal_length_m,
@@ -390,6 +402,7 @@ def _camera(name: str, keys: CameraKeys) -> Camera:
         keys.image_size_px,
         keys.skew,
         keys.near_clip_m,
+        _distortion(keys),
     )
     place = keys.mount or keys.pose
     values: Mapping[str, Any] = place.model_dump() if place is not None else {}

@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from modsim3d.annotate.ordering import Order, order_of
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
 from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
-from modsim3d.annotate.silhouettes import silhouette_polygons
+from modsim3d.annotate.silhouettes import in_image, silhouette_polygons
 from modsim3d.camera import Intrinsics
 
 
@@ -83,9 +82,8 @@ def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]
         silhouettes[part.rows] = silhouette_polygons(
-            intrinsics, part.vertices_camera, part.vertices_px, crosses, part.solid
+            intrinsics.pinhole, part.vertices_camera, part.vertices_px, crosses, part.solid
         )
-    cut = ~(outlines.in_frame_fraction == 1.0)
-    image = shapely.box(0, 0, *map(float, intrinsics.image_size_px))
-    silhouettes[cut] = shapely.intersection(silhouettes[cut], image)
+    cut = ~(outlines.in_frame_fraction == 1.0) | (intrinsics.distortion is not None)
+    silhouettes[cut] = in_image(silhouettes[cut], intrinsics)
     return silhouettes

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.annotate.silhouettes import cut_near, silhouette_polygons
+from modsim3d.annotate.silhouettes import cut_near, in_image, share_in_image, silhouette_polygons
 from modsim3d.bodies import Bodies
 from modsim3d.camera import CameraPoses, Intrinsics, clip_triangles, guard_planes
 from modsim3d.frames import Array
@@ -30,7 +30,7 @@ class Part:
         solid: The faces that the vertices span.
         rows: Ascending, shape (m,).
         vertices_camera: In CCF, shape (m, K, 3).
-        vertices_px: Projected; NaN nearer than the near plane, shape (m, K, 2).
+        vertices_px: In the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2).
     """
 
     solid: Solid
@@ -125,31 +125,31 @@ _NOTHING = {
 
 def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) -> tuple[dict[str, Array], Part]:
     """The columns of some bodies' rows, and the part that they are."""
-    solid = bodies.solid
+    solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
     in_front = camera[..., 2] >= intrinsics.near_clip_m
     frame, body = np.nonzero(bodies.present & in_front.any(axis=-1))
     vertices, behind = camera[frame, body], ~in_front[frame, body]
     crosses: NDArray[np.bool_] = np.any(behind, axis=-1)
-    pixels = intrinsics.project(vertices)
+    pixels = pinhole.project(vertices)
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
-    size = np.array(intrinsics.image_size_px, dtype=np.float64)
+    size = np.array(pinhole.image_size_px, dtype=np.float64)
     touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
     areas = _projected_areas(pixels, solid) if solid.convex else np.full(len(pixels), np.nan)
     fractions = np.where(crosses, np.nan, 1.0)
     whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
-    cut = np.flatnonzero(touching & ~whole)
+    cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
     if not (solid.convex or bodies.boxed):
         for row in cut.tolist():  # nobody asks for its area, and a box may be too large
-            boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], intrinsics, solid), intrinsics)
+            boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], pinhole, solid), intrinsics)
         touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
         fractions[cut] = np.nan
     elif len(cut):
-        silhouettes = silhouette_polygons(intrinsics, vertices[cut], pixels[cut], crosses[cut], solid)
-        inside = shapely.intersection(silhouettes, shapely.box(0, 0, *size))
+        silhouettes = silhouette_polygons(pinhole, vertices[cut], pixels[cut], crosses[cut], solid)
+        inside = in_image(silhouettes, intrinsics)
         areas[cut] = shapely.area(inside)
         boxes[cut] = shapely.bounds(inside)
-        fractions[cut] = np.where(crosses[cut], np.nan, areas[cut] / shapely.area(silhouettes))
+        fractions[cut] = np.where(crosses[cut], np.nan, share_in_image(silhouettes, intrinsics))
     rows = np.flatnonzero(touching & ~(areas <= 0))
     if solid.convex:
         depth = vertices[rows, :, 2].mean(axis=-1)
@@ -169,10 +169,15 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
 
 
 def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
-    """The box around what triangles in front of the near plane show in the image, shape (4,); inside out if nothing."""
-    seen = clip_triangles(triangles_camera, guard_planes(intrinsics, 0.0)).reshape(-1, 3)
-    pixels = np.clip(intrinsics.project(seen), 0, intrinsics.image_size_px)
-    return np.concatenate([pixels.min(axis=0, initial=np.inf), pixels.max(axis=0, initial=-np.inf)])
+    """A box around what triangles in front of the near plane show in the image, shape (4,); inside out if nothing."""
+    pinhole = intrinsics.pinhole
+    seen = clip_triangles(triangles_camera, guard_planes(pinhole, 0.0)).reshape(-1, 3)
+    if not len(seen):
+        return np.array([np.inf, np.inf, -np.inf, -np.inf])
+    pixels = np.clip(pinhole.project(seen), 0, pinhole.image_size_px)
+    around = np.array([shapely.box(*pixels.min(axis=0), *pixels.max(axis=0))])
+    bounds: Array = shapely.bounds(in_image(around, intrinsics))[0]
+    return bounds
 
 
 def _least(pixels: Array) -> Array:

@@ -55,6 +55,8 @@ def rendered_occlusion(
         renderer: Draws the ID buffers.
         supersample: Buffer pixels for each image pixel and axis; results are in image pixels all the same.
     """
+    if intrinsics.distortion is not None:
+        return full_frame_occlusion(outlines, intrinsics, renderer, supersample)  # silhouettes are bent: draw it all
     drawing = _Drawing(outlines, intrinsics, renderer, supersample)
     count = len(outlines)
     spans = _silhouettes(drawing)

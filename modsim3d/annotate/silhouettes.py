@@ -45,6 +45,41 @@ def silhouette_polygons(
     return polygons
 
 
+def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArray[np.object_]:
+    """What of silhouettes is in the image, through the lens if it distorts.
+
+    Args:
+        silhouettes: In the image of the camera's pinhole, shape (n,).
+        intrinsics: Of the camera.
+    """
+    seen: NDArray[np.object_] = shapely.intersection(silhouettes, _image(intrinsics.pinhole))
+    if intrinsics.distortion is None:
+        return seen
+
+    def bend(points_px: Array) -> Array:
+        # Each point once: the first and the last of a ring must stay the same to the last bit.
+        points, which = np.unique(points_px, axis=0, return_inverse=True)
+        return intrinsics.through_lens(points)[which.reshape(-1)]
+
+    bent = shapely.transform(shapely.segmentize(seen, intrinsics.chord_px), bend)
+    return np.asarray(shapely.intersection(shapely.make_valid(bent), _image(intrinsics)))
+
+
+def share_in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
+    """How much of each silhouette's area is in the image, measured before the lens distorts it, shape (n,)."""
+    image = _image(intrinsics)
+    if intrinsics.distortion is not None:
+        border = intrinsics.image_border()
+        seen = intrinsics.unproject(border, np.full(len(border), intrinsics.near_clip_m))
+        image = shapely.Polygon(intrinsics.pinhole.project(seen))
+    share: Array = shapely.area(shapely.intersection(silhouettes, image)) / shapely.area(silhouettes)
+    return share
+
+
+def _image(intrinsics: Intrinsics) -> shapely.Polygon:
+    return shapely.box(0, 0, *map(float, intrinsics.image_size_px))
+
+
 def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
     """What triangles cover together.
 

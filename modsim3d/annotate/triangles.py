@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.silhouettes import cut_near
+from modsim3d.annotate.subdivision import subdivided
 from modsim3d.camera import Intrinsics, clip_triangles, guard_planes
 from modsim3d.frames import Array
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are cut there, in double precision, before they are drawn. Counted in
 buffer pixels, as it keeps corners where OpenGL does not cut them itself."""
+LENS_GUARD_PX = 1.0
+"""The same for a lens that distorts, beyond whose image nothing may be projected: it might be folded back into it."""
 
 Indices = NDArray[np.int64]
 
@@ -41,9 +44,14 @@ class Triangles:
 
 
 def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> NDArray[np.bool_]:
-    """Whether all vertices are in front of the near plane and not far outside the image, shape (n,)."""
+    """Whether each row can be drawn as it is, shape (n,).
+
+    Its vertices are in front of the near plane and not far outside the image, and the lens keeps its edges straight.
+    """
     guard, size = GUARD_PX / supersample, np.array(intrinsics.image_size_px)
     inside = np.zeros(len(outlines), dtype=bool)
+    if intrinsics.distortion is not None:
+        return inside  # every face is bent
     for part in outlines.parts:
         near = (part.vertices_px >= -guard) & (part.vertices_px <= size + guard)  # NaN is not
         inside[part.rows] = np.all(near, axis=(1, 2))
@@ -59,7 +67,8 @@ def triangles_of(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 
         supersample: Buffer pixels for each image pixel and axis.
     """
     inside = within_guard(outlines, intrinsics, supersample)
-    guard = guard_planes(intrinsics, GUARD_PX / supersample)
+    bent = intrinsics.distortion is not None
+    guard = guard_planes(intrinsics.pinhole, LENS_GUARD_PX if bent else GUARD_PX / supersample)
     row, whole, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=bool)], [np.empty((0, 3, 3))]
     for part in outlines.parts:
         uncut, faces = inside[part.rows], part.solid.faces
@@ -71,6 +80,8 @@ def triangles_of(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 
             if outlines.crosses_near[part.rows[member]]:
                 camera = cut_near(camera, intrinsics, part.solid)
             clipped = clip_triangles(camera, guard)
+            if bent:
+                clipped = subdivided(clipped, intrinsics.pinhole, intrinsics.chord_px / supersample**0.5)
             clipped[..., 2] = np.maximum(clipped[..., 2], intrinsics.near_clip_m)
             row.append(np.full(len(clipped), part.rows[member]))
             whole.append(np.zeros(len(clipped), dtype=bool))

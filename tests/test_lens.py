@@ -1,0 +1,186 @@
+"""Lens distortion: the published model, its inverse, and truth through a lens from pixels and from geometry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.annotate.analytic import analytic_occlusion
+from modsim3d.annotate.comparison import Verdict, compare_with_analytic
+from modsim3d.annotate.full_frame import pixel_masks
+from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.annotate.silhouettes import silhouette_polygons
+from modsim3d.annotate.subdivision import subdivided
+from modsim3d.camera import Intrinsics
+from modsim3d.errors import InputError
+from modsim3d.lens import Distortion
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import simulate_frames
+from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel, write_scene
+
+BARREL = Distortion(k1=-0.21, k2=0.07, p1=0.0013, p2=-0.0021, k3=-0.011)
+PINCUSHION = Distortion(k1=0.15, k2=0.03, p1=-0.001, p2=0.002)
+coefficient = st.floats(-0.05, 0.05)
+
+
+def test_projection_is_that_of_opencv():
+    lens = Intrinsics((1000.0, 1100.0), (640.0, 360.0), (1280, 720), distortion=BARREL)
+    points = [[0.5, -0.3, 1.0], [-1.2, 0.7, 2.5], [3.0, 2.0, 9.0], [0.0, 0.0, 4.0]]
+    # cv2.projectPoints of OpenCV 5.0.0 with these coefficients in its order k1, k2, p1, p2, k3.
+    expected = [
+        [1105.975828, 52.47091352],
+        [186.1129068891, 651.2696940795],
+        [962.0735224293, 596.6639164481],
+        [640, 360],
+    ]
+    np.testing.assert_allclose(lens.project(points), expected, rtol=0, atol=1e-6)
+
+
+@given(
+    st.tuples(coefficient, coefficient, coefficient, coefficient, coefficient), st.tuples(*[st.floats(-0.8, 0.8)] * 2)
+)
+def test_undistort_undoes_distort(coefficients, point):
+    k1, k2, p1, p2, k3 = coefficients
+    lens = Distortion(k1, k2, p1 / 10, p2 / 10, k3)
+    ideal = np.array(point)
+    np.testing.assert_allclose(lens.undistort(lens.distort(ideal)), ideal, atol=1e-9)
+
+
+def test_jacobian_is_the_derivative():
+    rng = np.random.default_rng(0)
+    points, step = rng.uniform(-0.7, 0.7, (50, 2)), 1e-6
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        slope = (BARREL.distort(points + shift) - BARREL.distort(points - shift)) / (2 * step)
+        np.testing.assert_allclose(BARREL.jacobian(points)[..., axis], slope, atol=1e-8)
+
+
+def test_pinhole_window_holds_all_that_the_lens_shows():
+    for lens in (BARREL, PINCUSHION):
+        camera = replace(INTRINSICS, distortion=lens, skew=12.0)
+        rng = np.random.default_rng(1)
+        pixels = rng.uniform(0, camera.image_size_px, (500, 2))
+        straight = camera.pinhole.project(camera.unproject(pixels, np.full(500, 10.0)))
+        assert (straight >= 0).all() and (straight <= camera.pinhole.image_size_px).all()
+        np.testing.assert_allclose(camera.through_lens(straight), pixels, atol=1e-6)
+        assert camera.lens_problem() is None
+
+
+def through(seed, lens):
+    """A random scene before a camera with a lens that bends edges by many pixels, but is none too wide for that."""
+    places, intrinsics, mount = random_scene(np.random.default_rng(50_000 + seed))
+    width, height = intrinsics.image_size_px
+    long_enough = max(width, height) * 1.2
+    camera = replace(
+        intrinsics,
+        focal_px=(max(intrinsics.focal_px[0], long_enough), max(intrinsics.focal_px[1], long_enough)),
+        principal_point_px=(width / 2, height / 2),
+        skew=0.0,
+        distortion=lens,
+    )
+    assert camera.lens_problem() is None
+    return outlines_of(places, camera, mount), camera
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_pixels_and_geometry_agree_through_a_lens(renderer, seed):
+    outlines, camera = through(seed, (BARREL, PINCUSHION)[seed % 2])
+    rendered = rendered_occlusion(outlines, camera, renderer)
+    found = compare_with_analytic(outlines, camera, rendered, lambda row: pixel_masks(outlines, camera, renderer, row))
+    assert (found.worst < Verdict.INTERSECTING).all()
+
+
+def test_each_pixel_shows_what_lies_in_its_direction(renderer):
+    seen = 0
+    for seed in range(6):
+        outlines, camera = through(100 + seed, BARREL)
+        for part in outlines.parts:
+            crosses = outlines.crosses_near[part.rows]
+            straight = silhouette_polygons(camera.pinhole, part.vertices_camera, part.vertices_px, crosses, part.solid)
+            for row, silhouette in zip(part.rows.tolist(), straight, strict=True):
+                mask = pixel_masks(outlines, camera, renderer, row)
+                height, width = mask.silhouette.shape
+                x, y = np.meshgrid(mask.x + np.arange(width) + 0.5, mask.y + np.arange(height) + 0.5)
+                centres = np.stack([x, y], axis=-1)
+                directions = camera.pinhole.project(camera.unproject(centres, np.full(centres.shape[:-1], 10.0)))
+                sure, perhaps = (
+                    shapely.contains_xy(silhouette.buffer(band), directions[..., 0], directions[..., 1])
+                    for band in (-0.05, 0.05)
+                )
+                assert not (sure & ~mask.silhouette).any()
+                assert not (mask.silhouette & ~perhaps).any()
+                seen += int(sure.sum())
+    assert seen > 10_000
+
+
+def test_edge_that_the_lens_bends_reaches_beyond_its_corners(renderer):
+    camera = replace(INTRINSICS, distortion=BARREL)
+    outlines = outlines_of([(vessel("wall", 2, 140, 60), (200.0, 0.0), 0.0)], camera)
+    (exact,) = analytic_occlusion(outlines, camera).full_boxes_px
+    (drawn,) = rendered_occlusion(outlines, camera, renderer).full_boxes_px
+    assert np.abs(exact - drawn).max() <= 1
+    assert exact[1] < camera.project(outlines.parts[0].vertices_camera[0])[:, 1].min() - 3
+
+
+def test_fraction_in_the_image_is_that_of_the_undistorted_area():
+    half = vessel("half", 1, 40, 10)
+    camera = replace(INTRINSICS, distortion=BARREL)
+    outlines = outlines_of([(half, (50.0, 20.0), 0.0)], camera)
+    assert 0.3 < outlines.in_frame_fraction[0] < 0.9
+    inside = outlines_of([(vessel("all", 1, 4, 4), (50.0, 0.0), 0.0)], camera)
+    assert inside.in_frame_fraction[0] == 1.0
+
+
+def test_subdivision_keeps_the_area_and_makes_edges_short():
+    rng = np.random.default_rng(3)
+    triangles = rng.uniform([-3, -3, 5], [3, 3, 9], (20, 3, 3))
+    small = subdivided(triangles, INTRINSICS, 20.0)
+    pixels = INTRINSICS.project(small)
+    assert np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1).max() <= 20.0
+
+    def areas(some):
+        return np.cross(some[:, 1] - some[:, 0], some[:, 2] - some[:, 0])
+
+    normals, parts = areas(triangles), areas(small)
+    assert np.linalg.norm(parts, axis=1).sum() == pytest.approx(np.linalg.norm(normals, axis=1).sum())
+    np.testing.assert_allclose(parts.sum(axis=0), normals.sum(axis=0))  # none was turned over
+
+
+def lens_scene(folder, **distortion):
+    boats = {"a": ([10, 4, 3], [[0, 100, -20], [10, 100, 20]]), "b": ([10, 4, 6], [[0, 150, 30], [10, 150, -20]])}
+    camera = {
+        "focal_length_m": 0.01,
+        "pixel_size_m": [1e-5, 1e-5],
+        "principal_point_px": [400, 300],
+        "image_size_px": [800, 600],
+        "pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]},
+    }
+    return write_scene(folder, boats, 5, cameras={"C0": {**camera, "distortion": distortion}})
+
+
+def test_coefficients_of_zero_are_a_pinhole(tmp_path):
+    (camera,) = load_scene(lens_scene(tmp_path, k1=0.0)).cameras
+    assert camera.intrinsics.distortion is None
+    assert camera.intrinsics.pinhole is camera.intrinsics
+
+
+def test_scene_runs_through_a_lens_from_every_source(tmp_path):
+    scene = load_scene(lens_scene(tmp_path, k1=-0.2, k2=0.05))
+    frames = {
+        source: list(simulate_frames(replace(scene, annotation=replace(scene.annotation, source=source))))
+        for source in ("rendered", "analytic", "rectangles")
+    }
+    for rendered, analytic in zip(frames["rendered"], frames["analytic"], strict=True):
+        assert rendered.truth.vessels == analytic.truth.vessels
+        assert np.abs(rendered.truth.full_boxes_px - analytic.truth.full_boxes_px).max() <= 1
+
+
+@pytest.mark.parametrize(
+    "coefficients", [{"k1": -3.0}, {"k1": -1.0, "k2": -2.0}, {"k1": -0.9, "k2": 0.27}, {"p1": 5.0}]
+)
+def test_lens_that_folds_the_image_is_refused(tmp_path, coefficients):
+    with pytest.raises(InputError, match=r"cameras\.C0\.distortion: (folds the image|at some edge)"):
+        load_scene(lens_scene(tmp_path, **coefficients))
