@@ -13,7 +13,7 @@ from typing import Annotated, BinaryIO, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
-from modsim3d.meshes.limits import Refused, check_faces, check_reference, check_size, check_vertices
+from modsim3d.meshes.limits import MAX_GLB_BYTES, Refused, check_faces, check_reference, check_size, check_vertices
 from modsim3d.validation import Count, Number, describe
 
 MAX_DESCRIPTION_BYTES = 2**23
@@ -115,7 +115,7 @@ def read_glb(file: BinaryIO, size: int) -> bytes:
     gltf = _parse(file.read(description_bytes))
     _check_references(gltf)
     _check_counts(gltf)
-    check_size(size)
+    check_size(size, MAX_GLB_BYTES)
     rest = file.read(size)
     _check_ranges(gltf, struct.unpack("<I", rest[:4])[0] if len(rest) >= 8 and rest[4:8] == b"BIN\0" else 0)
     text = json.dumps(_geometry_only(gltf)).encode()
