@@ -205,6 +205,14 @@ def test_nodes_are_placed_by_their_transforms_and_a_mirrored_one_is_not_inside_o
     assert signed_volume(solid.vertices, solid.faces) == pytest.approx(2 * 0.25 / 6)
 
 
+def test_no_part_of_a_mesh_with_many_is_lost(tmp_path: Path) -> None:
+    description, data = wedge_description()
+    description["meshes"][0]["primitives"] *= 5000
+    description["nodes"][0]["scale"] = [2, 1, 1]
+    (tmp_path / "parts.glb").write_bytes(glb(description, data))
+    assert len(load_mesh("parts.glb", tmp_path).faces) == 20_000
+
+
 def test_an_inside_out_mesh_is_turned(tmp_path: Path) -> None:
     box = shoebox()
     trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(tmp_path / "box.stl")

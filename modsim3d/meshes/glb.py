@@ -240,9 +240,25 @@ def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
 
 
 def _geometry_only(gltf: _Gltf) -> dict[str, object]:
-    """The description of the meshes; accessors of other things are emptied, so that the numbering holds."""
+    """The description of the meshes; accessors of other things are emptied, so that the numbering holds.
+
+    Each primitive becomes a mesh and a node of its own: trimesh names the primitives of a mesh at random, and loses
+    those whose names coincide.
+    """
     kept = gltf.model_dump(by_alias=True, exclude_none=True, exclude={"images", "extensions_required"})
     used = _used(gltf)
     empty = {"componentType": 5126, "count": 1, "type": "SCALAR"}
     kept["accessors"] = [accessor if i in used else empty for i, accessor in enumerate(kept["accessors"])]
+    parts: list[list[int]] = []
+    meshes: list[dict[str, object]] = []
+    for mesh in kept["meshes"]:
+        parts.append([len(meshes) + k for k in range(len(mesh["primitives"]))])
+        meshes += [{"primitives": [primitive]} for primitive in mesh["primitives"]]
+    nodes = kept["nodes"]
+    for node in nodes[:]:
+        if "mesh" in node:
+            own = parts[node.pop("mesh")]
+            node["children"] = [*node.get("children", []), *range(len(nodes), len(nodes) + len(own))]
+            nodes += [{"mesh": part} for part in own]
+    kept["meshes"] = meshes
     return kept
