@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import runpy
@@ -18,7 +19,9 @@ import yaml
 
 from modsim3d.errors import InputError
 from modsim3d.meshes import MAX_FACES, MAX_VERTICES, load_mesh, shipped_meshes
-from modsim3d.meshes.limits import leads_outside
+from modsim3d.meshes.glb import read_glb
+from modsim3d.meshes.headers import read_obj
+from modsim3d.meshes.limits import Refused, leads_outside
 from modsim3d.meshes.shape import AXES, axis, is_closed, signed_volume, vehicle_R_file
 from modsim3d.vessels import Solid, shoebox
 
@@ -203,6 +206,19 @@ def test_nodes_are_placed_by_their_transforms_and_a_mirrored_one_is_not_inside_o
     assert signed_volume(solid.vertices, solid.faces) == pytest.approx(2 * 0.25 / 6)
 
 
+def test_each_primitive_is_handed_on_as_a_mesh_of_its_own(tmp_path: Path) -> None:
+    """Trimesh loses primitives of one mesh whose random names coincide, of 12 000 a dozen."""
+    description, data = wedge_description()
+    description["meshes"][0]["primitives"] *= 100
+    description["nodes"][0]["scale"] = [2, 1, 1]
+    content = glb(description, data)
+    handed_on = read_glb(io.BytesIO(content), len(content))
+    text = json.loads(handed_on[20 : 20 + struct.unpack("<I", handed_on[12:16])[0]])
+    assert [len(mesh["primitives"]) for mesh in text["meshes"]] == [1] * 100
+    (tmp_path / "parts.glb").write_bytes(content)
+    assert len(load_mesh("parts.glb", tmp_path).faces) == 400
+
+
 def test_an_inside_out_mesh_is_turned(tmp_path: Path) -> None:
     box = shoebox()
     trimesh.Trimesh(box.vertices, box.faces[:, ::-1], process=False).export(tmp_path / "box.stl")
@@ -229,6 +245,39 @@ def test_degenerate_faces_are_dropped_and_unused_points_do_not_count(tmp_path: P
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in [*box.faces.tolist(), (0, 0, 1)]]
     (tmp_path / "box.obj").write_text("\n".join(lines) + "\n")
     assert triangles(load_mesh("box.obj", tmp_path)) == triangles(box)
+    header = PLY_FACES.replace("vertex 8", "vertex 9")
+    (tmp_path / "box.ply").write_bytes(ply([*BOX_ROWS, "50 50 50"], header=header))
+    assert triangles(load_mesh("box.ply", tmp_path)) == triangles(box)
+
+
+def test_blank_lines_and_what_follows_the_rows_of_a_text_ply_are_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "box.ply").write_bytes(ply([*BOX_ROWS[:3], "", "  ", *BOX_ROWS[3:]]) + b"\nthe end\n" * 9)
+    assert triangles(load_mesh("box.ply", tmp_path)) == triangles(shoebox())
+
+
+def test_corners_of_obj_may_count_back_and_name_textures_and_normals(tmp_path: Path) -> None:
+    rows = [f"v {row}" for row in BOX_ROWS]
+    faces = [f"f {a - 8}/1/1 {b - 8}//2 \\\n {c - 8}/3" for a, b, c in shoebox().faces.tolist()]
+    (tmp_path / "box.obj").write_text("\n".join([*rows, "vt 0 0", "vn 0 0 1", *faces, ""]))
+    assert triangles(load_mesh("box.obj", tmp_path)) == triangles(shoebox())
+
+
+def test_comments_need_not_be_utf_8(tmp_path: Path) -> None:
+    box = trimesh.Trimesh(shoebox().vertices, shoebox().faces, process=False)
+    stl = box.export(file_type="stl_ascii").encode().replace(b"solid ", b"solid Fj\xf8rd ", 1)
+    (tmp_path / "box.stl").write_bytes(stl)
+    (tmp_path / "box.obj").write_bytes(b"# B\xe5t\n" + obj())
+    (tmp_path / "text.ply").write_bytes(ply(BOX_ROWS).replace(b"1.0\n", b"1.0\ncomment B\xe5t\n", 1))
+    binary = box.export(file_type="ply").replace(b"1.0\n", b"1.0\ncomment B\xe5t\n", 1)
+    (tmp_path / "binary.ply").write_bytes(binary)
+    for file in sorted(tmp_path.iterdir()):
+        assert triangles(load_mesh(file.name, tmp_path)) == triangles(shoebox()), file.name
+
+
+def test_corners_of_obj_faces_are_counted_before_they_are_parsed() -> None:
+    content = obj(*["f" + " 1" * 30_000] * 2)
+    with pytest.raises(Refused, match="has 60008 faces"):
+        read_obj(io.BytesIO(content), len(content))
 
 
 def test_faces_of_many_corners_are_split(tmp_path: Path) -> None:
@@ -353,6 +402,9 @@ REFUSED = {
     "points.stl": (b"solid\nfacet\nendfacet\n" + b"vertex 0 0 0\n" * (MAX_VERTICES + 1), "has 150001 vertices"),
     "long.obj": (obj("f" + " 1" * 40_000), "line of 80001 characters (line 1)"),
     "corners.obj": (obj(*["f" + " 1" * 30_000] * 2), "has 60008 faces"),
+    "word.obj": (obj() + b"f 1 2 x\n", "has the corner 'x' in line 21; a number is needed"),
+    "zero.obj": (obj() + b"f 1 2 -9\n", "has the corner '-9' in line 21: there is no such vertex"),
+    "parts.stl": (b"solid\nendsolid\n" * 1001 + b"endfacet", "has 1001 solids"),
     "mtllib.obj": (obj("mtllib ../../secret.mtl"), "refers to '../../secret.mtl' (mtllib)"),
     "remote.obj": (obj("mtllib https://example.org/a.mtl"), "refers to 'https://example.org/a.mtl'"),
     "texture.ply": (
@@ -366,6 +418,10 @@ REFUSED = {
     "parent.glb": (wedge_with("buffers", 0, uri="%2e%2e/x.bin"), "refers to '%2e%2e/x.bin' (buffer)"),
     "beside.glb": (wedge_with("buffers", 0, uri="x.bin"), "keeps its geometry in another file, 'x.bin'"),
     "draco.glb": (changed(extensionsRequired=["KHR_draco_mesh_compression"]), "needs the glTF extension"),
+    "sparse.glb": (wedge_with("accessors", 0, sparse={"count": 1}), "has accessor 0 stored sparsely"),
+    "vertices.glb": (wedge_with("accessors", 0, count=200_000), "has 200000 vertices"),
+    "plane.ply": (ply(BOX_ROWS, header=PLY_FACES.replace("property double z\n", "")), "'z' is missing"),
+    "plane.obj": (obj().replace(b"0.0\n", b"\n").replace(b" 1.0\n", b"\n"), "has vertices of 2 coordinates"),
     "range.glb": (wedge_with("accessors", 0, count=400), "has accessor 0 with 400 items in 48 bytes"),
     "stride.glb": (wedge_with("bufferViews", 0, byteStride=252), "has accessor 0 with 4 items"),
     "view.glb": (wedge_with("bufferViews", 1, byteLength=4000), "has buffer view 1 reaching beyond its data"),

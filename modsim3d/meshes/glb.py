@@ -13,7 +13,7 @@ from typing import Annotated, BinaryIO, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
 
-from modsim3d.meshes.limits import Refused, check_faces, check_reference, check_size, check_vertices
+from modsim3d.meshes.limits import MAX_GLB_BYTES, Refused, check_faces, check_reference, check_size, check_vertices
 from modsim3d.validation import Count, Number, describe
 
 MAX_DESCRIPTION_BYTES = 2**23
@@ -115,7 +115,7 @@ def read_glb(file: BinaryIO, size: int) -> bytes:
     gltf = _parse(file.read(description_bytes))
     _check_references(gltf)
     _check_counts(gltf)
-    check_size(size)
+    check_size(size, MAX_GLB_BYTES)
     rest = file.read(size)
     _check_ranges(gltf, struct.unpack("<I", rest[:4])[0] if len(rest) >= 8 and rest[4:8] == b"BIN\0" else 0)
     text = json.dumps(_geometry_only(gltf)).encode()
@@ -240,9 +240,25 @@ def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
 
 
 def _geometry_only(gltf: _Gltf) -> dict[str, object]:
-    """The description of the meshes; accessors of other things are emptied, so that the numbering holds."""
+    """The description of the meshes; accessors of other things are emptied, so that the numbering holds.
+
+    Each primitive becomes a mesh and a node of its own: trimesh names the primitives of a mesh at random, and loses
+    those whose names coincide.
+    """
     kept = gltf.model_dump(by_alias=True, exclude_none=True, exclude={"images", "extensions_required"})
     used = _used(gltf)
     empty = {"componentType": 5126, "count": 1, "type": "SCALAR"}
     kept["accessors"] = [accessor if i in used else empty for i, accessor in enumerate(kept["accessors"])]
+    parts: list[list[int]] = []
+    meshes: list[dict[str, object]] = []
+    for mesh in kept["meshes"]:
+        parts.append([len(meshes) + k for k in range(len(mesh["primitives"]))])
+        meshes += [{"primitives": [primitive]} for primitive in mesh["primitives"]]
+    nodes = kept["nodes"]
+    for node in nodes[:]:
+        if "mesh" in node:
+            own = parts[node.pop("mesh")]
+            node["children"] = [*node.get("children", []), *range(len(nodes), len(nodes) + len(own))]
+            nodes += [{"mesh": part} for part in own]
+    kept["meshes"] = meshes
     return kept

@@ -10,6 +10,7 @@ import struct
 from typing import BinaryIO
 
 from modsim3d.meshes.limits import (
+    MAX_FACES,
     MAX_SCANNED_BYTES,
     Refused,
     check_faces,
@@ -19,6 +20,7 @@ from modsim3d.meshes.limits import (
 )
 
 CHUNK_BYTES = 2**20
+MAX_PARTS = 1000
 MAX_LINE_BYTES = 2**16
 """Of a header, and of a face with many corners."""
 
@@ -47,6 +49,11 @@ def _whole(file: BinaryIO, size: int) -> bytes:
     return file.read(size)
 
 
+def _as_utf8(text: bytes) -> bytes:
+    """Text in which what is not UTF-8, in names and comments, is replaced: parsers would guess at it."""
+    return text.decode("utf-8", "replace").encode()
+
+
 def read_stl(file: BinaryIO, size: int) -> bytes:
     """A binary STL file, whose header tells its faces, or one in text.
 
@@ -63,8 +70,10 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
         raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{told}")
     check_faces(_scan(file, size, b"endfacet"))
     content = _whole(file, size)
+    if (parts := content.lower().count(b"endsolid")) > MAX_PARTS:
+        raise Refused(f"has {parts} solids; an STL file may have at most {MAX_PARTS}: join them")
     check_vertices(content.lower().count(b"vertex"))
-    return content
+    return _as_utf8(content)
 
 
 def read_ply(file: BinaryIO, size: int) -> bytes:
@@ -92,17 +101,17 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
     for count in counts.values():
         check_vertices(count)
     content = _whole(file, size)
+    start = content.find(b"\n", end) + 1 or len(content)
     if b"ascii" not in header[:end]:
-        return content
-    start = content.index(b"\n", end) + 1 if b"\n" in content[end:] else len(content)
+        return _as_utf8(content[:start]) + content[start:]
     rows = [row for row in content[start:].splitlines() if row.strip()]
     if len(rows) < sum(counts.values()):
         raise Refused(f"has {len(rows)} rows of the {sum(counts.values())} that its header tells: is it cut off?")
-    return content[:start] + b"\n".join(rows[: sum(counts.values())]) + b"\n"
+    return _as_utf8(content[:start]) + b"\n".join(rows[: sum(counts.values())]) + b"\n"
 
 
 def read_obj(file: BinaryIO, size: int) -> bytes:
-    """A Wavefront OBJ file: its lines are counted, since it has no header.
+    """A Wavefront OBJ file, reduced to its vertices and faces; its lines are counted, since it has no header.
 
     Raises:
         Refused: It is too large, or names a material library outside its folder.
@@ -110,15 +119,32 @@ def read_obj(file: BinaryIO, size: int) -> bytes:
     check_faces(_scan(file, size, b"\nf "))
     content = _whole(file, size)
     triangles = vertices = 0
-    for number, line in enumerate(content.splitlines(), start=1):
+    kept: list[bytes] = []
+    for number, line in enumerate(content.replace(b"\\\n", b" ").splitlines(), start=1):
         if len(line) > MAX_LINE_BYTES:
             raise Refused(f"has a line of {len(line)} characters (line {number}): triangulate its faces")
         if line.startswith(b"f "):
-            triangles += max(1, len(line.split()) - 3)
+            corners = line.split()[1:]
+            triangles += max(1, len(corners) - 2)
+            if triangles <= MAX_FACES:  # what is refused below need not be kept
+                kept.append(b"f " + b" ".join(_corner(corner, vertices, number) for corner in corners))
         elif line.startswith(b"v "):
             vertices += 1
+            kept.append(b" ".join(line.split()[:4]))
         elif line.startswith(b"mtllib"):
             check_reference(line[6:].decode("utf-8", "replace").strip(), "mtllib")
     check_faces(triangles)
     check_vertices(vertices)
-    return content
+    return _as_utf8(b"\n".join([*kept, b""]))
+
+
+def _corner(corner: bytes, vertices: int, line: int) -> bytes:
+    """The vertex of a corner `vertex/texture/normal`, counted from one; a negative one counts back from the last."""
+    try:
+        index = int(corner.partition(b"/")[0])
+    except ValueError:
+        raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}; a number is needed") from None
+    index = index if index > 0 else vertices + 1 + index
+    if index < 1:
+        raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}: there is no such vertex")
+    return b"%d" % index

@@ -8,8 +8,10 @@ from urllib.parse import unquote
 MAX_FACES = 50_000
 MAX_VERTICES = 3 * MAX_FACES
 """As many as faces that share none."""
-MAX_BYTES = 2**26
-"""A GLB file may bring textures, which are not read; text takes some 500 bytes a face at most."""
+MAX_BYTES = 2**25
+"""Text takes some 500 bytes a face at most."""
+MAX_GLB_BYTES = 2**26
+"""A GLB file may bring textures, which are not read."""
 MAX_SCANNED_BYTES = 2**30
 """Of a text file only counting tells how many faces it has; beyond this its size tells enough."""
 MAX_COORDINATE = 1e9
@@ -42,14 +44,14 @@ def check_vertices(count: int) -> None:
         raise Refused(f"has {count} vertices; a mesh may have at most {MAX_VERTICES}: simplify it")
 
 
-def check_size(size: int) -> None:
+def check_size(size: int, most: int = MAX_BYTES) -> None:
     """Refuse what would take too much memory to read.
 
     Raises:
         Refused: With the size.
     """
-    if size > MAX_BYTES:
-        raise Refused(f"has {size / 1e6:.0f} MB; a mesh file may have at most {MAX_BYTES / 1e6:.0f} MB: simplify it")
+    if size > most:
+        raise Refused(f"has {size / 1e6:.0f} MB; such a file may have at most {most / 1e6:.0f} MB: simplify it")
 
 
 def leads_outside(reference: str) -> bool:

@@ -7,9 +7,11 @@ parsed, it is parsed from memory without a folder or a network to reach for, and
 from __future__ import annotations
 
 import io
+import logging
 import stat
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -138,8 +140,7 @@ def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
     import trimesh  # takes 0.4 s, and most scenes have no mesh
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # NumPy only warns of a number in text that is none
+        with _strictly():
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, skip_materials=True, process=False)
     except Exception as error:  # whatever a parser raises on a damaged file
         raise Refused(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
@@ -151,7 +152,7 @@ def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
         part = scene.geometry[geometry]
         if not isinstance(part, trimesh.Trimesh) or not len(part.faces):
             continue
-        _check_indices(part.faces, len(part.vertices))
+        _check_part(part.vertices, part.faces)
         faces.append(_mirrored(part.faces, transform) + count)
         vertices.append(trimesh.transform_points(part.vertices, transform))
         count += len(part.vertices)
@@ -160,10 +161,26 @@ def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _check_indices(faces: Any, count: int) -> None:
-    """Faces may only use vertices that are there."""
-    if faces.min() < 0 or faces.max() >= count:
-        raise Refused(f"has faces that use vertex {int(faces.max())} of {count}: is it damaged?")
+@contextmanager
+def _strictly() -> Iterator[None]:
+    """Warnings are errors, since NumPy only warns of a number in text that is none; trimesh logs no tracebacks."""
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield
+    finally:
+        log.setLevel(level)
+
+
+def _check_part(vertices: Any, faces: Any) -> None:
+    """Vertices must have three coordinates, and faces may only use vertices that are there."""
+    if vertices.shape[1] != 3 or faces.shape[1] != 3:
+        raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
 
 
 def _mirrored(faces: Any, transform: Array) -> Faces:
@@ -174,5 +191,5 @@ def _mirrored(faces: Any, transform: Array) -> Faces:
 
 def _brief(error: Exception) -> str:
     """A parser's complaint in one short line."""
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split()) + (" is missing" if isinstance(error, KeyError) else "")
     return (text[:100] + "...") if len(text) > 100 else text or type(error).__name__
