@@ -11,7 +11,7 @@ import numpy as np
 
 from modsim3d.ais.cleaning import DUPLICATE, JUMP, OUTSIDE_WINDOW, SLACK_S, blank_unknown, in_order
 from modsim3d.ais.gathering import FileTally, Gathered, gather
-from modsim3d.ais.headings import KNOT_M_S, From, fill_courses, fill_headings
+from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, From, fill_courses, fill_headings
 from modsim3d.ais.hulls import Hull, hulls
 from modsim3d.ais.jumps import reachable
 from modsim3d.ais.options import Options, time_text
@@ -184,7 +184,7 @@ def _vessel(
     present, antenna, headings = resample(track, times_s, options.max_gap_s)
     replaced = Counter({name: int((source == kind).sum()) for kind, name in HEADING_NAMES.items()})
     replaced["course_from_heading"] = int(course_taken.sum())
-    replaced["course_unknown"] = int(np.isnan(filled_course).sum())
+    replaced["course_unknown"] = int((np.isnan(filled_course) & ~(speed < MOVING_KN)).sum())
     replaced["speed_unknown"] = int(np.isnan(speed).sum())
     centres = to_hull_centre(antenna, headings, hull.ahead_m, hull.to_port_m)
     return VesselTrack(int(positions.mmsi[0]), hull, len(positions), +replaced, present, centres, headings), int(

@@ -124,4 +124,5 @@ def layout_of(header: Sequence[str]) -> Layout | None:
     whose needed columns are there is taken.
     """
     best = max(LAYOUTS, key=lambda layout: (-len(layout.missing(header)), len(layout.found(header))))
-    return best if len(best.found(header)) >= LEAST_NAMES else None
+    telling = [name for name in best.found(header).values() if len(name.strip()) > 1]  # any table may have an A and a B
+    return best if len(telling) >= LEAST_NAMES else None

@@ -57,20 +57,9 @@ def _read_stream(stream: IO[bytes], path: Path, file: int, layout: Layout) -> It
         skipped.append(int(row.number) + 1 if row.number is not None else first_row)
         return "skip"
 
+    told = 0
     try:
-        reader = csv.open_csv(
-            stream,
-            csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES, column_names=names),
-            csv.ParseOptions(invalid_row_handler=skip),
-            csv.ConvertOptions(
-                check_utf8=False,  # one ship's name in another encoding is no reason to give up
-                strings_can_be_null=False,
-                include_columns=list(columns.values()),
-                column_types=dict.fromkeys(columns.values(), pa.string()),
-            ),
-        )
-        told = 0
-        for batch in reader:
+        for batch in _batches(stream, names, list(columns.values()), skip):
             table = pa.table({ours: batch.column(name) for ours, name in columns.items()})
             rows = np.arange(first_row, first_row + len(table))
             for number in sorted(skipped):
@@ -78,12 +67,27 @@ def _read_stream(stream: IO[bytes], path: Path, file: int, layout: Layout) -> It
             first_row += len(table)
             yield _chunk(table, columns, layout, file, rows, skipped[told:], len(names))
             told = len(skipped)
-        if told < len(skipped):
-            nothing = pa.table({ours: pa.array([], pa.string()) for ours in columns})
-            yield _chunk(nothing, columns, layout, file, np.zeros(0, dtype=np.int64), skipped[told:], len(names))
     except pa.ArrowInvalid as error:
         if "Empty CSV" not in str(error):
             raise InputError(source_of(path), [f"cannot be read as CSV: {error}"]) from None
+    if told < len(skipped) or first_row == 2:  # rows were skipped after the last good one, or there is none
+        nothing = pa.table({ours: pa.array([], pa.string()) for ours in columns})
+        yield _chunk(nothing, columns, layout, file, np.zeros(0, dtype=np.int64), skipped[told:], len(names))
+
+
+def _batches(stream: IO[bytes], names: list[str], columns: list[str], skip: Any) -> Iterator[Any]:
+    """Some columns of the rest of a file, as texts."""
+    yield from csv.open_csv(
+        stream,
+        csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES, column_names=names),
+        csv.ParseOptions(invalid_row_handler=skip),
+        csv.ConvertOptions(
+            check_utf8=False,  # one ship's name in another encoding is no reason to give up
+            strings_can_be_null=False,
+            include_columns=columns,
+            column_types=dict.fromkeys(columns, pa.string()),
+        ),
+    )
 
 
 def _chunk(

@@ -14,7 +14,7 @@ from modsim3d.frames import Array
 
 CELL_M = 1000.0
 HEIGHT_M = 20.0
-MIN_DISTANCE_M, MAX_DISTANCE_M = 400.0, 2500.0
+MIN_DISTANCE_M, MAX_DISTANCE_M = 300.0, 2500.0
 CLEARANCE_M = 50.0
 TRIES = 12
 LOOKED_AT = 200_000
@@ -44,7 +44,7 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     """A camera that looks across the busiest patch of water.
 
     The patch is the square kilometre that most vessels visit. The camera stands off it across the main direction of
-    what moves there, at the distance at which the patch's traffic fills its view, further away or turned aside as long
+    what moves there, at the distance at which half of that traffic fills its view, further away or turned aside as long
     as a hull comes near.
 
     Args:
@@ -61,7 +61,7 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     _, directions = np.linalg.eigh(spread.T @ spread)
     along = directions[:, 1]
     across = float(np.arctan2(-along[0], along[1]))
-    reach = float(np.quantile(np.abs(spread @ along), 0.9))
+    reach = float(np.median(np.abs(spread @ along)))
     distance = float(np.clip(1.5 * reach, MIN_DISTANCE_M, MAX_DISTANCE_M))
     # From the south, with the light behind, if either side will do.
     bearing = across if np.sin(across) < 0 else across + np.pi
