@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -216,7 +217,7 @@ def brute_force(times, places, fastest, slack):
     best = 0
     for choice in range(1, 2 ** len(pieces)):
         chosen = [piece for k, piece in enumerate(pieces) if choice >> k & 1]
-        if all(possible(a[1] - 1, b[0]) for a, b in zip(chosen, chosen[1:], strict=False)):
+        if all(possible(a[1] - 1, b[0]) for a, b in pairwise(chosen)):
             best = max(best, sum(stop - first for first, stop in chosen))
     return best
 
