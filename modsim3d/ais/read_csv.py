@@ -27,6 +27,8 @@ MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
 UNREADABLE = "unreadable"
+NOT_SAID = "Unknown"
+"""What Danish files have in place of a name that was not received."""
 
 
 def read_csv(path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
@@ -135,7 +137,8 @@ def _particulars(table: pa.Table, mmsi: Ints, times_s: Array, rows: Mask) -> Par
     last = said.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
 
     def words(name: str) -> Any:
-        return np.array([_text(cell).strip() for cell in last.column(name)], dtype=object).reshape(-1)
+        texts = [_text(cell).strip() for cell in last.column(name)]
+        return np.array(["" if text == NOT_SAID else text for text in texts], dtype=object)
 
     return Particulars(
         last.column("mmsi").to_numpy(),

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+import numpy as np
+
 from modsim3d.ais.conversion import Traffic, VesselTrack
 from modsim3d.ais.options import time_text
 
+EARTH_RADIUS_M = 6.371e6
+NOTICEABLE_M = 5.0
 REASONS = {
     "unreadable": "rows with a cell that cannot be read",
     "checksum": "sentences that do not fit their checksum",
@@ -75,6 +79,7 @@ def report(traffic: Traffic) -> dict[str, Any]:
         "defaults": defaults(traffic),
         "vessels": {str(vessel.mmsi): _vessel(traffic, vessel) for vessel in traffic.vessels},
         "vessels_at_no_step": [str(mmsi) for mmsi in traffic.elsewhere],
+        "farthest_m": round(_farthest_m(traffic), 1),
         "camera": {"position_m": camera.position_m, "target_m": camera.target_m, "yaw_rad": camera.yaw_rad},
     }
 
@@ -139,6 +144,7 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
         ("vessels", str(len(traffic.vessels)), _elsewhere(traffic)),
         ("steps", str(len(traffic.timestamps)), f"every {options.time_step_s:g} s, {times}"),
         ("poses", str(present), f"away where reports are more than {options.max_gap_s:g} s apart"),
+        ("farthest", f"{_farthest_m(traffic) / 1000:.1f} km", _flatness(_farthest_m(traffic))),
         ("origin", "{:.5f}, {:.5f}".format(*traffic.origin), "latitude, longitude of w1 = w2 = 0"),
     ]
     left_out = [
@@ -154,6 +160,18 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
         ("values replaced, in messages", filled),
         ("defaults, in vessels", open_),
     ]
+
+
+def _farthest_m(traffic: Traffic) -> float:
+    """The greatest distance of a vessel from the origin."""
+    return max(float(np.linalg.norm(vessel.places_m[vessel.present], axis=1).max()) for vessel in traffic.vessels)
+
+
+def _flatness(distance_m: float) -> str:
+    """What a plane does to places that far away: it pulls them in by d³ / 6R²."""
+    off_m = distance_m**3 / (6 * EARTH_RADIUS_M**2)
+    text = "from the origin"
+    return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
 
 
 def _elsewhere(traffic: Traffic) -> str:

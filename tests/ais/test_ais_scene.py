@@ -14,7 +14,7 @@ import yaml
 
 from modsim3d.ais.detector_file import detector_text
 from modsim3d.ais.projection import heading_rad, local_metres
-from modsim3d.ais.report import REASONS, messages_read, messages_used, report
+from modsim3d.ais.report import REASONS, messages_read, messages_used, report, summary_rows
 from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.ship_types import TABLE, group_of, ship_types
 from modsim3d.ais.viewpoint import CLEARANCE_M, viewpoint
@@ -52,7 +52,7 @@ def test_old_and_2025_layout_of_the_same_traffic_give_the_same_scene(tmp_path):
 def test_danish_files_and_sentences_of_the_same_traffic_agree_to_their_precision(tmp_path):
     danish, nmea = (traffic_of(SAMPLES / name, origin=(56.03, 12.65)) for name in ("danish.csv", "receiver.nmea"))
     for one, other in zip(danish.vessels, nmea.vessels, strict=True):
-        assert one.hull == other.hull or one.hull.name == "Unknown"  # what Danish files call a nameless vessel
+        assert one.hull == other.hull
         assert one.replaced == other.replaced
         np.testing.assert_array_equal(one.present, other.present)
         # Sentences hold 1/10000 of a minute, half of which is 0.09 m; Danish files hold 0.06 m.
@@ -318,3 +318,10 @@ def test_table_of_ship_types_knows_every_code_once():
     assert len({entry["label"] for entry in table.values()}) == len(table)
     assert group_of("Cargo") == group_of("74") == group_of("70.0") == "cargo"
     assert group_of("15") == group_of("something") == group_of("") == "unknown"
+
+
+def test_traffic_too_wide_for_a_plane_is_said(tmp_path):
+    rows = [*steady(), row(0, 59.0, mmsi=219000002), row(10, 59.0, mmsi=219000002)]
+    for path, wide in ((SAMPLES / "danish.csv", False), (old_file(tmp_path, *rows, name="wide.csv"), True)):
+        said = {name: meaning for _, table in summary_rows(traffic_of(path)) for name, _, meaning in table}
+        assert ("take less, with --region" in said["farthest"]) == wide
