@@ -325,3 +325,21 @@ def test_traffic_too_wide_for_a_plane_is_said(tmp_path):
     for path, wide in ((SAMPLES / "danish.csv", False), (old_file(tmp_path, *rows, name="wide.csv"), True)):
         said = {name: meaning for _, table in summary_rows(traffic_of(path)) for name, _, meaning in table}
         assert ("take less, with --region" in said["farthest"]) == wide
+
+
+def test_of_reports_of_the_same_time_one_is_kept_whichever_comes_first(tmp_path):
+    rows = steady()
+    for changed in ({"latitude": 56.0002}, {"heading": 511}, {"speed": 11.0}, {"course": 95.0}, {"longitude": 12.0079}):
+        rows += [steady((15, changed))[15]]
+    one = traffic_of(old_file(tmp_path, *rows, name="one.csv"))
+    other = traffic_of(old_file(tmp_path, *rows[::-1], name="other.csv"))
+    assert one.dropped["duplicate"] == other.dropped["duplicate"] == 5
+    np.testing.assert_array_equal(only(one).places_m, only(other).places_m)
+    np.testing.assert_array_equal(only(one).headings_rad, only(other).headings_rad)
+
+
+def test_vessels_that_report_at_the_same_time_are_no_duplicates(tmp_path):
+    rows = [*(row(k) for k in (0, 10, 20)), *(row(k, 56.01, mmsi=219000002) for k in (20, 30))]
+    traffic = traffic_of(old_file(tmp_path, *rows))
+    assert traffic.dropped["duplicate"] == 0
+    assert [vessel.messages for vessel in traffic.vessels] == [3, 2]

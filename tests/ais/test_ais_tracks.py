@@ -137,8 +137,8 @@ def test_a_turn_is_followed_where_speed_and_course_are_given():
 def test_speed_and_course_that_do_not_fit_the_way_are_not_believed():
     times, places = np.array([0.0, 60.0]), np.array([[0.0, 0.0], [300.0, 0.0]])
     wrong = np.array([[0.0, 50.0], [0.0, 50.0]])
-    _, found, _ = resample(Track(times, places, wrong, np.zeros(2)), np.array([30.0]), 400)
-    np.testing.assert_allclose(found, [[150, 0]])
+    _, found, _ = resample(Track(times, places, wrong, np.zeros(2)), np.array([15.0, 30.0, 50.0]), 400)
+    np.testing.assert_allclose(found, [[75, 0], [150, 0], [250, 0]])
 
 
 def test_a_gap_longer_than_the_limit_is_absence_and_no_glide():
