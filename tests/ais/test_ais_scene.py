@@ -13,8 +13,10 @@ import pytest
 import yaml
 
 from modsim3d.ais.detector_file import detector_text
+from modsim3d.ais.hulls import hulls
 from modsim3d.ais.projection import heading_rad, local_metres
 from modsim3d.ais.report import REASONS, messages_read, messages_used, report, summary_rows
+from modsim3d.ais.reports import Particulars
 from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.ship_types import TABLE, group_of, ship_types
 from modsim3d.ais.viewpoint import CLEARANCE_M, viewpoint
@@ -193,16 +195,37 @@ def test_dimensions_of_zero_are_those_of_the_ship_type(tmp_path):
 
 
 def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
-    rows = steady((20, {"length": 110, "ship_type": 80}), (21, {"length": 0}), **{})
-    rows = [*steady()[:20], *rows[20:22]]
+    rows = steady((20, {"length": 110, "ship_type": 80}), (21, {"length": 0, "ship_type": 0}))[:22]
     for order in (rows, rows[::-1]):
         hull = only(traffic_of(old_file(tmp_path, *order))).hull
-        assert (hull.length_m, hull.beam_m, hull.group) == (110, 20, "cargo")
+        assert (hull.length_m, hull.beam_m, hull.group) == (110, 20, "tanker")
 
 
 def test_dimensions_that_no_ship_has_are_not_believed(tmp_path):
     hull = only(traffic_of(old_file(tmp_path, *steady(length=1022, beam=126)))).hull
     assert (hull.length_m, hull.beam_m) == (130, 20)
+
+
+@pytest.mark.parametrize(
+    ("dimensions", "length", "beam", "antenna"),
+    [
+        ((30, 70, 5, 15), 100, 20, True),
+        ((0, 100, 0, 20), 100, 20, False),  # the size without the antenna's place
+        ((511, 70, 63, 15), 130, 20, False),  # the fields' largest values mean "or more"
+        ((300, 200, 5, 15), 130, 20, False),  # longer than any ship
+        ((0, 0, 5, 15), 130, 20, False),
+    ],
+)
+def test_dimensions_come_from_the_four_distances(dimensions, length, beam, antenna):
+    open_ = np.full(1, np.nan)
+    texts = np.array(["70"], dtype=object)
+    said = Particulars(
+        np.array([1]), np.zeros(1), texts, texts, *(np.array([float(d)]) for d in dimensions), open_, open_
+    )
+    hull = hulls(said, [1])[1]
+    assert (hull.length_m, hull.beam_m) == (length, beam)
+    assert ("antenna" not in hull.defaults) == antenna
+    assert (hull.ahead_m, hull.to_port_m) == ((-20, -5) if antenna else (0, 0))
 
 
 def test_a_gap_is_absence(tmp_path):
