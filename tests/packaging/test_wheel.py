@@ -73,6 +73,10 @@ def test_wheel_says_that_it_is_typed(wheel: Path) -> None:
     assert "modsim3d/py.typed" in files_of(wheel)
 
 
+def test_wheel_carries_the_table_of_ship_types(wheel: Path) -> None:
+    assert "modsim3d/ais/ship_types.yaml" in files_of(wheel)
+
+
 def test_wheel_carries_no_tests_and_no_build_leftovers(wheel: Path) -> None:
     top_level = {Path(name).parts[0] for name in files_of(wheel)}
     assert {name for name in top_level if not name.endswith(".dist-info")} == {"modsim3d"}

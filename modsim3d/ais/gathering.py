@@ -1,0 +1,195 @@
+"""Reads all files and keeps what a scene may need of them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.ais.cleaning import sift, without_position
+from modsim3d.ais.layouts import Layout
+from modsim3d.ais.options import Options, time_text
+from modsim3d.ais.recognise import recognise, source_of
+from modsim3d.ais.region import Region
+from modsim3d.ais.reports import Chunk, Particulars, Positions
+from modsim3d.ais.swapped import check_neighbours, check_range, inside_if_swapped, swapped_error
+from modsim3d.errors import InputError
+
+NMEA = "NMEA sentences"
+WITHOUT_POSITION = "particulars_only"
+BAD_SHARE, FEW_BAD = 0.1, 2
+"""A file in which more than this share, and more than a few, of the messages cannot be read is no data to build on."""
+BAD = ("unreadable", "checksum", "undecodable")
+SHOWN_PROBLEMS = 20
+
+
+@dataclass
+class FileTally:
+    """What was found in one file.
+
+    Attributes:
+        path: The file.
+        format: What it holds.
+        messages: How many were read.
+        dropped: Reason → messages that were left out when the file was read.
+        problems: What was wrong with some of them.
+    """
+
+    path: Path
+    format: str
+    messages: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    problems: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Extent:
+    """The times and places of all positions that were read, for what to say when none is left."""
+
+    times_s: tuple[float, float] = (math.inf, -math.inf)
+    latitudes: tuple[float, float] = (math.inf, -math.inf)
+    longitudes: tuple[float, float] = (math.inf, -math.inf)
+
+    def add(self, positions: Positions) -> None:
+        """Widen it by some positions."""
+        known = positions.take(~without_position(positions))
+        if len(known):
+            for name, values in (
+                ("times_s", known.time_s),
+                ("latitudes", known.latitude_deg),
+                ("longitudes", known.longitude_deg),
+            ):
+                low, high = getattr(self, name)
+                setattr(self, name, (min(low, float(values.min())), max(high, float(values.max()))))
+
+    def __str__(self) -> str:
+        """In words."""
+        if self.times_s[0] > self.times_s[1]:
+            return "the files hold no positions at all"
+        (first, last), (south, north), (west, east) = self.times_s, self.latitudes, self.longitudes
+        return (
+            f"the files reach from {time_text(first)} to {time_text(last)}, "
+            f"latitude {south:.4f} to {north:.4f}, longitude {west:.4f} to {east:.4f}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Everything that was kept.
+
+    Attributes:
+        positions: Of ships, in the region and span asked for.
+        particulars: Of all vessels.
+        files: One tally each.
+        extent: Of all that was read.
+    """
+
+    positions: Positions
+    particulars: Particulars
+    files: list[FileTally]
+    extent: Extent
+
+
+def gather(paths: Sequence[Path], options: Options) -> Gathered:
+    """Read files of any of the known formats.
+
+    Args:
+        paths: The files.
+        options: Region and span of time; positions up to the longest gap before and after are kept as well.
+
+    Raises:
+        InputError: A file cannot be read or is of no known format (every such file is named), too much of it cannot be
+            read, or latitude and longitude are swapped.
+    """
+    layouts = _formats(paths)
+    last_s = options.end_s
+    if last_s is None and options.duration_s is not None and options.start_s is not None:
+        last_s = options.start_s + options.duration_s
+    span = (
+        -math.inf if options.start_s is None else options.start_s - options.max_gap_s,
+        math.inf if last_s is None else last_s + options.max_gap_s,
+    )
+    positions, particulars = [], []
+    tallies = [
+        FileTally(path, NMEA if layout is None else layout.name) for path, layout in zip(paths, layouts, strict=True)
+    ]
+    extent = Extent()
+    for file, (tally, layout) in enumerate(zip(tallies, layouts, strict=True)):
+        swapped: Positions | None = None
+        inside = 0
+        for chunk in _chunks(tally.path, file, layout):
+            _count(chunk, tally)
+            extent.add(chunk.positions)
+            if layout is not None:  # radio lets single wrong bits through; a table with such values is a wrong table
+                check_range(source_of(tally.path), chunk.positions)
+            kept, dropped = sift(chunk.positions, options.region, *span)
+            tally.dropped.update(dropped)
+            positions.append(kept)
+            particulars.append(chunk.particulars)
+            if options.region is not None:
+                inside += int(options.region.holds(chunk.positions.latitude_deg, chunk.positions.longitude_deg).sum())
+                swapped = swapped or _first_swapped(chunk.positions, options.region)
+        if swapped is not None and not inside:
+            raise swapped_error(
+                source_of(tally.path), swapped, 0, f"swapped, it would be in the region {options.region}"
+            )
+        _refuse_rubbish(tally)
+    if not positions:
+        raise InputError("AIS", ["no files given"])
+    joined = Positions.join(positions)
+    check_neighbours([source_of(path) for path in paths], joined)
+    return Gathered(joined, Particulars.join(particulars), tallies, extent)
+
+
+def _formats(paths: Sequence[Path]) -> list[Layout | None]:
+    layouts: list[Layout | None] = []
+    problems: list[str] = []
+    sources = []
+    for path in paths:
+        try:
+            layouts.append(recognise(path))
+        except InputError as error:
+            sources.append(error.source)
+            problems += [f"{error.source}: {problem}" for problem in error.problems]
+            only = error
+    if len(problems) == 1:
+        raise only
+    if problems:
+        raise InputError("AIS files", problems)
+    return layouts
+
+
+def _chunks(path: Path, file: int, layout: Layout | None) -> Iterator[Chunk]:
+    if layout is None:
+        from modsim3d.ais.read_nmea import read_nmea
+
+        return read_nmea(path, file)
+    from modsim3d.ais.read_csv import read_csv
+
+    return read_csv(path, file, layout)
+
+
+def _count(chunk: Chunk, tally: FileTally) -> None:
+    tally.messages += chunk.messages
+    tally.dropped.update(chunk.dropped)
+    others = chunk.messages - len(chunk.positions) - sum(chunk.dropped.values())
+    tally.dropped.update({WITHOUT_POSITION: others})
+    tally.problems += chunk.problems[: SHOWN_PROBLEMS - len(tally.problems)]
+
+
+def _first_swapped(positions: Positions, region: Region) -> Positions | None:
+    rows = np.flatnonzero(inside_if_swapped(positions, region))
+    return positions.take(rows[:1]) if len(rows) else None
+
+
+def _refuse_rubbish(tally: FileTally) -> None:
+    bad = sum(tally.dropped[reason] for reason in BAD)
+    if bad and (bad == tally.messages or bad > max(FEW_BAD, BAD_SHARE * tally.messages)):
+        raise InputError(
+            source_of(tally.path),
+            [*tally.problems, f"too much of it cannot be read: {bad} of {tally.messages} messages"],
+        )

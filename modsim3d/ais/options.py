@@ -1,0 +1,149 @@
+"""What a user may choose, and reading it from text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from modsim3d.ais.region import Region
+from modsim3d.ais.ship_types import ship_types
+from modsim3d.errors import InputError
+from modsim3d.validation import nearest
+
+COMMAND_LINE = "command line"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How reports become a scene.
+
+    Attributes:
+        origin: Latitude and longitude of w1 = w2 = 0; the median position if None.
+        region: What is outside is left out.
+        start_s: Unix time of the first step; the first report's if None.
+        end_s: Unix time of the last step; the last report's if None.
+        duration_s: In place of the end.
+        time_step_s: Between steps.
+        max_gap_s: A vessel is away between reports that are further apart.
+        max_speed_kn: No ship is faster.
+        labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
+        labels: Group → label, for some or all groups.
+    """
+
+    origin: tuple[float, float] | None = None
+    region: Region | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    duration_s: float | None = None
+    time_step_s: float = 1.0
+    max_gap_s: float = 400.0
+    max_speed_kn: float = 60.0
+    labels_by_type: bool = False
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def label(self, group: str) -> str:
+        """The label of a vessel of a group."""
+        return self.labels.get(group, ship_types()[group].label if self.labels_by_type else "Vessel")
+
+    def check(self) -> None:
+        """Refuse values that make no scene.
+
+        Raises:
+            InputError: With every problem found.
+        """
+        problems = [
+            f"--{name}: must be above 0 (got {value:g})"
+            for name, value in (
+                ("time-step", self.time_step_s),
+                ("max-gap", self.max_gap_s),
+                ("max-speed", self.max_speed_kn),
+                ("duration", self.duration_s),
+            )
+            if value is not None and not (math.isfinite(value) and value > 0)
+        ]
+        if self.end_s is not None and self.duration_s is not None:
+            problems.append("--end and --duration: only one of them can be given")
+        if self.start_s is not None and self.end_s is not None and self.end_s < self.start_s:
+            problems.append(f"--end: {time_text(self.end_s)} is before --start, {time_text(self.start_s)}")
+        if problems:
+            raise InputError(COMMAND_LINE, problems)
+
+
+def time_text(unix_s: float) -> str:
+    """A time as it may be given: 2024-01-04T10:00:00Z."""
+    text = datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds")
+    return text.removesuffix("+00:00").removesuffix(".000") + "Z"
+
+
+def parse_time(text: str, option: str) -> float:
+    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as AIS is.
+
+    Raises:
+        InputError: It is no such time.
+    """
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        problem = f"{option}: a time such as 2024-01-04T10:00:00 is needed, in UTC (got '{text}')"
+        raise InputError(COMMAND_LINE, [problem]) from None
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+
+
+def parse_degrees(text: str, option: str, form: str) -> list[float]:
+    """Latitudes and longitudes in turn, separated by commas.
+
+    Raises:
+        InputError: There are not as many as asked for, or one is no such angle.
+    """
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != len(form.split(",")) or not all(map(math.isfinite, values)):
+        raise InputError(COMMAND_LINE, [f"{option}: {form} in degrees is needed (got '{text}')"])
+    problems = [
+        f"{option}: latitude {latitude:g} is beyond ±90"
+        + (": latitude comes first" if abs(longitude) <= 90 and abs(latitude) <= 180 else "")
+        for latitude, longitude in zip(values[::2], values[1::2], strict=True)
+        if abs(latitude) > 90
+    ]
+    problems += [
+        f"{option}: longitude {longitude:g} is beyond ±180" for longitude in values[1::2] if abs(longitude) > 180
+    ]
+    if problems:
+        raise InputError(COMMAND_LINE, problems)
+    return values
+
+
+def parse_origin(text: str) -> tuple[float, float]:
+    """Latitude and longitude of the origin."""
+    latitude, longitude = parse_degrees(text, "--origin", "LAT,LON")
+    return latitude, longitude
+
+
+def parse_region(text: str) -> Region:
+    """A region from two of its corners."""
+    return Region.between(*parse_degrees(text, "--region", "LAT1,LON1,LAT2,LON2"))
+
+
+def parse_labels(texts: Sequence[str]) -> dict[str, str]:
+    """Labels by group, from texts such as `passenger=Ferry`.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    labels: dict[str, str] = {}
+    problems = []
+    for text in texts:
+        group, sign, label = (part.strip() for part in text.partition("="))
+        if not sign or not label or not label.isprintable():
+            problems.append(f"--label: GROUP=LABEL is needed (got '{text}')")
+        elif group not in ship_types():
+            problems.append(f"--label: no group '{group}' ({nearest(group, ship_types())})")
+        labels[group] = label
+    if problems:
+        raise InputError(COMMAND_LINE, problems)
+    return labels

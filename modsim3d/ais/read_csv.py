@@ -1,0 +1,194 @@
+"""Reads AIS reports from CSV, block by block: a day of Danish waters is several gigabytes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import csv
+
+from modsim3d.ais.layouts import Layout
+from modsim3d.ais.recognise import header_names, open_reports, source_of
+from modsim3d.ais.reports import Chunk, Ints, Mask, Particulars, Positions
+from modsim3d.errors import InputError
+from modsim3d.frames import Array
+from modsim3d.validation import shown
+
+BLOCK_BYTES = 1 << 24
+SHOWN_PROBLEMS = 5
+"""Of each block; a file with one mistake in every row should not fill the screen."""
+NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
+MOTION = ("latitude", "longitude", "speed", "course", "heading")
+SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
+PARTICULARS = ("name", "ship_type", *SIZES)
+UNREADABLE = "unreadable"
+NOT_SAID = "Unknown"
+"""What Danish files have in place of a name that was not received."""
+
+
+def read_csv(path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
+    """Reports of a CSV file, a block at a time.
+
+    A row with a cell that cannot be read, or with too many or too few of them, is dropped and counted.
+
+    Args:
+        path: The file.
+        file: Its place among the files given.
+        layout: Where its columns are.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    with open_reports(path) as stream:
+        yield from _read_stream(stream, path, file, layout)
+
+
+def _read_stream(stream: IO[bytes], path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
+    names = header_names(stream.readline())
+    columns = layout.found(names)
+    skipped: list[int] = []
+    first_row = 2  # the header is row 1
+
+    def skip(row: Any) -> str:
+        # Rows are counted from where the parser began, after the header.
+        skipped.append(int(row.number) + 1 if row.number is not None else first_row)
+        return "skip"
+
+    told = 0
+    try:
+        for batch in _batches(stream, names, list(columns.values()), skip):
+            table = pa.table({ours: batch.column(name) for ours, name in columns.items()})
+            rows = np.arange(first_row, first_row + len(table))
+            for number in sorted(skipped):
+                rows[rows >= number] += 1
+            first_row += len(table)
+            yield _chunk(table, columns, layout, file, rows, skipped[told:], len(names))
+            told = len(skipped)
+    except pa.ArrowInvalid as error:
+        if "Empty CSV" not in str(error):
+            raise InputError(source_of(path), [f"cannot be read as CSV: {error}"]) from None
+    if told < len(skipped) or first_row == 2:  # rows were skipped after the last good one, or there is none
+        nothing = pa.table({ours: pa.array([], pa.string()) for ours in columns})
+        yield _chunk(nothing, columns, layout, file, np.zeros(0, dtype=np.int64), skipped[told:], len(names))
+
+
+def _batches(stream: IO[bytes], names: list[str], columns: list[str], skip: Any) -> Iterator[Any]:
+    """Some columns of the rest of a file, as texts."""
+    yield from csv.open_csv(
+        stream,
+        csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES, column_names=names),
+        csv.ParseOptions(invalid_row_handler=skip),
+        csv.ConvertOptions(
+            check_utf8=False,  # one ship's name in another encoding is no reason to give up
+            strings_can_be_null=False,
+            include_columns=columns,
+            column_types=dict.fromkeys(columns, pa.string()),
+        ),
+    )
+
+
+def _chunk(
+    table: pa.Table, columns: dict[str, str], layout: Layout, file: int, rows: Ints, skipped: list[int], width: int
+) -> Chunk:
+    bad = np.zeros(len(table), dtype=bool)
+    problems = [f"row {row}: has not the {width} cells of the header" for row in skipped[:SHOWN_PROBLEMS]]
+
+    def note(wrong: Mask, column: str, what: str) -> None:
+        bad[wrong] = True
+        for place in np.flatnonzero(wrong)[: max(0, SHOWN_PROBLEMS - len(problems))]:
+            cell = shown(_text(table.column(column)[int(place)]))
+            problems.append(f"row {rows[place]}: {columns[column]} is not {what} (got {cell})")
+
+    times, wrong = _times(table.column("time").combine_chunks(), layout.time_format)
+    note(wrong, "time", f"a time like {_example(layout.time_format)}")
+    values: dict[str, Array] = {}
+    for name in ("mmsi", *MOTION, *SIZES):
+        if name in columns:
+            values[name], wrong = _numbers(table.column(name).combine_chunks())
+            note(wrong, name, "a number")
+        else:
+            values[name] = np.full(len(table), np.nan)
+    mmsi, wrong = _whole(values["mmsi"])
+    note(wrong & ~bad, "mmsi", "a whole number of at most nine digits")
+    ship = np.ones(len(table), dtype=bool)
+    if layout.station is not None and layout.station[0] in columns:
+        said = pc.utf8_lower(pc.ascii_trim_whitespace(table.column(layout.station[0]).combine_chunks()))
+        ship = np.asarray(pc.is_in(said, value_set=pa.array(sorted(layout.station[1]))))
+    good = ~bad
+    latitude, longitude, speed, course, heading = (values[name] for name in MOTION)
+    files = np.full(len(table), file)
+    positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ship, files, rows)
+    dropped = {UNREADABLE: int(bad.sum()) + len(skipped)}
+    particulars = _particulars(table, mmsi, times, good & ship)
+    messages = len(table) + len(skipped)
+    return Chunk(positions.take(good), particulars, messages, dropped, tuple(problems))
+
+
+def _particulars(table: pa.Table, mmsi: Ints, times_s: Array, rows: Mask) -> Particulars:
+    """Each different set of particulars once, with the time at which it was last said."""
+    empty = pa.array([""] * len(table), pa.string())
+    texts = {name: table.column(name) if name in table.column_names else empty for name in PARTICULARS}
+    said = pa.table({"mmsi": mmsi, "time": times_s, **texts}).filter(pa.array(rows))
+    last = said.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
+
+    def words(name: str) -> Any:
+        texts = [_text(cell).strip() for cell in last.column(name)]
+        return np.array(["" if text == NOT_SAID else text for text in texts], dtype=object)
+
+    return Particulars(
+        last.column("mmsi").to_numpy(),
+        last.column("time_max").to_numpy(),
+        words("name"),
+        words("ship_type"),
+        *(_numbers(last.column(name).combine_chunks())[0] for name in SIZES),
+    )
+
+
+def _text(cell: Any) -> str:
+    raw = cell.as_buffer()
+    return "" if raw is None else raw.to_pybytes().decode("utf-8", "replace")
+
+
+def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
+    """Values, NaN where a cell is empty, and which cells are no numbers.
+
+    A decimal comma is taken for a point: the Danish description shows positions as 57,8794.
+    """
+    trimmed = pc.ascii_trim_whitespace(texts)
+    empty = pc.equal(trimmed, "")
+    given = pc.if_else(empty, pa.scalar(None, pa.string()), trimmed)
+    wrong = np.zeros(len(texts), dtype=bool)
+    try:
+        values = pc.cast(given, pa.float64())
+    except pa.ArrowInvalid:
+        fits = pc.match_substring_regex(given, NUMBER)
+        wrong = ~np.asarray(pc.fill_null(fits, True))
+        points = pc.replace_substring(pc.if_else(fits, given, None), ",", ".")
+        values = pc.cast(points, pa.float64())
+    return pc.fill_null(values, float("nan")).to_numpy(zero_copy_only=False), wrong
+
+
+def _whole(values: Array) -> tuple[Ints, Mask]:
+    wrong = ~(np.isfinite(values) & (values >= 0) & (values < 1e9) & (values == np.floor(values)))
+    return np.where(wrong, 0, values).astype(np.int64), wrong
+
+
+def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
+    """Unix times, and which cells are no times. Fractions of a second and a final Z are let go."""
+    plain = pc.replace_substring(pc.ascii_trim_whitespace(texts), "T", " ")
+    plain = pc.replace_substring_regex(plain, r"(?:\.[0-9]+)?Z?$", "")
+    stamps = pc.strptime(plain, format=time_format, unit="s", error_is_null=True)
+    wrong = np.asarray(pc.is_null(stamps))
+    seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0)
+    return seconds.to_numpy(zero_copy_only=False).astype(np.float64), wrong
+
+
+def _example(time_format: str) -> str:
+    """What a time in a format looks like."""
+    parts = {"%d": "31", "%m": "12", "%Y": "2024", "%H": "23", "%M": "59", "%S": "59"}
+    return re.sub("%.", lambda part: parts[part[0]], time_format)

@@ -1,0 +1,231 @@
+r"""Reads AIS reports from NMEA sentences, through pyais.
+
+A sentence says when it was sent only to the second of the minute, so that a log must bring the time along. Read are
+
+- a tag block before the sentence, `\s:station,c:1423133048*5F\!AIVDM,...` (NMEA 0183 version 4.10, section 7; E. S.
+  Raymond, "AIVDM/AIVDO protocol decoding", section "NMEA 4.10 Tag Blocks"): `c` is Unix time;
+- a Unix time before the sentence or after it, as the United States Coast Guard's and many receivers' logs have it:
+  `1423133048 !AIVDM,...` or `!AIVDM,...*5C,r003669945,1423133048`.
+
+Times of thirteen digits are milliseconds. All parts of a message may bear the time, or only the first.
+
+Of the message types of ITU-R M.1371-5, 1 to 3 (class A), 18 and 19 (class B) are positions of ships; 5, 19 and 24 are
+particulars; 4, 9, 11 and 21 are base stations, aircraft and aids to navigation. Type 27 gives positions to 0.1 minute
+(180 m), which is too coarse to move a vessel by. All others say nothing of where ships are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from modsim3d.ais.recognise import open_reports, source_of
+from modsim3d.ais.reports import Chunk, Particulars, Positions
+from modsim3d.errors import InputError
+
+LINE = re.compile(
+    r"(?P<before>[^\\!$]*)(?:\\(?P<tag>[^\\]*)\\)?(?P<between>[^\\!$]*)"
+    r"(?P<sentence>[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2})(?P<after>.*)"
+)
+UNIX_TIME = re.compile(r"(?<![\w.:+-])(\d{13}|\d{9,10}(?:\.\d+)?)(?![\w.:])")
+TAG_TIME = re.compile(r"(?:^|,)c:(\d+)(?:,|$)")
+CLASS_A, CLASS_B, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3}, {18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
+PENDING_S = 60.0
+"""Parts of a message follow each other at once; the numbers that hold them together, 0 to 9, come again."""
+CHUNK_MESSAGES = 200_000
+BROKEN, UNDECODABLE, INCOMPLETE, NO_TIME = "checksum", "undecodable", "incomplete", "no_time"
+NOT_A_SHIP, COARSE, OTHER = "not_a_ship", "long_range", "other_message"
+TIME_NEEDED = (
+    r"has no times, and AIS sentences carry none of their own: record them with a tag block "
+    r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time before or after each sentence"
+)
+
+
+@dataclass
+class _Part:
+    """One sentence of a message."""
+
+    sentence: Any
+    time_s: float | None
+    line: int
+
+
+@dataclass
+class _Gathered:
+    """What has been read since the last chunk."""
+
+    positions: list[tuple[float, ...]] = field(default_factory=list)
+    particulars: list[tuple[Any, ...]] = field(default_factory=list)
+    dropped: Counter[str] = field(default_factory=Counter)
+    problems: list[str] = field(default_factory=list)
+    messages: int = 0
+
+    def drop(self, reason: str, line: int, problem: str | None = None) -> None:
+        """Count a message that is of no use."""
+        self.messages += 1
+        self.dropped[reason] += 1
+        if problem and len(self.problems) < 5:
+            self.problems.append(f"line {line}: {problem}")
+
+    def chunk(self, file: int) -> Chunk:
+        """All of it in columns."""
+        numbers = np.array(self.positions, dtype=np.float64).reshape(-1, 8)
+        _, times, latitude, longitude, speed, course, heading, _ = numbers.T
+        mmsi, lines = numbers[:, 0].astype(np.int64), numbers[:, 7].astype(np.int64)
+        ships, files = np.ones(len(numbers), dtype=bool), np.full(len(numbers), file)
+        positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ships, files, lines)
+        said = np.array(self.particulars, dtype=object).reshape(-1, 10)
+        particulars = Particulars(
+            said[:, 0].astype(np.int64),
+            said[:, 1].astype(np.float64),
+            said[:, 2],
+            said[:, 3],
+            *said[:, 4:].astype(np.float64).T,
+        )
+        return Chunk(positions, particulars, self.messages, dict(self.dropped), tuple(self.problems))
+
+
+def read_nmea(path: Path, file: int) -> Iterator[Chunk]:
+    """Reports of a log of NMEA sentences.
+
+    Args:
+        path: The file.
+        file: Its place among the files given.
+
+    Raises:
+        InputError: The file cannot be read, or no sentence in it has a time.
+    """
+    gathered = _Gathered()
+    timed, untimed = 0, 0
+    with open_reports(path) as stream:
+        for parts in _messages(stream, gathered):
+            time_s = next((part.time_s for part in parts if part.time_s is not None), None)
+            if time_s is None:
+                untimed += 1
+                gathered.drop(NO_TIME, parts[0].line, "has no time")
+            else:
+                timed += 1
+                _decode(parts, time_s, gathered)
+            if gathered.messages >= CHUNK_MESSAGES:
+                yield gathered.chunk(file)
+                gathered = _Gathered()
+    if untimed and not timed:
+        raise InputError(source_of(path), [TIME_NEEDED])
+    yield gathered.chunk(file)
+
+
+def _messages(stream: Any, gathered: _Gathered) -> Iterator[list[_Part]]:
+    """Whole messages; sentences that are broken or lack their other parts are counted."""
+    from pyais.exceptions import AISBaseException
+    from pyais.messages import AISSentence, NMEASentenceFactory
+
+    pending: dict[tuple[Any, ...], dict[int, _Part]] = {}
+    for number, line in enumerate(stream, start=1):
+        match = LINE.search(line.decode("ascii", "replace"))
+        if match is None:
+            continue  # comments, sentences of other instruments
+        try:
+            sentence = NMEASentenceFactory.produce(match["sentence"].encode("ascii"))
+        except (AISBaseException, ValueError, IndexError, UnicodeEncodeError):
+            gathered.drop(UNDECODABLE, number, "is not a whole AIS sentence")
+            continue
+        if not isinstance(sentence, AISSentence) or not sentence.is_valid or not _tag_holds(match["tag"]):
+            gathered.drop(BROKEN, number, "does not fit its checksum")
+            continue
+        part = _Part(sentence, _time_s(match), number)
+        if sentence.frag_cnt == 1:
+            yield [part]
+            continue
+        key = (sentence.talker_id, sentence.frag_cnt, sentence.seq_id, sentence.channel)
+        parts = pending.setdefault(key, {})
+        if sentence.frag_num in parts or not _close(parts, part):
+            gathered.drop(INCOMPLETE, number, "other parts of this message are missing")
+            parts.clear()
+        parts[sentence.frag_num] = part
+        if len(parts) == sentence.frag_cnt:
+            yield [parts[place] for place in sorted(parts)]
+            del pending[key]
+    for parts in pending.values():
+        gathered.drop(INCOMPLETE, min(part.line for part in parts.values()), "other parts of this message are missing")
+
+
+def _close(parts: dict[int, _Part], part: _Part) -> bool:
+    """Whether a part was sent at about the time of those before it."""
+    times = [other.time_s for other in parts.values() if other.time_s is not None]
+    return part.time_s is None or not times or abs(part.time_s - times[0]) <= PENDING_S
+
+
+def _tag_holds(tag: str | None) -> bool:
+    """Whether a tag block fits its checksum; none fits."""
+    if tag is None:
+        return True
+    content, star, given = tag.rpartition("*")
+    total = 0
+    for character in content.encode("ascii", "replace"):
+        total ^= character
+    return bool(star) and re.fullmatch("[0-9A-Fa-f]{1,2}", given.strip()) is not None and int(given, 16) == total
+
+
+def _time_s(match: re.Match[str]) -> float | None:
+    """Unix time beside a sentence."""
+    if match["tag"] and (found := TAG_TIME.search(match["tag"].rpartition("*")[0])):
+        return _seconds(found[1])
+    if times := UNIX_TIME.findall(match["after"]):
+        return _seconds(times[-1])
+    if times := UNIX_TIME.findall(f"{match['before']} {match['between']}"):
+        return _seconds(times[0])
+    return None
+
+
+def _seconds(text: str) -> float:
+    return float(text) / 1000 if len(text) == 13 and "." not in text else float(text)
+
+
+def _decode(parts: list[_Part], time_s: float, gathered: _Gathered) -> None:
+    from pyais.messages import AISSentence
+
+    line = parts[0].line
+    try:
+        message: Any = AISSentence.assemble_from_iterable([part.sentence for part in parts]).decode()
+        kind, mmsi = int(message.msg_type), int(message.mmsi)
+        if kind in STATIONS:
+            gathered.drop(NOT_A_SHIP, line)
+        elif kind == LONG_RANGE:
+            gathered.drop(COARSE, line)
+        elif kind not in CLASS_A | CLASS_B | PARTICULARS:
+            gathered.drop(OTHER, line)
+        else:
+            if kind in CLASS_A | CLASS_B:
+                place = float(message.lat), float(message.lon)
+                motion = float(message.speed), float(message.course), float(message.heading)
+                gathered.positions.append((mmsi, time_s, *place, *motion, line))
+            if kind in PARTICULARS:
+                gathered.particulars.append(_said(message, mmsi, time_s))
+            gathered.messages += 1
+    except Exception:  # pyais lets errors of many kinds through for messages that are cut short
+        gathered.drop(UNDECODABLE, line, "cannot be decoded")
+
+
+def _said(message: Any, mmsi: int, time_s: float) -> tuple[Any, ...]:
+    """A row of particulars; a report in two halves gives one of them."""
+
+    def number(name: str) -> float:
+        value = getattr(message, name, None)
+        return np.nan if value is None else float(value)
+
+    ship_type = getattr(message, "ship_type", None)
+    return (
+        mmsi,
+        time_s,
+        str(getattr(message, "shipname", None) or "").strip(),
+        "" if ship_type is None else str(int(ship_type)),
+        *(number(name) for name in ("to_bow", "to_stern", "to_port", "to_starboard")),
+        np.nan,
+        np.nan,
+    )

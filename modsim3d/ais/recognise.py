@@ -1,0 +1,98 @@
+"""Opens a file of AIS reports, gzipped or not, and says by its content what it holds."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from modsim3d.ais.layouts import Layout, layout_of
+from modsim3d.errors import InputError
+from modsim3d.validation import shown
+
+GZIP, ZIP, ZSTANDARD = b"\x1f\x8b", b"PK\x03\x04", b"\x28\xb5\x2f\xfd"
+SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
+LOOKED_AT_LINES = 200
+"""A log of sentences may begin with comments or sentences of other instruments."""
+LONGEST_LINE = 1 << 20
+
+
+def source_of(path: Path) -> str:
+    """What to call a file in an error."""
+    return f"AIS file {path}"
+
+
+@contextmanager
+def open_reports(path: Path) -> Iterator[IO[bytes]]:
+    """The bytes of a file, unpacked if it is gzipped, whatever its name.
+
+    Raises:
+        InputError: It cannot be read or unpacked, also later while it is being read.
+    """
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+            file.seek(0)
+            for kind, unpack in ((ZIP, "unzip"), (ZSTANDARD, "zstd -d")):
+                if magic.startswith(kind):
+                    raise InputError(source_of(path), [f"is packed: unpack it first ({unpack} {path.name})"])
+            if magic.startswith(GZIP):
+                with gzip.open(file) as unpacked:
+                    yield io.BufferedReader(unpacked, 1 << 20)
+            else:
+                yield file
+    except FileNotFoundError:
+        problem = "no such file"
+    except IsADirectoryError:
+        problem = "this is a folder, a file was expected"
+    except (gzip.BadGzipFile, EOFError, zlib.error):
+        problem = "is not a complete gzip file"
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror or error}"
+    else:
+        return
+    raise InputError(source_of(path), [problem])
+
+
+def recognise(path: Path) -> Layout | None:
+    """The layout of a CSV file, or None for NMEA sentences.
+
+    Raises:
+        InputError: It is neither, is empty, or lacks columns that must be there.
+    """
+    with open_reports(path) as file:
+        lines = [line for _ in range(LOOKED_AT_LINES) if (line := file.readline(LONGEST_LINE)).strip()]
+    if not lines:
+        raise InputError(source_of(path), ["the file is empty"])
+    if any(SENTENCE.search(line) for line in lines):
+        return None
+    names = header_names(lines[0])
+    layout = layout_of(names)
+    if layout is None:
+        raise InputError(
+            source_of(path),
+            [
+                "is none of the formats that are read: CSV of the Danish Maritime Authority (its first line begins "
+                "with '# Timestamp,Type of mobile,MMSI'), of MarineCadastre ('MMSI,BaseDateTime,LAT,LON' or "
+                "'mmsi,base_date_time,longitude,latitude'), or NMEA sentences ('!AIVDM,...'). "
+                f"Its first line: {shown(lines[0].decode('utf-8', 'replace').strip())}"
+            ],
+        )
+    if missing := layout.missing(names):
+        raise InputError(
+            source_of(path),
+            [f"looks like {layout.name} CSV, but has no column {', '.join(missing)} (it has: {', '.join(names)})"],
+        )
+    return layout
+
+
+def header_names(line: bytes) -> list[str]:
+    """The names in the first line of a CSV file."""
+    text = line.decode("utf-8-sig", "replace").strip("\r\n")
+    return next(csv.reader([text]), [])

@@ -1,0 +1,179 @@
+"""What was read, left out and filled in: for `report.json` and for the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from modsim3d.ais.conversion import Traffic, VesselTrack
+from modsim3d.ais.options import time_text
+
+EARTH_RADIUS_M = 6.371e6
+NOTICEABLE_M = 5.0
+REASONS = {
+    "unreadable": "rows with a cell that cannot be read",
+    "checksum": "sentences that do not fit their checksum",
+    "undecodable": "messages that cannot be decoded",
+    "incomplete": "sentences whose other parts are missing",
+    "no_time": "sentences without a time",
+    "not_a_ship": "base stations, aids to navigation, aircraft, beacons",
+    "long_range": "long-range reports, to 180 m only",
+    "other_message": "messages that say nothing of where ships are",
+    "no_position": "latitude 91, longitude 181 or empty",
+    "impossible_position": "nowhere on Earth",
+    "outside_region": "outside the region",
+    "outside_window": "before or after the scene",
+    "duplicate": "same vessel and time as another",
+    "jump": "faster than {max_speed_kn:g} kn from the position before",
+}
+REPLACED = {
+    "heading_from_course": "heading 511: course over ground in its place",
+    "heading_from_bearing": "heading and course missing: bearing between positions",
+    "heading_held": "heading missing, hardly moving: the one before or after",
+    "heading_unknown": "no heading, course or movement at all: north",
+    "course_from_heading": "course 360: heading in its place",
+    "course_unknown": "no course or heading: straight lines between positions",
+    "speed_unknown": "speed 102.3: straight lines between positions",
+}
+DEFAULTS = {
+    "type": "ship type missing: dimensions of the group 'unknown'",
+    "length": "length missing: typical of the ship type",
+    "beam": "beam missing: typical of the ship type",
+    "antenna": "antenna's place missing: taken for the middle of the hull",
+    "air_draft": "never in AIS: typical of the ship type",
+}
+
+
+def report(traffic: Traffic) -> dict[str, Any]:
+    """Everything, for a machine to read; the same for the same files whatever the order of their rows."""
+    options = traffic.options
+    camera = traffic.camera
+    return {
+        "start": time_text(traffic.start_s),
+        "end": time_text(traffic.start_s + float(traffic.timestamps[-1])),
+        "steps": len(traffic.timestamps),
+        "time_step_s": options.time_step_s,
+        "origin_deg": {"latitude": traffic.origin[0], "longitude": traffic.origin[1]},
+        "region": None if options.region is None else str(options.region),
+        "max_gap_s": options.max_gap_s,
+        "max_speed_kn": options.max_speed_kn,
+        "files": [
+            {
+                "file": tally.path.name,
+                "format": tally.format,
+                "messages": tally.messages,
+                "left_out": _some(tally.dropped),
+                "problems": tally.problems,
+            }
+            for tally in traffic.files
+        ],
+        "messages": {
+            "read": messages_read(traffic),
+            "used": messages_used(traffic),
+            "particulars_only": traffic.dropped["particulars_only"],
+            "dropped": _some(dropped(traffic)),
+        },
+        "replaced": _some(replaced(traffic)),
+        "defaults": defaults(traffic),
+        "vessels": {str(vessel.mmsi): _vessel(traffic, vessel) for vessel in traffic.vessels},
+        "vessels_at_no_step": [str(mmsi) for mmsi in traffic.elsewhere],
+        "farthest_m": round(_farthest_m(traffic), 1),
+        "camera": {"position_m": camera.position_m, "target_m": camera.target_m, "yaw_rad": camera.yaw_rad},
+    }
+
+
+def _vessel(traffic: Traffic, vessel: VesselTrack) -> dict[str, Any]:
+    hull = vessel.hull
+    return {
+        "name": hull.name,
+        "ship_type": hull.group,
+        "label": traffic.options.label(hull.group),
+        "messages": vessel.messages,
+        "steps_present": int(vessel.present.sum()),
+        "length_m": hull.length_m,
+        "beam_m": hull.beam_m,
+        "air_draft_m": hull.air_draft_m,
+        "centre_from_antenna_m": {"ahead": hull.ahead_m, "to_port": hull.to_port_m},
+        "defaults": [*hull.defaults, "air_draft"],
+        "replaced": _some(vessel.replaced),
+    }
+
+
+def _some(counts: Counter[str]) -> dict[str, int]:
+    """Those that are not zero, in alphabetical order."""
+    return {name: count for name, count in sorted(counts.items()) if count}
+
+
+def messages_read(traffic: Traffic) -> int:
+    """All messages of all files."""
+    return sum(tally.messages for tally in traffic.files)
+
+
+def messages_used(traffic: Traffic) -> int:
+    """Positions that tracks were made of."""
+    return messages_read(traffic) - sum(traffic.dropped.values())
+
+
+def dropped(traffic: Traffic) -> Counter[str]:
+    """Messages that were of no use, by reason."""
+    return Counter({name: count for name, count in traffic.dropped.items() if name in REASONS})
+
+
+def replaced(traffic: Traffic) -> Counter[str]:
+    """Missing values of used messages, by what stands in their place."""
+    return sum((vessel.replaced for vessel in traffic.vessels), Counter[str]())
+
+
+def defaults(traffic: Traffic) -> dict[str, int]:
+    """Number of vessels of which something was left open."""
+    counts = Counter(name for vessel in traffic.vessels for name in (*vessel.hull.defaults, "air_draft"))
+    return _some(counts)
+
+
+def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]]]:
+    """Tables for the terminal: title, and rows of name, number and meaning."""
+    options = traffic.options
+    times = f"{time_text(traffic.start_s)} to {time_text(traffic.start_s + float(traffic.timestamps[-1]))}"
+    present = sum(int(vessel.present.sum()) for vessel in traffic.vessels)
+    read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
+    made = [
+        ("messages used", str(messages_used(traffic)), f"of {messages_read(traffic)}"),
+        ("particulars", str(traffic.dropped["particulars_only"]), "messages with names and dimensions only"),
+        ("vessels", str(len(traffic.vessels)), _elsewhere(traffic)),
+        ("steps", str(len(traffic.timestamps)), f"every {options.time_step_s:g} s, {times}"),
+        ("poses", str(present), f"away where reports are more than {options.max_gap_s:g} s apart"),
+        ("farthest", f"{_farthest_m(traffic) / 1000:.1f} km", _flatness(_farthest_m(traffic))),
+        ("origin", "{:.5f}, {:.5f}".format(*traffic.origin), "latitude, longitude of w1 = w2 = 0"),
+    ]
+    left_out = [
+        (name, str(count), REASONS[name].format(max_speed_kn=options.max_speed_kn))
+        for name, count in _some(dropped(traffic)).items()
+    ]
+    filled = [(name, str(count), REPLACED[name]) for name, count in _some(replaced(traffic)).items()]
+    open_ = [(name, str(count), DEFAULTS[name]) for name, count in defaults(traffic).items()]
+    return [
+        ("read", read),
+        ("made of it", made),
+        ("messages dropped", left_out),
+        ("values replaced, in messages", filled),
+        ("defaults, in vessels", open_),
+    ]
+
+
+def _farthest_m(traffic: Traffic) -> float:
+    """The greatest distance of a vessel from the origin."""
+    return max(float(np.linalg.norm(vessel.places_m[vessel.present], axis=1).max()) for vessel in traffic.vessels)
+
+
+def _flatness(distance_m: float) -> str:
+    """What a plane does to places that far away: it pulls them in by d³ / 6R²."""
+    off_m = distance_m**3 / (6 * EARTH_RADIUS_M**2)
+    text = "from the origin"
+    return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
+
+
+def _elsewhere(traffic: Traffic) -> str:
+    count = len(traffic.elsewhere)
+    return f"{count} more are there at no step" if count else ""

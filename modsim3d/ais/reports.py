@@ -1,0 +1,111 @@
+"""What the readers hand on: reported positions and what vessels say of themselves, in columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.frames import Array
+
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+class _Columns:
+    """Arrays of one length, taken and joined together."""
+
+    def _arrays(self) -> list[NDArray[Any]]:
+        return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
+
+    def __len__(self) -> int:
+        return len(self._arrays()[0])
+
+    def take(self, rows: Ints | Mask) -> Self:
+        """Some of the rows, by mask or in an order."""
+        return type(self)(*(array[rows] for array in self._arrays()))
+
+    @classmethod
+    def join(cls, parts: Sequence[Self]) -> Self:
+        """All rows of some parts, of which there must be at least one."""
+        return cls(*(np.concatenate(arrays) for arrays in zip(*(part._arrays() for part in parts), strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class Positions(_Columns):
+    """Reported positions, shape (n,) each; what a report leaves open is NaN.
+
+    Attributes:
+        mmsi: The vessel's identity.
+        time_s: Unix time.
+        latitude_deg: Of the antenna, as reported.
+        longitude_deg: Of the antenna, as reported.
+        speed_kn: Speed over ground.
+        course_deg: Course over ground, clockwise from north.
+        heading_deg: True heading of the bow, clockwise from north.
+        ship: Whether the sender is of a kind that sits on ships (class A or B).
+        file: Place of its file among those given.
+        row: Its row or line there, the first being 1.
+    """
+
+    mmsi: Ints
+    time_s: Array
+    latitude_deg: Array
+    longitude_deg: Array
+    speed_kn: Array
+    course_deg: Array
+    heading_deg: Array
+    ship: Mask
+    file: Ints
+    row: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Particulars(_Columns):
+    """What vessels say of themselves, shape (n,) each; NaN or an empty text where they say nothing.
+
+    Attributes:
+        mmsi: The vessel's identity.
+        time_s: Unix time at which this was last said.
+        name: Text.
+        ship_type: Code or words of the source, as text.
+        to_bow_m: A, antenna to bow.
+        to_stern_m: B, antenna to stern.
+        to_port_m: C, antenna to port side.
+        to_starboard_m: D, antenna to starboard side.
+        length_m: Where the source gives the length itself.
+        beam_m: Where the source gives the beam itself.
+    """
+
+    mmsi: Ints
+    time_s: Array
+    name: NDArray[np.object_]
+    ship_type: NDArray[np.object_]
+    to_bow_m: Array
+    to_stern_m: Array
+    to_port_m: Array
+    to_starboard_m: Array
+    length_m: Array
+    beam_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """What a reader makes of a part of a file.
+
+    Attributes:
+        positions: Reported positions.
+        particulars: What vessels said of themselves.
+        messages: How many messages were read, whatever became of them.
+        dropped: Reason → number of messages that are in neither.
+        problems: What was wrong with some of those, one line each.
+    """
+
+    positions: Positions
+    particulars: Particulars
+    messages: int
+    dropped: Mapping[str, int]
+    problems: tuple[str, ...] = ()

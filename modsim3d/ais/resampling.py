@@ -1,0 +1,89 @@
+"""A vessel's track at the times of a scene, from reports that come when they come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.ais.reports import Ints, Mask
+from modsim3d.frames import Array
+
+TRUST_M, TRUST_SHARE = 15.0, 0.25
+"""Two reports' speeds and courses are believed if they miss the way between them by less than the sum of these."""
+ROUNDING_S = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Reports of one vessel.
+
+    Attributes:
+        times_s: Ascending, shape (n,).
+        places_m: Of the antenna, shape (n, 2).
+        velocities_m_s: NaN where unknown, shape (n, 2).
+        headings_rad: Shape (n,).
+    """
+
+    times_s: Array
+    places_m: Array
+    velocities_m_s: Array
+    headings_rad: Array
+
+
+def resample(track: Track, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
+    """Where a vessel is at some times.
+
+    Between two reports the way is the cubic that leaves and arrives with the reported speeds and courses (cubic
+    Hermite interpolation), or a straight line where they are unknown or do not fit the way. The heading turns evenly
+    along the shorter arc. Between reports that are further apart than the limit, before the first and after the last,
+    the vessel is away.
+
+    Args:
+        track: Its reports.
+        times_s: Shape (m,).
+        max_gap_s: The limit.
+
+    Returns:
+        Whether it is there, shape (m,), places of the antenna, shape (m, 2), and headings, shape (m,).
+    """
+    known = track.times_s
+    if len(known) == 1:
+        there = np.abs(times_s - known[0]) <= ROUNDING_S
+        return there, np.repeat(track.places_m, len(times_s), axis=0), np.full(len(times_s), track.headings_rad[0])
+    within = (times_s >= known[0] - ROUNDING_S) & (times_s <= known[-1] + ROUNDING_S)
+    leg = np.clip(np.searchsorted(known, times_s, side="right") - 1, 0, len(known) - 2)
+    span_s = known[leg + 1] - known[leg]
+    share = np.clip((times_s - known[leg]) / span_s, 0.0, 1.0)
+    on_report = np.minimum(share, 1 - share) * span_s <= ROUNDING_S
+    there = within & ((span_s <= max_gap_s) | on_report)
+    turn = np.diff(track.headings_rad)
+    turn = np.arctan2(np.sin(turn), np.cos(turn))
+    return there, _places(track, leg, share), track.headings_rad[leg] + share * turn[leg]
+
+
+def _places(track: Track, leg: Ints, share: Array) -> Array:
+    span_s = np.diff(track.times_s)[:, None]
+    way = np.diff(track.places_m, axis=0)
+    leaving, arriving = track.velocities_m_s[:-1] * span_s, track.velocities_m_s[1:] * span_s
+    miss = np.linalg.norm((leaving + arriving) / 2 - way, axis=1)
+    trusted = miss <= TRUST_M + TRUST_SHARE * np.linalg.norm(way, axis=1)  # false where one is unknown
+    leaving, arriving = (np.where(trusted[:, None], velocity, way) for velocity in (leaving, arriving))
+    u = share[:, None]
+    # Hermite's basis, as what is added to the straight line: it vanishes where both velocities are the mean one.
+    bend = u * (1 - u) * ((1 - u) * (leaving - way)[leg] - u * (arriving - way)[leg])
+    return np.asarray((1 - u) * track.places_m[leg] + u * track.places_m[leg + 1] + bend)
+
+
+def to_hull_centre(places_m: Array, headings_rad: Array, ahead_m: float, to_port_m: float) -> Array:
+    """Centres of a hull from places of its antenna.
+
+    Args:
+        places_m: Shape (m, 2).
+        headings_rad: Counter-clockwise from w1, shape (m,).
+        ahead_m: How far ahead of the antenna the centre is.
+        to_port_m: How far to port of it.
+    """
+    cosine, sine = np.cos(headings_rad), np.sin(headings_rad)
+    offset = np.stack([ahead_m * cosine - to_port_m * sine, ahead_m * sine + to_port_m * cosine], axis=-1)
+    return places_m + offset
