@@ -17,7 +17,7 @@ from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
-from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
+from modsim3d.poses import PoseRequest, PoseSource, SourceKeys, read_source
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
 from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
@@ -139,14 +139,15 @@ class _Reader:
             self._check_mounts(names)
         if entries is not None and detector is not None:
             self._check_labels(entries, detector)
-        poses = self._poses(keys, names, vessels)
+        source = self._pose_source()
+        poses = self._poses(source, keys, names, vessels)
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
         scene = Scene(
             name=self.path.stem,
             path=self.path,
-            sha256=self._sha256(keys),
+            sha256=self._sha256(keys, source.files if source else ()),
             seed=keys.seed,
             steps=keys.steps or len(poses.timestamps),
             vessels=vessels,
@@ -211,36 +212,44 @@ class _Reader:
         entry = self.data.get("detector")
         return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
 
-    def _poses(
-        self, keys: SceneKeys | None, names: list[str] | None, vessels: tuple[Vessel, ...] | None
-    ) -> PoseSource | None:
+    def _pose_source(self) -> SourceKeys | None:
+        """The keys of the pose source; of one that makes its own poses only if the scene gives it times."""
         entry = self.data.get("poses")
-        file = entry.get("file") if isinstance(entry, dict) else None
-        if isinstance(file, str):
-            recorded = self._collect(lambda: load_poses(self.folder / file, names))
-            asked = self.data.get("steps")
-            if recorded is not None and isinstance(asked, int) and asked > len(recorded.timestamps):
-                self.problems.append(f"steps: {asked} asked for, but the pose file has {len(recorded.timestamps)}")
-            return recorded
-        if keys is None or vessels is None:
+        if not isinstance(entry, dict) or not all(isinstance(name, str) for name in entry):
+            return None  # the scene's own keys say what is wrong
+        found = self._collect(lambda: read_source(entry, f"scene {self.path}"))
+        if found is None:
             return None
-        circular, tracks = keys.poses.circular, keys.poses.tracks
-        steps, interval = keys.steps or 0, keys.time_step_s or 0.0
-        if tracks is not None:
-            return self._collect(lambda: waypoint_tracks(tracks, names or [], steps, interval))
-        if circular is None:
+        name, source = found
+        missing = [key for key in ("steps", "time_step_s") if self.data.get(key) is None]
+        if source.generated and missing:
+            needed = " and ".join(missing)
+            self.problems.append(f"poses: {name} makes its own times: {needed} must be given beside it")
             return None
-        return self._collect(
-            lambda: circular_motion(
-                vessels,
-                steps,
-                interval,
-                circular.centre_m,
-                circular.radius_m,
-                circular.rotation_rate_rad_s,
-                keys.seed,
-            )
+        return source
+
+    def _poses(
+        self,
+        source: SourceKeys | None,
+        keys: SceneKeys | None,
+        names: list[str] | None,
+        vessels: tuple[Vessel, ...] | None,
+    ) -> PoseSource | None:
+        if source is None or (source.generated and (keys is None or vessels is None)):
+            return None
+        request = PoseRequest(
+            folder=self.folder,
+            names=None if names is None else tuple(names),
+            vessels=vessels or (),
+            steps=keys.steps if keys else None,
+            time_step_s=keys.time_step_s if keys else None,
+            seed=keys.seed if keys else 0,
         )
+        poses = self._collect(lambda: source.build(request))
+        asked = self.data.get("steps")
+        if poses is not None and isinstance(asked, int) and asked > len(poses.timestamps):
+            self.problems.append(f"steps: {asked} asked for, but the pose file has {len(poses.timestamps)}")
+        return poses
 
     def _check_mounts(self, names: list[str]) -> None:
         cameras = self.data.get("cameras")
@@ -275,8 +284,8 @@ class _Reader:
                     self.problems += error.problems
                     found.add(camera.name)
 
-    def _sha256(self, keys: SceneKeys) -> str:
-        named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
+    def _sha256(self, keys: SceneKeys, pose_files: tuple[str, ...]) -> str:
+        named = [keys.vessels if isinstance(keys.vessels, str) else None, *pose_files, keys.detector]
         digest = hashlib.sha256()
         for path in [self.path, *(self.folder / name for name in named if name is not None)]:
             digest.update(hashlib.sha256(path.read_bytes()).digest())

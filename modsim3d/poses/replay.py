@@ -7,20 +7,34 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import RootModel
 
 from modsim3d.errors import InputError
-from modsim3d.poses.base import Poses
-from modsim3d.validation import join_path, load_json, nearest, shown
+from modsim3d.poses.base import PoseRequest, Poses, SourceKeys
+from modsim3d.validation import MAX_COORDINATE_M, join_path, load_json, nearest, shown
 
 MAX_PROBLEMS = 20
 """A file with one mistake in every line should not fill the screen."""
-MAX_COORDINATE_M = 1e9
-"""Far beyond any scene, and near enough that no square of it overflows."""
 SECONDS = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """What a timestamp looks like; `float` takes more, such as `1_0`."""
+
+
+class FileKeys(SourceKeys, RootModel[str]):
+    """Poses from a file, with its own times."""
+
+    generated: ClassVar[bool] = False
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file."""
+        return (self.root,)
+
+    def build(self, request: PoseRequest) -> RecordedPoses:
+        """What the file holds; all of it is looked at even where the vessels are not known."""
+        return load_poses(request.folder / self.root, request.names)
 
 
 @dataclass(frozen=True, eq=False)
