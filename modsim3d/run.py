@@ -93,5 +93,6 @@ def _settings(scene: Scene, backend: str) -> dict[str, Any]:
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
+        "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
         "versions": {name: version(name) for name in VERSIONED},
     }

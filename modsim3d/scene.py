@@ -16,6 +16,7 @@ from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
+from modsim3d.plugins import Plugin
 from modsim3d.poses import Poses, PoseSource
 from modsim3d.vessels import Vessel
 from modsim3d.waves import WaveMotion
@@ -83,6 +84,7 @@ class Scene:
         annotation: Mode, source and filters.
         detector: The statistical detector's parameters.
         waves: How vessels move in waves, if they do.
+        plugins: What other packages brought to it.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Scene:
     annotation: Annotation
     detector: DetectorModel
     waves: Waves | None = None
+    plugins: tuple[Plugin, ...] = ()
 
     @property
     def vessel_names(self) -> tuple[str, ...]:

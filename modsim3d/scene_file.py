@@ -85,7 +85,7 @@ class AxisKeys(Strict):
 class WavesKeys(Strict):
     """How waves turn vessels: a named level, or the coefficients of each axis."""
 
-    level: Literal["none", "small", "medium", "large", "huge"] | None = None
+    level: str | None = None
     roll: AxisKeys | None = None
     pitch: AxisKeys | None = None
     yaw: AxisKeys | None = None

@@ -17,14 +17,17 @@ from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
-from modsim3d.poses import PoseRequest, PoseSource, SourceKeys, read_source
+from modsim3d.plugins import Plugin
+from modsim3d.poses import NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
 from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
-from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
+from modsim3d.wave_levels import find_level
+from modsim3d.waves import AXES, Axis, SecondOrderWaves
 
 Indices = NDArray[np.int64]
+Axes = tuple[Axis, Axis, Axis]
 T = TypeVar("T")
 
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
@@ -141,13 +144,14 @@ class _Reader:
             self._check_labels(entries, detector)
         source = self._pose_source()
         poses = self._poses(source, keys, names, vessels)
+        level = self._wave_level()
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
         scene = Scene(
             name=self.path.stem,
             path=self.path,
-            sha256=self._sha256(keys, source.files if source else ()),
+            sha256=self._sha256(keys, source.keys.files if source else ()),
             seed=keys.seed,
             steps=keys.steps or len(poses.timestamps),
             vessels=vessels,
@@ -155,7 +159,8 @@ class _Reader:
             cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
-            waves=_waves(keys.waves, keys.seed),
+            waves=_waves(keys.waves, keys.seed, level[0] if level else None),
+            plugins=tuple(plugin for plugin in (source and source.plugin, level and level[1]) if plugin),
         )
         self._check_places(scene)
         if self.problems:
@@ -212,30 +217,27 @@ class _Reader:
         entry = self.data.get("detector")
         return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
 
-    def _pose_source(self) -> SourceKeys | None:
+    def _pose_source(self) -> NamedSource | None:
         """The keys of the pose source; of one that makes its own poses only if the scene gives it times."""
         entry = self.data.get("poses")
         if not isinstance(entry, dict) or not all(isinstance(name, str) for name in entry):
             return None  # the scene's own keys say what is wrong
-        found = self._collect(lambda: read_source(entry, f"scene {self.path}"))
-        if found is None:
-            return None
-        name, source = found
+        source = self._collect(lambda: read_source(entry, f"scene {self.path}"))
         missing = [key for key in ("steps", "time_step_s") if self.data.get(key) is None]
-        if source.generated and missing:
+        if source is not None and source.keys.generated and missing:
             needed = " and ".join(missing)
-            self.problems.append(f"poses: {name} makes its own times: {needed} must be given beside it")
+            self.problems.append(f"poses: {source.name} makes its own times: {needed} must be given beside it")
             return None
         return source
 
     def _poses(
         self,
-        source: SourceKeys | None,
+        source: NamedSource | None,
         keys: SceneKeys | None,
         names: list[str] | None,
         vessels: tuple[Vessel, ...] | None,
     ) -> PoseSource | None:
-        if source is None or (source.generated and (keys is None or vessels is None)):
+        if source is None or (source.keys.generated and (keys is None or vessels is None)):
             return None
         request = PoseRequest(
             folder=self.folder,
@@ -248,8 +250,14 @@ class _Reader:
         poses = self._collect(lambda: source.build(request))
         asked = self.data.get("steps")
         if poses is not None and isinstance(asked, int) and asked > len(poses.timestamps):
-            self.problems.append(f"steps: {asked} asked for, but the pose file has {len(poses.timestamps)}")
+            which = "the pose file" if source.name == "file" else f"poses.{source.name}"
+            self.problems.append(f"steps: {asked} asked for, but {which} has {len(poses.timestamps)}")
         return poses
+
+    def _wave_level(self) -> tuple[Axes, Plugin | None] | None:
+        waves = self.data.get("waves")
+        level = waves.get("level") if isinstance(waves, dict) else None
+        return self._collect(lambda: find_level(level)) if isinstance(level, str) else None
 
     def _check_mounts(self, names: list[str]) -> None:
         cameras = self.data.get("cameras")
@@ -308,12 +316,11 @@ def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     )
 
 
-def _waves(keys: WavesKeys | None, seed: int) -> Waves | None:
+def _waves(keys: WavesKeys | None, seed: int, level: Axes | None) -> Waves | None:
     if keys is None or keys.level == "none":
         return None
-    if keys.level is not None:
-        axes = level_axes(keys.level)
-    else:
+    axes = level
+    if axes is None:
         given = [getattr(keys, name) for name in AXES]
         roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
         axes = (roll, pitch, yaw)

@@ -297,7 +297,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ),
     ("scene", "poses", {}, ("poses: give exactly one of file, circular, tracks, agents",)),
     ("scene", "poses", {"file": None}, ("poses: give exactly one of file, circular, tracks, agents",)),
-    ("scene", "poses", {"circlar": {}}, ("poses.circlar: no such pose source (did you mean 'circular'?)",)),
+    ("scene", "poses", {"circlar": {}}, ("poses.circlar: nothing is called", "did you mean 'circular'?")),
     ("scene", "poses", {"file": 5}, ("poses.file: Input should be a valid string (got 5)",)),
     ("scene", "poses", [], ("poses: a mapping of keys is needed (got [])",)),
     ("scene", "poses", {"agents": {"size_m": [150, 0]}}, ("poses.agents.size_m[1]: Input should be greater than 0",)),

@@ -2,15 +2,18 @@
 
 from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps
 from modsim3d.poses.circular import CircularMotion, circular_motion
-from modsim3d.poses.registry import read_source
+from modsim3d.poses.registry import NamedSource, read_source
 from modsim3d.poses.replay import RecordedPoses, load_poses
+from modsim3d.poses.timed import PosesByTime
 from modsim3d.poses.tracks import Tracks, waypoint_tracks
 
 __all__ = [
     "CircularMotion",
+    "NamedSource",
     "PoseRequest",
     "PoseSource",
     "Poses",
+    "PosesByTime",
     "RecordedPoses",
     "SourceKeys",
     "Tracks",

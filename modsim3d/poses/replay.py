@@ -70,7 +70,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
         raise InputError(source, ["a mapping of timestamp to vessels is needed, with at least one timestamp"])
     if vessels is None:
         vessels = list({name: None for entries in data.values() if isinstance(entries, dict) for name in entries})
-    problems = _time_problems(list(data))
+    problems = time_problems(list(data))
     columns = {name: column for column, name in enumerate(vessels)}
     present = np.zeros((len(data), len(vessels)), dtype=bool)
     positions = np.zeros((len(data), len(vessels), 3))
@@ -98,7 +98,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
     return RecordedPoses(tuple(data), Poses(present, positions, headings))
 
 
-def _time_problems(timestamps: list[str]) -> list[str]:
+def time_problems(timestamps: list[str]) -> list[str]:
     """Timestamps must be numbers and increase; the same time in two spellings is a duplicate."""
     problems: list[str] = []
     previous: tuple[str, float] | None = None
