@@ -17,7 +17,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
 from modsim3d.plugins import Plugin
-from modsim3d.poses import Poses, PoseSource
+from modsim3d.poses import LivePoses, Poses, PoseSource
 from modsim3d.vessels import Vessel
 from modsim3d.waves import WaveMotion
 
@@ -77,7 +77,7 @@ class Scene:
         path: The scene file.
         sha256: Of the scene file and every file that it names.
         seed: Everything random comes from it.
-        steps: Number of time steps.
+        steps: Number of time steps; of a live scene the most that are taken.
         vessels: In the order of the vessels file.
         poses: Where they are.
         cameras: In the order of the scene file.
@@ -109,6 +109,11 @@ class Scene:
     def occluder_names(self) -> tuple[str, ...]:
         """Names of what can hide a vessel: the vessels."""
         return self.vessel_names
+
+    @property
+    def live(self) -> bool:
+        """Whether its steps come in while it runs."""
+        return isinstance(self.poses, LivePoses)
 
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
         """The text of the times of steps first to stop − 1."""

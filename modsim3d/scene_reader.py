@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,9 +18,9 @@ from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.plugins import Plugin
-from modsim3d.poses import NamedSource, PoseRequest, PoseSource, read_source
+from modsim3d.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.scene import Scene, Waves
-from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import MAX_STEPS, CameraKeys, SceneKeys, WavesKeys
 from modsim3d.validation import describe, join_path, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.wave_levels import find_level
@@ -153,7 +153,7 @@ class _Reader:
             path=self.path,
             sha256=self._sha256(keys, source.keys.files if source else ()),
             seed=keys.seed,
-            steps=keys.steps or len(poses.timestamps),
+            steps=keys.steps or (MAX_STEPS if isinstance(poses, LivePoses) else len(poses.timestamps)),
             vessels=vessels,
             poses=poses,
             cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
@@ -162,7 +162,8 @@ class _Reader:
             waves=_waves(keys.waves, keys.seed, level[0] if level else None),
             plugins=tuple(plugin for plugin in (source and source.plugin, level and level[1]) if plugin),
         )
-        self._check_places(scene)
+        if not scene.live:
+            self._check_places(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         return scene
@@ -249,7 +250,8 @@ class _Reader:
         )
         poses = self._collect(lambda: source.build(request))
         asked = self.data.get("steps")
-        if poses is not None and isinstance(asked, int) and asked > len(poses.timestamps):
+        known = poses is not None and not isinstance(poses, LivePoses)
+        if poses is not None and known and isinstance(asked, int) and asked > len(poses.timestamps):
             which = "the pose file" if source.name == "file" else f"poses.{source.name}"
             self.problems.append(f"steps: {asked} asked for, but {which} has {len(poses.timestamps)}")
         return poses
@@ -283,14 +285,9 @@ class _Reader:
         found: set[str] = set()
         for first in range(0, scene.steps, CHECKED_STEPS):
             steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
-            for camera in scene.cameras:
-                if camera.name in found:
-                    continue
-                try:
-                    _check_place(scene, camera, steps)
-                except InputError as error:
-                    self.problems += error.problems
-                    found.add(camera.name)
+            for name, problems in place_problems(scene, steps, found).items():
+                self.problems += problems
+                found.add(name)
 
     def _sha256(self, keys: SceneKeys, pose_files: tuple[str, ...]) -> str:
         named = [keys.vessels if isinstance(keys.vessels, str) else None, *pose_files, keys.detector]
@@ -298,6 +295,24 @@ class _Reader:
         for path in [self.path, *(self.folder / name for name in named if name is not None)]:
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         return digest.hexdigest()
+
+
+def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
+    """What is wrong with the place of each camera at some steps: none, or inside a vessel.
+
+    Args:
+        scene: The scene.
+        steps: Ascending.
+        leave_out: Names of cameras that are not looked at.
+    """
+    found = {}
+    for camera in scene.cameras:
+        if camera.name not in leave_out:
+            try:
+                _check_place(scene, camera, steps)
+            except InputError as error:
+                found[camera.name] = error.problems
+    return found
 
 
 def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:

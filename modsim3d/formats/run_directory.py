@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from pathlib import Path
@@ -18,6 +19,8 @@ from modsim3d.scene import Scene
 UNFINISHED = "unfinished"
 """The folder inside a run directory that holds what is written while the run goes on."""
 RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
+POSES_FILE = "poses.jsonl"
+"""What a live scene took in; a pose file for another run."""
 
 
 class RunDirectory:
@@ -62,6 +65,8 @@ class RunDirectory:
                 for kind in JSON_LINES
                 for index in range(len(scene.cameras))
             }
+            self._poses = (self.work / POSES_FILE).open("wb") if scene.live else None
+            self._poses_sha256 = hashlib.sha256()
         except OSError as error:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
 
@@ -82,6 +87,8 @@ class RunDirectory:
                 stream.close()
             for writer in self._writers.values():
                 writer.close()
+            if self._poses is not None:
+                self._poses.close()
         except OSError as failure:
             raise self._unwritable(failure) from failure
         if isinstance(error, OSError):
@@ -147,6 +154,17 @@ class RunDirectory:
             self._lines[key].write(lines)
             self._lines[key].flush()
 
+    def write_poses(self, lines: bytes) -> None:
+        """Add the poses of steps that a live scene has made."""
+        if self._poses is not None:
+            self._poses.write(lines)
+            self._poses.flush()
+            self._poses_sha256.update(lines)
+
+    def live_settings(self, steps: int) -> dict[str, Any]:
+        """What decided the files' content and was not known before a live scene had run."""
+        return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
+
     def finish(self, run: dict[str, Any]) -> None:
         """Put every file in its place; `run.json` last, so that its presence means that all are complete.
 
@@ -163,6 +181,8 @@ class RunDirectory:
             with joined.open("wb") as out:
                 thesis_json.join_lines(lines, out)
             place(joined, self.folder / joined.name)
+        if self._poses is not None:
+            place(self.work / POSES_FILE, self.folder / POSES_FILE)
         partial = self.work / RUN_FILE
         partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
         place(partial, self.folder / RUN_FILE)

@@ -2,6 +2,7 @@
 
 from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps
 from modsim3d.poses.circular import CircularMotion, circular_motion
+from modsim3d.poses.live import LivePoses
 from modsim3d.poses.registry import NamedSource, read_source
 from modsim3d.poses.replay import RecordedPoses, load_poses
 from modsim3d.poses.timed import PosesByTime
@@ -9,6 +10,7 @@ from modsim3d.poses.tracks import Tracks, waypoint_tracks
 
 __all__ = [
     "CircularMotion",
+    "LivePoses",
     "NamedSource",
     "PoseRequest",
     "PoseSource",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.plugins import Plugin, failed
 from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys
+from modsim3d.poses.live import LivePoses, Step
 from modsim3d.poses.replay import time_problems
 from modsim3d.validation import MAX_COORDINATE_M
 
@@ -40,16 +41,33 @@ class CheckedPoses:
             poses = self._source.poses(first, stop)
         except Exception as error:
             raise failed(self._plugin, error) from error
-        shape = stop - first, self._vessels
-        wanted = {"present": (bool, shape), "positions_m": (float, (*shape, 3)), "headings_rad": (float, shape)}
-        for name, (kind, size) in wanted.items():
-            values = getattr(poses, name, None)
-            if not isinstance(values, np.ndarray) or values.dtype != kind or values.shape != size:
-                got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
-                raise ModsimError(f"{self._plugin}: {name} must be an array of {kind.__name__} {size}, not {got}")
-            if not (np.abs(values[poses.present] if kind is float else values) <= MAX_COORDINATE_M).all():
-                raise ModsimError(f"{self._plugin}: {name} must be finite and at most {MAX_COORDINATE_M:g}")
+        _check(poses, (stop - first, self._vessels), self._plugin)
         return poses
+
+
+def _check(poses: Poses, shape: tuple[int, int], plugin: Plugin) -> None:
+    wanted = {"present": (bool, shape), "positions_m": (float, (*shape, 3)), "headings_rad": (float, shape)}
+    for name, (kind, size) in wanted.items():
+        values = getattr(poses, name, None)
+        if not isinstance(values, np.ndarray) or values.dtype != kind or values.shape != size:
+            got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+            raise ModsimError(f"{plugin}: {name} must be an array of {kind.__name__} {size}, not {got}")
+        if not (np.abs(values[poses.present] if kind is float else values) <= MAX_COORDINATE_M).all():
+            raise ModsimError(f"{plugin}: {name} must be finite and at most {MAX_COORDINATE_M:g}")
+
+
+def _checked_steps(steps: Iterable[Step], plugin: Plugin, vessels: int) -> Iterator[Step]:
+    """The steps of a live source as they come."""
+    arrive = iter(steps)
+    while True:
+        try:
+            timestamp, poses = next(arrive)
+        except StopIteration:
+            return
+        except Exception as error:
+            raise failed(plugin, error) from error
+        _check(poses, (1, vessels), plugin)
+        yield str(timestamp), poses
 
 
 def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> PoseSource:
@@ -64,7 +82,10 @@ def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> Pose
             raise ModsimError(
                 f"build() must give a pose source, with timestamps and poses(first, stop), not {source!r}"
             )
-        return CheckedPoses(source, plugin, len(request.names or ()))
+        vessels = len(request.names or ())
+        if isinstance(source, LivePoses):
+            return LivePoses(_checked_steps(source.steps, plugin, vessels), vessels, source.source)
+        return CheckedPoses(source, plugin, vessels)
     except InputError:
         raise
     except ModsimError as error:

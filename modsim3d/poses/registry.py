@@ -14,6 +14,7 @@ from modsim3d.poses.base import PoseRequest, PoseSource, SourceKeys
 from modsim3d.poses.checked import build_plugin
 from modsim3d.poses.circular import CircularKeys
 from modsim3d.poses.replay import FileKeys
+from modsim3d.poses.stream import StreamKeys
 from modsim3d.poses.tracks import TracksKeys
 from modsim3d.validation import describe
 
@@ -22,6 +23,7 @@ SOURCES: dict[str, type[SourceKeys]] = {
     "circular": CircularKeys,
     "tracks": TracksKeys,
     "agents": AgentsKeys,
+    "stream": StreamKeys,
 }
 
 
