@@ -19,6 +19,7 @@ from modsim3d.plugins import POSE_SOURCES, SHAPES, WAVE_LEVELS, load_plugin, plu
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.shape_plugins import find_shape, shape_problem
+from modsim3d.simulate import simulate_frames
 from modsim3d.vessels import shoebox
 from modsim3d.wave_levels import find_level
 from modsim3d.waves import LEVELS, Axis, level_axes
@@ -303,3 +304,48 @@ def test_example_builds_as_a_package(tmp_path):
     names = zipfile.ZipFile(wheel).namelist()
     assert "modsim3d_drift.py" in names
     assert "modsim3d_drift-1.0.dist-info/entry_points.txt" in names
+
+
+LIVE = """
+from typing import ClassVar
+import numpy as np
+from modsim3d.poses import LivePoses, Poses, SourceKeys
+from modsim3d.validation import Strict
+
+class Radio(SourceKeys, Strict):
+    generated: ClassVar[bool] = False
+    fault: str = ""
+
+    def build(self, request):
+        return LivePoses(self.steps(len(request.names)), len(request.names), "radio")
+
+    def steps(self, count):
+        for step in range(4):
+            if step == 2 and self.fault == "raises":
+                raise OSError("no signal")
+            wide = count + (step == 2 and self.fault == "shape")
+            positions = np.full((1, wide, 3), 50.0 + step) + 20 * np.arange(wide)[None, :, None]
+            positions[..., 2] = 0
+            time = "0.5" if step == 2 and self.fault == "time" else f"{step}.0"
+            yield time, Poses(np.ones((1, wide), bool), positions, np.zeros((1, wide)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "part"),
+    [
+        ("raises", "the plug-in 'radio' of my-radio 2 failed: OSError: no signal (my_radio.py, line"),
+        ("shape", "the plug-in 'radio' of my-radio 2: present must be an array of bool (1, 2), not bool (1, 3)"),
+        ("time", "radio:\n  step 3: 0.5: timestamps must increase"),
+    ],
+)
+def test_live_source_of_a_plugin_runs_and_its_faults_are_told(site, tmp_path, fault, part):
+    site.add("my-radio", "2", "my_radio", LIVE, {POSE_SOURCES: {"radio": "my_radio:Radio"}})
+    scene = load_scene(scene_with(tmp_path, {"radio": {}}, steps=9))
+    assert scene.live
+    assert [frame.timestamp for frame in simulate_frames(scene)] == ["0.0", "1.0", "2.0", "3.0"]
+    frames = simulate_frames(load_scene(scene_with(tmp_path, {"radio": {"fault": fault}}, steps=9)))
+    assert [next(frames).step, next(frames).step] == [0, 1]
+    with pytest.raises(ModsimError) as caught:
+        next(frames)
+    assert part in str(caught.value)

@@ -1,6 +1,7 @@
 """Pose sources by name: what a scene file says is what is built."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,3 +80,13 @@ def test_vessels_appear_and_leave_on_tracks(tmp_path):
     scene = load_scene(scene_of(tmp_path, {"tracks": tracks}, annotation={"source": "analytic"}), steps=8)
     seen = [list(frame.truth.vessels) for frame in simulate_frames(scene)]
     assert seen == [[], [], ["a"], ["a"], ["a", "b"], ["b"], ["b"], []]
+
+
+def test_the_document_lists_every_source_and_its_keys():
+    document = (Path(__file__).resolve().parents[1] / "docs" / "poses.md").read_text(encoding="utf-8")
+    for name, keys in SOURCES.items():
+        assert f"| `{name}: " in document
+        section = document.partition(f"\n## `{name}`")[2].partition("\n## ")[0]
+        assert section
+        for key in keys.model_fields if name in ("circular", "agents", "stream") else ():
+            assert f"| `{key}` | " in section, (name, key)
