@@ -1,0 +1,31 @@
+"""Not a bit of a result depends on how many steps are looked at together: a live run has blocks of one step."""
+
+import numpy as np
+import pytest
+
+from modsim3d.annotate.record import COLUMNS, concatenate
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import Simulation, block_ranges, truth_block
+
+STEPS = 24
+
+
+@pytest.mark.parametrize("source", ["rendered", "analytic", "rectangles"])
+@pytest.mark.parametrize("name", ["harbour", "simulation_1", "simulation_3"])
+def test_truth_and_detections_are_the_same_bits_in_blocks_of_one_step_and_of_many(name, source, renderer):
+    scene = load_scene(name, mode=2, source=source, steps=STEPS)
+    truths, boxes = [], []
+    for size in (1, 7, STEPS):
+        simulation, parts, found = Simulation(scene), [], []
+        for first, stop in block_ranges(STEPS, size):
+            truth = truth_block(scene, first, stop, renderer)
+            parts += [truth.take(truth.step == step) for step in range(first, stop)]
+            block = simulation.detect(truth, first, stop)
+            found.append([(part.detections.boxes_px, part.detections.confidence) for part in block.cameras])
+        truths.append(concatenate(parts))
+        boxes.append([np.concatenate([part[camera][i] for part in found]) for camera in range(len(scene.cameras))
+                      for i in range(2)])  # fmt: skip
+    for other in (1, 2):
+        for column in COLUMNS:
+            np.testing.assert_array_equal(getattr(truths[0], column), getattr(truths[other], column), column)
+        np.testing.assert_equal(boxes[0], boxes[other])
