@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from modsim3d.annotate.record import COLUMNS, concatenate
+from modsim3d.camera import Intrinsics
+from modsim3d.frames import camera_R_parent
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import Simulation, block_ranges, truth_block
+from tests.scenes import outlines_of, vessel
 
 STEPS = 24
 
@@ -29,3 +32,23 @@ def test_truth_and_detections_are_the_same_bits_in_blocks_of_one_step_and_of_man
         for column in COLUMNS:
             np.testing.assert_array_equal(getattr(truths[0], column), getattr(truths[other], column), column)
         np.testing.assert_equal(boxes[0], boxes[other])
+
+
+def test_one_horizon_is_the_same_bits_as_among_many():
+    rng = np.random.default_rng(3)
+    rotations = camera_R_parent(*rng.normal(0, 0.2, (3, 200)))
+    lens = Intrinsics((2855.4, 2855.4), (1232.0, 1028.0), (2464, 2056), skew=3.0)
+    alone = [lens.sea_half_plane(rotations[step]) for step in range(200)]
+    np.testing.assert_array_equal(lens.sea_half_plane(rotations), alone)
+
+
+def test_one_silhouette_is_the_same_bits_as_among_many():
+    rng = np.random.default_rng(4)
+    boats = [
+        (vessel(f"v{i}"), (rng.uniform(50, 500), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)) for i in range(50)
+    ]
+    together = outlines_of(boats)
+    alone = [outlines_of([boat]) for boat in boats]
+    assert len(together) == 50
+    for name in ("areas_px", "vertices_px", "boxes_px", "depth_m", "in_frame_fraction"):
+        np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(one, name) for one in alone]))
