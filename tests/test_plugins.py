@@ -175,6 +175,11 @@ BROKEN = {
     "another_class": ("class Drift: ...", "must be a class made from modsim3d.poses.PosesByTime"),
     "a_model": ("from pydantic import BaseModel\nclass Drift(BaseModel): ...", "must be a class made from"),
     "no_build": (HEAD + "class Drift(SourceKeys, Strict): ...", "failed: NotImplementedError"),
+    "bad_validator": (
+        HEAD + "from pydantic import model_validator\nclass Drift(PosesByTime):\n  @model_validator(mode='after')\n"
+        "  def look(self): return self.nothing",
+        "'drift' of drift 0.1 failed: AttributeError",
+    ),
     "builds_nothing": (HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass", "must give a pose"),
     "raises": (HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 1 / 0", "ZeroDivisionError: division"),
     "not_a_mapping": (

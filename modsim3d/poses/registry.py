@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pydantic import BaseModel, ValidationError
 
 from modsim3d.errors import InputError
-from modsim3d.plugins import POSE_SOURCES, Plugin, load_plugin, plugin_names
+from modsim3d.plugins import POSE_SOURCES, Plugin, failed, load_plugin, plugin_names
 from modsim3d.poses.agents import AgentsKeys
 from modsim3d.poses.base import PoseRequest, PoseSource, SourceKeys
 from modsim3d.poses.checked import build_plugin
@@ -71,6 +71,10 @@ def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
         read = model.model_validate(keys)
     except ValidationError as error:
         raise InputError(scene, describe(error, model, "poses", name)) from None
+    except Exception as error:  # a validator of another's model
+        if plugin is None:
+            raise
+        raise InputError(f"poses.{name}", [str(failed(plugin, error))]) from error
     return NamedSource(name, _source(read, name, plugin), plugin)
 
 
