@@ -185,7 +185,7 @@ class Intrinsics:
             from the horizon in pixels; (0, 0, ±1) if the camera looks straight down or up.
         """
         up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
-        line = -up @ np.linalg.inv(self.matrix)
+        line = (-up[..., None, :] @ np.linalg.inv(self.matrix))[..., 0, :]  # one by one: many at once round otherwise
         length = np.hypot(line[..., 0], line[..., 1])
         level = length < 1e-12 * np.abs(line[..., 2])
         scaled = line / np.where(level, 1.0, length)[..., None]

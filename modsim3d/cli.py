@@ -121,7 +121,7 @@ def run_command(
     folder = out if out is not None else Path("runs") / loaded.name
     try:
         with _progress_bar() as bar:
-            task = bar.add_task(loaded.name, total=loaded.steps)
+            task = bar.add_task(loaded.name, total=None if loaded.live else loaded.steps)
             result = run_scene(
                 loaded,
                 folder,
@@ -131,7 +131,8 @@ def run_command(
                 progress=lambda steps: bar.update(task, advance=steps, refresh=True),
             )
     except KeyboardInterrupt:
-        typer.echo("\nmodsim3d: interrupted; what was finished is kept: go on with --resume", err=True)
+        kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
+        typer.echo(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
         raise typer.Exit(INTERRUPTED) from None
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
@@ -149,9 +150,10 @@ def check_command(scene: SceneArgument) -> None:
     from modsim3d.scene_reader import load_scene
 
     loaded = load_scene(scene)
+    steps = "as they come" if loaded.live else loaded.steps
     typer.echo(
         f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
-        f"steps: {loaded.steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
+        f"steps: {steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
     )
 
 
@@ -306,7 +308,7 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
         (
             "frames",
             str(counts.frames),
-            f"{len(scene.cameras)} camera(s), {scene.steps} steps, mode {scene.annotation.mode}",
+            f"{len(scene.cameras)} camera(s), {result.steps} steps, mode {scene.annotation.mode}",
         ),
         (
             "vessels seen",

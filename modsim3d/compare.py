@@ -24,6 +24,7 @@ from modsim3d.annotate.record import Occlusion
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.camera import Camera
+from modsim3d.errors import ModsimError
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
@@ -192,6 +193,11 @@ def compare_sources(
         every: Look at every K-th step.
         progress: Called with the number of steps done since its last call.
     """
+    if scene.live:
+        raise ModsimError(
+            f"scene {scene.path}: compare looks at a scene that is known, and a stream's steps are not: run it, and "
+            "compare a scene with poses: {file: poses.jsonl} of its run directory"
+        )
     report = Report(scene.name, scene.annotation.supersample)
     steps = np.arange(0, scene.steps, every)
     shoebox()  # loads what makes solids, which is no part of the time per frame

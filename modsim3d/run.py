@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from modsim3d.counts import Counts
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.formats.pose_lines import pose_lines
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.scene import Scene
-from modsim3d.simulate import block_ranges, block_steps
-from modsim3d.workers import open_workers
+from modsim3d.simulate import step_ranges
+from modsim3d.workers import Range, open_workers
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
@@ -27,6 +29,7 @@ class RunResult:
     Attributes:
         folder: The run directory.
         counts: What happened.
+        steps: Number of time steps.
         seconds: Wall-clock time.
         resumed_steps: Steps whose truth was taken from an interrupted run.
         intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
@@ -34,6 +37,7 @@ class RunResult:
 
     folder: Path
     counts: Counts
+    steps: int
     seconds: float
     resumed_steps: int
     intersecting: tuple[tuple[str, str], ...]
@@ -62,24 +66,57 @@ def run_scene(
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
     started = time.perf_counter()
-    counts, resumed, pairs = Counts(), 0, set[tuple[int, int]]()
+    if scene.live:
+        _refuse_for_live(scene, resume, workers)
+    counts, steps, resumed, pairs = Counts(), 0, 0, set[tuple[int, int]]()
     with open_workers(scene, workers) as made:
         settings = _settings(scene, made.backend)
         with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-            for block in made.blocks(directory.work, block_ranges(scene.steps, block_steps(scene))):
+            for block in made.blocks(directory.work, _told_what_is_kept(step_ranges(scene), scene, directory.work)):
                 directory.write(block.files)
+                if scene.live:
+                    directory.write_poses(pose_lines(scene, steps, steps + block.steps))
                 counts += block.counts
+                steps += block.steps
                 pairs |= block.intersecting
                 resumed += block.steps if block.resumed else 0
                 progress(block.steps)
-            directory.finish({**settings, "counts": asdict(counts)})
+            directory.write_live_own_ships(steps)
+            directory.finish({**settings, **directory.live_settings(steps), "counts": asdict(counts)})
     seconds = time.perf_counter() - started
     (folder / LOG_FILE).write_text(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
         f"{counts.frames} frames in {seconds:.3f} s, {resumed} steps taken from an interrupted run\n"
     )
     names = scene.occluder_names
-    return RunResult(folder, counts, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
+    return RunResult(folder, counts, steps, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
+
+
+def _refuse_for_live(scene: Scene, resume: bool, workers: int) -> None:
+    if resume:
+        raise ModsimError(
+            f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
+            "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
+        )
+    if workers > 1:
+        raise ModsimError(
+            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
+            "workers: leave --workers out"
+        )
+
+
+def _told_what_is_kept(ranges: Iterator[Range], scene: Scene, work: Path) -> Iterator[Range]:
+    """The ranges; an error in what a stream brings also says where the steps before it are."""
+    done = 0
+    try:
+        for first, stop in ranges:
+            yield first, stop
+            done = stop
+    except InputError as error:
+        if not scene.live or not done:
+            raise
+        kept = f"what came before, {done} steps, is kept as complete lines in {work}"
+        raise InputError(error.source, [*error.problems, kept]) from None
 
 
 def _settings(scene: Scene, backend: str) -> dict[str, Any]:
@@ -93,5 +130,6 @@ def _settings(scene: Scene, backend: str) -> dict[str, Any]:
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],
         "backend": backend,
+        "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
         "versions": {name: version(name) for name in VERSIONED},
     }

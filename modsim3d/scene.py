@@ -20,7 +20,8 @@ from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.kinematics import velocities
 from modsim3d.obstacles import PREFIX, Obstacle, obstacle_bodies
-from modsim3d.poses import Poses, PoseSource
+from modsim3d.plugins import Plugin
+from modsim3d.poses import LivePoses, Poses, PoseSource
 from modsim3d.scene_copy import SceneCopy
 from modsim3d.vessels import Vessel
 from modsim3d.waves import Passage, WaveMotion
@@ -117,7 +118,7 @@ class Scene:
         path: The scene file.
         sha256: Of the scene file and every file that it names.
         seed: Everything random comes from it.
-        steps: Number of time steps.
+        steps: Number of time steps; of a live scene the most that are taken.
         vessels: In the order of the vessels file.
         poses: Where they are.
         cameras: In the order of the scene file.
@@ -127,6 +128,7 @@ class Scene:
         waves: How vessels move in waves, if they do.
         obstacles: What stands still and hides vessels.
         imu: The inertial unit on board of each vessel that carries a camera.
+        plugins: What other packages brought to it.
     """
 
     name: str
@@ -143,6 +145,7 @@ class Scene:
     waves: Waves | None = None
     obstacles: tuple[Obstacle, ...] = ()
     imu: Imu = PERFECT_IMU
+    plugins: tuple[Plugin, ...] = ()
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
@@ -153,6 +156,11 @@ class Scene:
     def occluder_names(self) -> tuple[str, ...]:
         """Names of what can hide a vessel: the vessels, then the obstacles."""
         return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
+
+    @property
+    def live(self) -> bool:
+        """Whether its steps come in while it runs."""
+        return isinstance(self.poses, LivePoses)
 
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
         """The text of the times of steps first to stop − 1."""
@@ -219,7 +227,8 @@ class Scene:
         A velocity needs the neighbouring steps, wherever a block ends; beyond its own ends the scene has none.
         """
         first, stop = int(steps[0]), int(steps[-1]) + 1
-        return max(first - margin, 0), max(min(stop + margin, self.steps), stop)
+        known = len(self.poses.timestamps) if self.live else self.steps
+        return max(first - margin, 0), max(min(stop + margin, known), stop)
 
     def _poses_at(self, steps: Indices) -> Poses:
         first, stop = int(steps[0]), int(steps[-1]) + 1
@@ -227,7 +236,7 @@ class Scene:
 
     def _in_waves(self, motion: WaveMotion, steps: Indices) -> tuple[Poses, Array]:
         """Poses with heave, and roll, pitch and yaw, shape (S, V, 3)."""
-        first, stop = self.with_neighbours(steps)
+        first, stop = self.with_neighbours(steps, 1 if motion.needs_velocity else 0)
         around, times_s, chosen = self.poses.poses(first, stop), self.times_s(first, stop), steps - first
         velocity = velocities(times_s, around.positions_m, around.present)[chosen]
         calm, times_s = _chosen(around, chosen), times_s[chosen]

@@ -8,20 +8,16 @@ from typing import Annotated, Literal
 import shapely
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from modsim3d.validation import Number, Probability, Strict, shown
+from modsim3d.validation import MAX_COORDINATE_M, Metres, Number, Probability, Strict, shown
 from modsim3d.waves import GRAVITY_M_S2, STEEPEST
 
-# Far beyond any scene, and near enough that no square or product of them overflows.
-MAX_COORDINATE_M = 1e9
-MAX_PX = 1e9
+MAX_PX = 1e9  # far beyond any scene, and near enough that no square or product of them overflows
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
 
-Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Pixels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_PX, le=MAX_PX)]
 Lens = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e3)]
 NearClip = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=MAX_COORDINATE_M)]
-Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 Interval = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e9)]
 Steps = Annotated[int, Field(strict=True, gt=0, le=MAX_STEPS)]
 Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
@@ -79,43 +75,6 @@ class CameraKeys(Strict):
         return mount
 
 
-class CircularKeys(Strict):
-    """Vessels on concentric circles (Jessen & Mohr (2023), Table 9.4)."""
-
-    centre_m: tuple[Metres, Metres] = (0.0, 0.0)
-    radius_m: tuple[Annotated[Metres, Field(ge=0)], Annotated[Metres, Field(gt=0)]]
-    rotation_rate_rad_s: tuple[Rate, Rate]
-
-    @model_validator(mode="after")
-    def _ordered(self) -> CircularKeys:
-        for key in ("radius_m", "rotation_rate_rad_s"):
-            low, high = getattr(self, key)
-            if low > high:
-                raise ValueError(f"{key} is [least, greatest], but {low} > {high}")
-        return self
-
-
-class PosesKeys(Strict):
-    """Where vessels are: exactly one source."""
-
-    file: str | None = None
-    circular: CircularKeys | None = None
-    tracks: dict[str, list[tuple[Number, Metres, Metres]]] | None = Field(default=None, validate_default=True)
-
-    @field_validator("tracks")
-    @classmethod
-    def _one_source(cls, tracks: object, info: ValidationInfo) -> object:
-        others = [info.data.get(key, "given but wrong") for key in ("file", "circular")]
-        if sum(source is not None for source in (tracks, *others)) != 1:
-            raise ValueError("give exactly one of file, circular and tracks")
-        return tracks
-
-    @property
-    def generated(self) -> str | None:
-        """The key of a source that has no times of its own, if it is one."""
-        return next((key for key in ("circular", "tracks") if getattr(self, key) is not None), None)
-
-
 class AnnotationKeys(Strict):
     """Annotation mode, source and filters (Jessen & Mohr (2023), §7.5.1)."""
 
@@ -141,7 +100,7 @@ class AxisKeys(Strict):
 class WavesKeys(Strict):
     """How waves move vessels: a named level, the coefficients of each axis, or a spectrum."""
 
-    level: Literal["none", "small", "medium", "large", "huge"] | None = None
+    level: str | None = None
     roll: AxisKeys | None = None
     pitch: AxisKeys | None = None
     yaw: AxisKeys | None = None
@@ -234,13 +193,13 @@ class ObstacleKeys(Strict):
 
 
 class SceneKeys(Strict):
-    """A scene file. `vessels` is looked at apart from this: it may be a file."""
+    """A scene file. `vessels`, which may be a file, and the source in `poses` are looked at apart from this."""
 
     steps: Steps | None = None
     time_step_s: Interval | None = None
     seed: Seed = 0
     vessels: str | dict[str, object]
-    poses: PosesKeys
+    poses: dict[str, object]
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
     obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
@@ -257,13 +216,3 @@ class SceneKeys(Strict):
         if numbers:
             raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers)} in quotes")
         return vessels
-
-    @field_validator("poses")
-    @classmethod
-    def _times(cls, poses: PosesKeys, info: ValidationInfo) -> PosesKeys:
-        if poses.generated is not None:
-            missing = [key for key in ("steps", "time_step_s") if info.data.get(key, "given but wrong") is None]
-            if missing:
-                needed = " and ".join(missing)
-                raise ValueError(f"{poses.generated} makes its own times: {needed} must be given beside it")
-        return poses

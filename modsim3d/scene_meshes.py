@@ -10,8 +10,11 @@ import orjson
 
 from modsim3d.errors import InputError
 from modsim3d.meshes import load_mesh, shipped_meshes
+from modsim3d.meshes.shape import is_closed
 from modsim3d.obstacles import Obstacle, extruded, placed
+from modsim3d.plugins import Plugin
 from modsim3d.scene_file import ObstacleKeys
+from modsim3d.shape_plugins import find_shape
 from modsim3d.validation import join_path
 from modsim3d.vessels import Solid
 
@@ -27,6 +30,8 @@ class SceneMeshes:
         self._solids: dict[bytes, Solid] = {}
         self.files: dict[str, Path] = {}
         """Path in a copy of the scene → the mesh file."""
+        self.plugins: list[Plugin] = []
+        """Those that shapes came from."""
 
     def solid(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
         """The solid of an entry; see `load_mesh`.
@@ -36,10 +41,20 @@ class SceneMeshes:
         """
         key = orjson.dumps([str(folder), entry], default=str)
         if key not in self._solids:
-            solid = load_mesh(entry, folder, source, *path)
+            solid = self._load(entry, folder, source, *path)
             few = len(solid.faces) <= MOST_FACES_OF_CONVEX
             self._solids[key] = replace(solid, convex=solid.convex and few)
         return self._solids[key]
+
+    def _load(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
+        if not isinstance(entry, str) or entry in shipped_meshes() or Path(entry).suffix:
+            return load_mesh(entry, folder, source, *path)
+        try:
+            solid, plugin = find_shape(entry, join_path(*path), tuple(shipped_meshes()))
+        except InputError as error:
+            raise InputError(source, [f"{error.source}: {problem}" for problem in error.problems]) from error
+        self.plugins.append(plugin)
+        return replace(solid, convex=False, closed=is_closed(solid.faces))
 
     def copied(self, entry: object, folder: Path) -> object:
         """The entry as it stands in a copy of the scene, where the file has a name of its own."""
@@ -49,6 +64,8 @@ class SceneMeshes:
         if file in shipped_meshes() and not isinstance(entry, dict):
             self.files.setdefault(f"meshes/{file}.glb", shipped_meshes()[file])
             return f"meshes/{file}.glb"
+        if not Path(file).suffix:
+            return entry  # a plug-in's
         source = folder / file
         known = next((name for name, path in self.files.items() if path == source), None)
         name = known or f"meshes/{len(self.files)}_{source.name}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,16 +22,19 @@ from modsim3d.errors import InputError
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.lens import Distortion
 from modsim3d.obstacles import PREFIX, Obstacle
-from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
+from modsim3d.plugins import Plugin
+from modsim3d.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import MAX_STEPS, CameraKeys, SceneKeys, WavesKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
-from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea, level_axes
+from modsim3d.wave_levels import find_level
+from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 
 Indices = NDArray[np.int64]
+Axes = tuple[Axis, Axis, Axis]
 T = TypeVar("T")
 
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
@@ -147,20 +150,22 @@ class _Reader:
             self._check_mounts(names)
         if entries is not None and detector is not None:
             self._check_labels(entries, detector)
-        poses = self._poses(keys, names, vessels)
+        source = self._pose_source()
+        poses = self._poses(source, keys, names, vessels)
+        level = self._wave_level()
         obstacles = self._obstacles(keys) if keys else ()
         if vessels is not None:
             vessels = tuple(self._with_mesh(vessel, (entries or {})[vessel.name].get("mesh")) for vessel in vessels)
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
-        copy = self._copy(keys, entries or {})
+        copy = self._copy(keys, entries or {}, isinstance(poses, LivePoses))
         scene = Scene(
             name=self.path.stem,
             path=self.path,
-            sha256=self._sha256(keys),
+            sha256=self._sha256(keys, source.keys.files if source else ()),
             seed=keys.seed,
-            steps=keys.steps or len(poses.timestamps),
+            steps=keys.steps or (MAX_STEPS if isinstance(poses, LivePoses) else len(poses.timestamps)),
             vessels=vessels,
             poses=poses,
             cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
@@ -168,12 +173,22 @@ class _Reader:
             detector=detector,
             copy=copy,
             obstacles=obstacles,
-            waves=_waves(keys.waves, keys.seed, vessels),
+            waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
             imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
+            plugins=tuple(
+                plugin for plugin in (source and source.plugin, level and level[1], *self.meshes.plugins) if plugin
+            ),
         )
         if keys.imu is not None and not scene.own_ships:
             self.problems.append("imu: no camera is mounted on a vessel, so that there is no own ship to measure")
-        self._check_places(scene)
+        if scene.live and scene.waves is not None and scene.waves.motion.needs_velocity:
+            self.problems.append(
+                "waves.spectrum: the sea needs to know how fast vessels are, which a stream tells too late: use "
+                "a level or coefficients"
+            )
+        self._check_lenses(scene)
+        if not scene.live:
+            self._check_places(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         return scene
@@ -248,36 +263,48 @@ class _Reader:
         entry = self.data.get("detector")
         return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
 
-    def _poses(
-        self, keys: SceneKeys | None, names: list[str] | None, vessels: tuple[Vessel, ...] | None
-    ) -> PoseSource | None:
+    def _pose_source(self) -> NamedSource | None:
+        """The keys of the pose source; of one that makes its own poses only if the scene gives it times."""
         entry = self.data.get("poses")
-        file = entry.get("file") if isinstance(entry, dict) else None
-        if isinstance(file, str):
-            recorded = self._collect(lambda: load_poses(self.folder / file, names))
-            asked = self.data.get("steps")
-            if recorded is not None and isinstance(asked, int) and asked > len(recorded.timestamps):
-                self.problems.append(f"steps: {asked} asked for, but the pose file has {len(recorded.timestamps)}")
-            return recorded
-        if keys is None or vessels is None:
+        if not isinstance(entry, dict) or not all(isinstance(name, str) for name in entry):
+            return None  # the scene's own keys say what is wrong
+        source = self._collect(lambda: read_source(entry, f"scene {self.path}"))
+        missing = [key for key in ("steps", "time_step_s") if self.data.get(key) is None]
+        if source is not None and source.keys.generated and missing:
+            needed = " and ".join(missing)
+            self.problems.append(f"poses: {source.name} makes its own times: {needed} must be given beside it")
             return None
-        circular, tracks = keys.poses.circular, keys.poses.tracks
-        steps, interval = keys.steps or 0, keys.time_step_s or 0.0
-        if tracks is not None:
-            return self._collect(lambda: waypoint_tracks(tracks, names or [], steps, interval))
-        if circular is None:
+        return source
+
+    def _poses(
+        self,
+        source: NamedSource | None,
+        keys: SceneKeys | None,
+        names: list[str] | None,
+        vessels: tuple[Vessel, ...] | None,
+    ) -> PoseSource | None:
+        if source is None or (source.keys.generated and (keys is None or vessels is None)):
             return None
-        return self._collect(
-            lambda: circular_motion(
-                vessels,
-                steps,
-                interval,
-                circular.centre_m,
-                circular.radius_m,
-                circular.rotation_rate_rad_s,
-                keys.seed,
-            )
+        request = PoseRequest(
+            folder=self.folder,
+            names=None if names is None else tuple(names),
+            vessels=vessels or (),
+            steps=keys.steps if keys else None,
+            time_step_s=keys.time_step_s if keys else None,
+            seed=keys.seed if keys else 0,
         )
+        poses = self._collect(lambda: source.build(request))
+        asked = self.data.get("steps")
+        known = poses is not None and not isinstance(poses, LivePoses)
+        if poses is not None and known and isinstance(asked, int) and asked > len(poses.timestamps):
+            which = "the pose file" if source.name == "file" else f"poses.{source.name}"
+            self.problems.append(f"steps: {asked} asked for, but {which} has {len(poses.timestamps)}")
+        return poses
+
+    def _wave_level(self) -> tuple[Axes, Plugin | None] | None:
+        waves = self.data.get("waves")
+        level = waves.get("level") if isinstance(waves, dict) else None
+        return self._collect(lambda: find_level(level)) if isinstance(level, str) else None
 
     def _check_mounts(self, names: list[str]) -> None:
         cameras = self.data.get("cameras")
@@ -303,20 +330,16 @@ class _Reader:
         found: set[str] = set()
         for first in range(0, scene.steps, CHECKED_STEPS):
             steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
-            for camera in scene.cameras:
-                if camera.name in found:
-                    continue
-                if problem := camera.intrinsics.lens_problem():
-                    self.problems.append(f"cameras.{camera.name}.distortion: {problem}")
-                    found.add(camera.name)
-                    continue
-                try:
-                    _check_place(scene, camera, steps)
-                except InputError as error:
-                    self.problems += error.problems
-                    found.add(camera.name)
+            for name, problems in place_problems(scene, steps, found).items():
+                self.problems += problems
+                found.add(name)
 
-    def _copy(self, keys: SceneKeys, entries: dict[Any, Any]) -> SceneCopy:
+    def _check_lenses(self, scene: Scene) -> None:
+        for camera in scene.cameras:
+            if problem := camera.intrinsics.lens_problem():
+                self.problems.append(f"cameras.{camera.name}.distortion: {problem}")
+
+    def _copy(self, keys: SceneKeys, entries: dict[Any, Any], live: bool) -> SceneCopy:
         """The scene with every file that it names under a plain name beside it."""
         files = {f"detector{Path(keys.detector).suffix}": self.folder / keys.detector}
         document = {**self.data, "vessels": self._copied(entries, self._vessels_folder())}
@@ -324,9 +347,13 @@ class _Reader:
         if "obstacles" in self.data:
             document["obstacles"] = self._copied(self.data["obstacles"], self.folder)
         files |= self.meshes.files
-        if keys.poses.file is not None:
-            name = f"poses.json{'.gz' if keys.poses.file.endswith('.gz') else ''}"
-            files[name] = self.folder / keys.poses.file
+        recorded = keys.poses.get("file")
+        if live:
+            document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps what came in
+            document.pop("steps", None)
+        elif isinstance(recorded, str):
+            name = "poses" + "".join(Path(recorded).suffixes[-2:])
+            files[name] = self.folder / recorded
             document["poses"] = {"file": name}
         return SceneCopy(self.path.stem, document, files)
 
@@ -337,13 +364,31 @@ class _Reader:
             for name, entry in entries.items()
         }
 
-    def _sha256(self, keys: SceneKeys) -> str:
-        named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
+    def _sha256(self, keys: SceneKeys, pose_files: tuple[str, ...]) -> str:
+        named = [keys.vessels if isinstance(keys.vessels, str) else None, *pose_files, keys.detector]
         digest = hashlib.sha256()
         given = [self.folder / name for name in named if name is not None]
         for path in [self.path, *given, *self.meshes.files.values()]:
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         return digest.hexdigest()
+
+
+def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
+    """What is wrong with the place of each camera at some steps: none, or inside a vessel.
+
+    Args:
+        scene: The scene.
+        steps: Ascending.
+        leave_out: Names of cameras that are not looked at.
+    """
+    found = {}
+    for camera in scene.cameras:
+        if camera.name not in leave_out:
+            try:
+                _check_place(scene, camera, steps)
+            except InputError as error:
+                found[camera.name] = error.problems
+    return found
 
 
 def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
@@ -365,7 +410,7 @@ def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     )
 
 
-def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...]) -> Waves | None:
+def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:
     if keys is None or keys.level == "none":
         return None
     if keys.spectrum is not None:
@@ -378,9 +423,8 @@ def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...]) -> Wa
         )
         hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
         return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
-    if keys.level is not None:
-        axes = level_axes(keys.level)
-    else:
+    axes = level
+    if axes is None:
         given = [getattr(keys, name) for name in AXES]
         roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
         axes = (roll, pitch, yaw)

@@ -18,8 +18,10 @@ from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.records import Frames, Targets
-from modsim3d.errors import ModsimError
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.poses import LivePoses
 from modsim3d.scene import Scene
+from modsim3d.scene_reader import place_problems
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
@@ -147,6 +149,28 @@ def block_ranges(steps: int, block_steps: int) -> list[tuple[int, int]]:
     return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
 
 
+def step_ranges(scene: Scene) -> Iterator[tuple[int, int]]:
+    """First step and the step after the last of each block of a scene.
+
+    A live scene gives a block of one step when that step has come, and waits for the next only when it is asked for it.
+
+    Raises:
+        InputError: What came is wrong, or a camera has no place at the step.
+    """
+    poses = scene.poses
+    if not isinstance(poses, LivePoses):
+        yield from block_ranges(scene.steps, block_steps(scene))
+        return
+    for step in range(scene.steps):
+        if not poses.wait(step):
+            if step == 0:
+                raise InputError(poses.source, ["ended before the first time step"])
+            return
+        if problems := place_problems(scene, np.arange(step, step + 1)):
+            raise InputError(f"scene {scene.path}", [line for lines in problems.values() for line in lines])
+        yield step, step + 1
+
+
 def simulate_frames(scene: Scene) -> Iterator[Frame]:
     """Run a scene in memory, frame by frame, without writing anything.
 
@@ -154,10 +178,10 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
         scene: From `load_scene`.
 
     Yields:
-        Each camera's frame at each step.
+        Each camera's frame at each step; of a live scene before the next step is waited for.
     """
     simulation = Simulation(scene)
     with open_renderer(scene) as renderer:
-        for first, stop in block_ranges(scene.steps, block_steps(scene)):
+        for first, stop in step_ranges(scene):
             block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
             yield from frames_of(block, scene)

@@ -21,6 +21,10 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Probability = Annotated[float, Field(strict=True, ge=0, le=1)]
 Count = Annotated[int, Field(strict=True, ge=0)]
+# Far beyond any scene, and near enough that no square or product of them overflows.
+MAX_COORDINATE_M = 1e9
+Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 
 
 class Strict(BaseModel):
@@ -164,6 +168,24 @@ def load_json(path: Path, what: str) -> Any:
     Raises:
         InputError: The file cannot be read or is not valid JSON; the message names line and column.
     """
+    text = read_text(path, what).removeprefix("\ufeff")
+    if not text.strip():
+        raise InputError(f"{what} {path}", ["the file is empty"])
+    return parse_json(text, f"{what} {path}")
+
+
+def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file") -> Any:
+    """The value of a JSON text; repeated keys, which parsers drop silently, are refused.
+
+    Args:
+        text: The text.
+        source: What to call it in an error.
+        first_line: Number of its first line.
+        whole: What ends where the text ends.
+
+    Raises:
+        InputError: It is not valid JSON; the message names line and column.
+    """
     repeated = False
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -172,22 +194,20 @@ def load_json(path: Path, what: str) -> Any:
         repeated = repeated or len(result) < len(pairs)
         return result
 
-    text = read_text(path, what).removeprefix("\ufeff")
-    if not text.strip():
-        raise InputError(f"{what} {path}", ["the file is empty"])
     try:
         content = json.loads(text, object_pairs_hook=mapping)
         if repeated:
             problems = _repeated_keys(json.loads(text, object_pairs_hook=_Pairs), ())
-            raise InputError(f"{what} {path}", list(dict.fromkeys(problems)))
+            raise InputError(source, list(dict.fromkeys(problems)))
     except json.JSONDecodeError as error:
-        where = f"line {error.lineno}, column {error.colno}"
-        cut = " (the file ends here: is it cut off?)" if error.pos >= len(text.rstrip()) else ""
-        raise InputError(f"{what} {path}", [f"{where}: {error.msg}{cut}"]) from None
+        where = f"line {first_line + error.lineno - 1}, column {error.colno}"
+        unfinished = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated")
+        cut = f" (the {whole} ends here: is it cut off?)" if unfinished else ""
+        raise InputError(source, [f"{where}: {error.msg}{cut}"]) from None
     except RecursionError:
-        raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
+        raise InputError(source, ["is nested too deeply"]) from None
     except ValueError as error:  # an integer of thousands of digits
-        raise InputError(f"{what} {path}", [f"a value cannot be read: {error}"]) from None
+        raise InputError(source, [f"a value cannot be read: {error}"]) from None
     return content
 
 

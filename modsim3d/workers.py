@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
@@ -74,7 +74,8 @@ class BlockMaker:
         resumed = truth is not None
         if truth is None:
             truth = truth_block(self._scene, first, stop, self._renderer)
-            keep_truth(folder, truth, first, stop)
+            if not self._scene.live:  # its steps do not come twice
+                keep_truth(folder, truth, first, stop)
         block = self._simulation.detect(truth, first, stop)
         counts = Counts.of(block, self._scene)
         intersecting = frozenset((first, second) for first, second in truth.intersections[:, 2:].tolist())
@@ -86,7 +87,7 @@ class Workers(Protocol):
 
     backend: str
 
-    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+    def blocks(self, folder: Path, ranges: Iterable[Range]) -> Iterator[FinishedBlock]:
         """The blocks of the ranges, in their order."""
 
 
@@ -98,7 +99,7 @@ class ThisProcess:
         self._maker = maker
         self.backend = maker.backend
 
-    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+    def blocks(self, folder: Path, ranges: Iterable[Range]) -> Iterator[FinishedBlock]:
         """The blocks of the ranges, in their order."""
         return (self._maker.make(folder, *steps) for steps in ranges)
 
@@ -112,7 +113,7 @@ class Processes:
         self._ahead = count * BLOCKS_AHEAD
         self.backend = self._result(pool.submit(_backend))
 
-    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+    def blocks(self, folder: Path, ranges: Iterable[Range]) -> Iterator[FinishedBlock]:
         """The blocks of the ranges, in their order.
 
         Raises:

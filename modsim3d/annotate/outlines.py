@@ -190,5 +190,6 @@ def _projected_areas(pixels: Array, solid: Solid) -> Array:
     """Area of each silhouette: every ray that meets a convex solid meets two of its faces, shape (n,)."""
     a, b, c = np.moveaxis(pixels[:, solid.faces], 2, 0)
     doubled = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
-    areas: Array = np.abs(doubled).sum(axis=-1) / 4
+    # In order of memory, or the sum is rounded differently for one silhouette and for many.
+    areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas

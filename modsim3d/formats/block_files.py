@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,13 +18,14 @@ TABLES = {
     "truth": (tables.TRUTH, tables.truth_table),
     "detections": (tables.DETECTIONS, tables.detection_table),
 }
-OWN_SHIP_TABLES = {"ownship": (ownship_table.OWN_SHIP, ownship_table.own_ship_table)}
+OWN_SHIP = "ownship"
 JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
 
 
-def tables_of(scene: Scene) -> dict[str, tuple[pa.Schema, Callable[[Block, Scene], pa.Table]]]:
-    """The tables that a scene's run has, by name: columns, and what makes its rows of a block."""
-    return {**TABLES, **(OWN_SHIP_TABLES if scene.own_ships else {})}
+def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
+    """The columns of each table that a scene's run has."""
+    own_ship = {OWN_SHIP: ownship_table.OWN_SHIP} if scene.own_ships else {}
+    return {**{name: schema for name, (schema, _) in TABLES.items()}, **own_ship}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,11 @@ class BlockFiles:
     @classmethod
     def of(cls, block: Block, scene: Scene) -> BlockFiles:
         """Format a block."""
+        rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
+        if scene.own_ships and not scene.live:  # accelerations need steps that have not come: written at the end
+            rows[OWN_SHIP] = ownship_table.own_ship_table(scene, block.first, block.stop)
         return cls(
-            {name: table(block, scene) for name, (_, table) in tables_of(scene).items()},
+            rows,
             {
                 (kind, part.camera): b"".join(lines(block, part, scene))
                 for part in block.cameras

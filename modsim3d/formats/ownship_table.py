@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.block import Block
 from modsim3d.ownship import OwnShips, own_ships_at
 from modsim3d.scene import Scene
 
@@ -32,15 +31,15 @@ OWN_SHIP = pa.schema(
 )
 
 
-def own_ship_table(block: Block, scene: Scene) -> pa.Table:
-    """One row for each step and vessel that carries a camera, in this order."""
-    own = own_ships_at(scene, block.first, block.stop)
+def own_ship_table(scene: Scene, first: int, stop: int) -> pa.Table:
+    """One row for each of steps first to stop − 1 and vessel that carries a camera, in this order."""
+    own = own_ships_at(scene, first, stop)
     steps, vessels = own.headings_rad.shape
     names = pa.array([scene.vessel_names[index] for index in own.vessels])
     columns = {
         "vessel": names.take(pa.array(np.tile(np.arange(vessels), steps))),
-        "step": np.repeat(np.arange(block.first, block.stop), vessels),
-        "timestamp": pa.array(block.timestamps).take(pa.array(np.repeat(np.arange(steps), vessels))),
+        "step": np.repeat(np.arange(first, stop), vessels),
+        "timestamp": pa.array(scene.timestamps(first, stop)).take(pa.array(np.repeat(np.arange(steps), vessels))),
         "heading_rad": own.headings_rad.ravel(),
         **_components(own),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from pathlib import Path
@@ -12,7 +13,8 @@ import orjson
 
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats import tables, thesis_json
-from modsim3d.formats.block_files import JSON_LINES, BlockFiles, tables_of
+from modsim3d.formats.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
+from modsim3d.formats.ownship_table import own_ship_table
 from modsim3d.scene import Scene
 
 UNFINISHED = "unfinished"
@@ -20,6 +22,8 @@ UNFINISHED = "unfinished"
 RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
 SCENE_FOLDER = "scene"
 """A copy of the scene and of every file that it names."""
+POSES_FILE = "poses.jsonl"
+"""What a live scene took in; a pose file for another run."""
 
 
 class RunDirectory:
@@ -59,13 +63,15 @@ class RunDirectory:
             scene.copy.write(self.work / SCENE_FOLDER)
             self._writers = {
                 name: tables.TableWriter(self.work / f"{name}.parquet", schema)
-                for name, (schema, _) in tables_of(scene).items()
+                for name, schema in schemas_of(scene).items()
             }
             self._lines: dict[tuple[str, int], IO[bytes]] = {
                 (kind, index): self._lines_path(kind, index).open("wb")
                 for kind in JSON_LINES
                 for index in range(len(scene.cameras))
             }
+            self._poses = (self.work / POSES_FILE).open("wb") if scene.live else None
+            self._poses_sha256 = hashlib.sha256()
         except OSError as error:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
 
@@ -86,6 +92,8 @@ class RunDirectory:
                 stream.close()
             for writer in self._writers.values():
                 writer.close()
+            if self._poses is not None:
+                self._poses.close()
         except OSError as failure:
             raise self._unwritable(failure) from failure
         if isinstance(error, OSError):
@@ -151,6 +159,22 @@ class RunDirectory:
             self._lines[key].write(lines)
             self._lines[key].flush()
 
+    def write_poses(self, lines: bytes) -> None:
+        """Add the poses of steps that a live scene has made."""
+        if self._poses is not None:
+            self._poses.write(lines)
+            self._poses.flush()
+            self._poses_sha256.update(lines)
+
+    def write_live_own_ships(self, steps: int) -> None:
+        """Add how own ships moved in a live scene, once all its steps have come."""
+        if self._poses is not None and self._scene.own_ships and steps:
+            self._writers[OWN_SHIP].write(own_ship_table(self._scene, 0, steps))
+
+    def live_settings(self, steps: int) -> dict[str, Any]:
+        """What decided the files' content and was not known before a live scene had run."""
+        return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
+
     def finish(self, run: dict[str, Any]) -> None:
         """Put every file in its place; `run.json` last, so that its presence means that all are complete.
 
@@ -170,6 +194,8 @@ class RunDirectory:
         if (self.folder / SCENE_FOLDER).is_dir():  # put there by a run that was killed just then
             shutil.rmtree(self.folder / SCENE_FOLDER)
         (self.work / SCENE_FOLDER).replace(self.folder / SCENE_FOLDER)
+        if self._poses is not None:
+            place(self.work / POSES_FILE, self.folder / POSES_FILE)
         partial = self.work / RUN_FILE
         partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
         place(partial, self.folder / RUN_FILE)

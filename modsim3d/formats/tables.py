@@ -17,6 +17,8 @@ from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
+MOST_WAITING = 64
+"""Tables that wait to be written: one of a single row takes thousands of bytes."""
 
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
@@ -180,7 +182,10 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
 
 
 class TableWriter:
-    """Writes a Parquet file in row groups of one size, whatever the size of the tables it is given."""
+    """Writes a Parquet file in row groups of one size, whatever the size of the tables it is given.
+
+    Each group is written from one piece: where pages end may depend on the pieces.
+    """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         """Open the file."""
@@ -192,15 +197,17 @@ class TableWriter:
         """Add rows."""
         self._waiting.append(table)
         self._rows += len(table)
+        if len(self._waiting) == MOST_WAITING:
+            self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
         while self._rows > ROW_GROUP_ROWS:  # what is left is written at the end, and is not empty
             joined = pa.concat_tables(self._waiting)
-            self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS))
+            self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS).combine_chunks())
             self._waiting = [joined.slice(ROW_GROUP_ROWS)]
             self._rows -= ROW_GROUP_ROWS
 
     def close(self) -> None:
         """Write what is left and the footer."""
         if self._waiting:
-            self._writer.write_table(pa.concat_tables(self._waiting))
+            self._writer.write_table(pa.concat_tables(self._waiting).combine_chunks())
             self._waiting = []
         self._writer.close()

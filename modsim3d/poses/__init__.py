@@ -1,18 +1,27 @@
 """Where vessels are: a pose source gives, for a run of steps, which vessels are there, where, and their headings."""
 
-from modsim3d.poses.base import Poses, PoseSource, generated_timestamps
+from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps
 from modsim3d.poses.circular import CircularMotion, circular_motion
+from modsim3d.poses.live import LivePoses
+from modsim3d.poses.registry import NamedSource, read_source
 from modsim3d.poses.replay import RecordedPoses, load_poses
+from modsim3d.poses.timed import PosesByTime
 from modsim3d.poses.tracks import Tracks, waypoint_tracks
 
 __all__ = [
     "CircularMotion",
+    "LivePoses",
+    "NamedSource",
+    "PoseRequest",
     "PoseSource",
     "Poses",
+    "PosesByTime",
     "RecordedPoses",
+    "SourceKeys",
     "Tracks",
     "circular_motion",
     "generated_timestamps",
     "load_poses",
+    "read_source",
     "waypoint_tracks",
 ]

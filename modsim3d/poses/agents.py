@@ -12,14 +12,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, field_validator
 
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
-from modsim3d.poses.base import Poses, generated_timestamps
+from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.poses.replay import RecordedPoses
 from modsim3d.random_streams import Streams
+from modsim3d.validation import MAX_COORDINATE_M, Strict
 from modsim3d.vessels import Vessel
 
 LOOK_AHEAD_S = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
@@ -47,6 +50,32 @@ class Basin:
     turn_rate_rad_s: float = 0.5
     turn_acceleration_rad_s2: float = 0.6
     clearance_m: float = 1.0
+
+
+Above0 = Annotated[float, Field(strict=True, gt=0, le=MAX_COORDINATE_M)]
+
+
+class AgentsKeys(SourceKeys, Strict):
+    """Reactive agents in a closed basin; what each key is, `Basin` says."""
+
+    size_m: tuple[Above0, Above0]
+    speed_m_s: tuple[Above0, Above0] = Basin.speed_m_s
+    acceleration_m_s2: Above0 = Basin.acceleration_m_s2
+    turn_rate_rad_s: Above0 = Basin.turn_rate_rad_s
+    turn_acceleration_rad_s2: Above0 = Basin.turn_acceleration_rad_s2
+    clearance_m: Above0 = Basin.clearance_m
+
+    @field_validator("speed_m_s")
+    @classmethod
+    def _ordered(cls, speed_m_s: tuple[float, float]) -> tuple[float, float]:
+        if speed_m_s[0] > speed_m_s[1]:
+            raise ValueError(f"is [least, greatest], but {speed_m_s[0]} > {speed_m_s[1]}")
+        return speed_m_s
+
+    def build(self, request: PoseRequest) -> RecordedPoses:
+        """The whole drive, from the seed."""
+        basin = Basin(**self.model_dump())
+        return drive_agents(request.vessels, request.steps or 0, request.time_step_s or 0.0, basin, request.seed)
 
 
 @dataclass(eq=False)

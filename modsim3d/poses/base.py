@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Protocol
+from pathlib import Path
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.frames import Array
+from modsim3d.vessels import Vessel
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,56 @@ class PoseSource(Protocol):
 
     def poses(self, first: int, stop: int) -> Poses:
         """Poses at steps first, first + 1, …, stop − 1."""
+
+
+@dataclass(frozen=True)
+class PoseRequest:
+    """What a scene asks of its pose source.
+
+    Attributes:
+        folder: Paths in the scene file are relative to it.
+        names: IDs of the scene's vessels, in its order; None if its vessels cannot be read.
+        vessels: The vessels themselves; none if one of them is wrong.
+        steps: Number of time steps, if the scene gives it.
+        time_step_s: Interval between them, if the scene gives it.
+        seed: Everything random comes from it.
+    """
+
+    folder: Path
+    names: tuple[str, ...] | None
+    vessels: tuple[Vessel, ...] = ()
+    steps: int | None = None
+    time_step_s: float | None = None
+    seed: int = 0
+
+    @property
+    def timestamps(self) -> tuple[str, ...]:
+        """The times of a source that has none of its own."""
+        return generated_timestamps(self.steps or 0, self.time_step_s or 0.0)
+
+
+class SourceKeys:
+    """The keys of a pose source in a scene file, and what makes its poses: a mixin for a pydantic model.
+
+    Attributes:
+        generated: Whether its times are the scene's, which must then give `steps` and `time_step_s`. Such a source is
+            built only from a scene that is right otherwise; one with times of its own is looked at in any case.
+    """
+
+    generated: ClassVar[bool] = True
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The files that it reads, as the scene file names them."""
+        return ()
+
+    def build(self, request: PoseRequest) -> PoseSource:
+        """The poses of a scene's vessels.
+
+        Raises:
+            InputError: With every problem found.
+        """
+        raise NotImplementedError
 
 
 def generated_timestamps(steps: int, time_step_s: float) -> tuple[str, ...]:

@@ -5,16 +5,47 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
-from modsim3d.poses.base import Poses, generated_timestamps
+from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.random_streams import Streams
+from modsim3d.validation import Metres, Rate, Strict
 from modsim3d.vessels import Vessel
 
 MAX_DRAWS = 10_000
+
+
+class CircularKeys(SourceKeys, Strict):
+    """Vessels on concentric circles (Jessen & Mohr (2023), Table 9.4)."""
+
+    centre_m: tuple[Metres, Metres] = (0.0, 0.0)
+    radius_m: tuple[Annotated[Metres, Field(ge=0)], Annotated[Metres, Field(gt=0)]]
+    rotation_rate_rad_s: tuple[Rate, Rate]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> CircularKeys:
+        for key in ("radius_m", "rotation_rate_rad_s"):
+            low, high = getattr(self, key)
+            if low > high:
+                raise ValueError(f"{key} is [least, greatest], but {low} > {high}")
+        return self
+
+    def build(self, request: PoseRequest) -> CircularMotion:
+        """Circles drawn from the seed."""
+        return circular_motion(
+            request.vessels,
+            request.steps or 0,
+            request.time_step_s or 0.0,
+            self.centre_m,
+            self.radius_m,
+            self.rotation_rate_rad_s,
+            request.seed,
+        )
 
 
 @dataclass(frozen=True, eq=False)

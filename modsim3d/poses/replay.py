@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import RootModel
 
 from modsim3d.errors import InputError
-from modsim3d.poses.base import Poses
-from modsim3d.validation import join_path, load_json, nearest, shown
+from modsim3d.poses.base import PoseRequest, Poses, SourceKeys
+from modsim3d.validation import MAX_COORDINATE_M, join_path, load_json, nearest, parse_json, read_text, shown
 
 MAX_PROBLEMS = 20
 """A file with one mistake in every line should not fill the screen."""
-MAX_COORDINATE_M = 1e9
-"""Far beyond any scene, and near enough that no square of it overflows."""
 SECONDS = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """What a timestamp looks like; `float` takes more, such as `1_0`."""
+
+
+class FileKeys(SourceKeys, RootModel[str]):
+    """Poses from a file, with its own times."""
+
+    generated: ClassVar[bool] = False
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file."""
+        return (self.root,)
+
+    def build(self, request: PoseRequest) -> RecordedPoses:
+        """What the file holds; all of it is looked at even where the vessels are not known."""
+        return load_poses(request.folder / self.root, request.names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,17 +51,56 @@ class RecordedPoses:
 
 
 def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
-    """Poses from a JSON file: timestamp → vessel ID → centre position and heading.
+    """Poses from a JSON file: timestamp → vessel ID → centre position and heading; or one such time step a line.
 
     Args:
-        path: The file.
+        path: The file; one with `.jsonl` in its ending holds lines.
         vessels: IDs of the scene's vessels; the result has a column for each. None if they are not known, to look
             at the rest of the file.
 
     Raises:
         InputError: With every problem found, up to 20.
     """
-    return parse_poses(load_json(path, "pose file"), f"pose file {path}", vessels)
+    source = f"pose file {path}"
+    if path.name.removesuffix(".gz").endswith(".jsonl"):
+        return parse_poses(parse_lines(read_text(path, "pose file"), source), source, vessels)
+    return parse_poses(load_json(path, "pose file"), source, vessels)
+
+
+def parse_lines(text: str, source: str) -> dict[str, Any]:
+    """The mapping of Figure 7.3 from JSON Lines, one time step a line; an empty line may stand at the end.
+
+    Raises:
+        InputError: A line is wrong; the message names its number.
+    """
+    data: dict[str, Any] = {}
+    for number, line in enumerate(text.rstrip().split("\n"), start=1):
+        timestamp, entries = read_line(line.strip(), source, number)
+        if timestamp in data:
+            raise InputError(source, [f"line {number}: '{timestamp}' appears twice"])
+        data[timestamp] = entries
+    return data
+
+
+def read_line(text: str, source: str, number: int) -> tuple[str, Any]:
+    """The time and what is said of the vessels at it, from one line.
+
+    Raises:
+        InputError: It is no JSON object with one key.
+    """
+    where = f"line {number}"
+    if not text:
+        raise InputError(source, [f"{where}: is empty; an empty line is the end of a stream"])
+    try:
+        content = parse_json(text.removeprefix("\ufeff"), source, first_line=number, whole="line")
+    except InputError as error:
+        raise InputError(source, [p if p.startswith(where) else f"{where}: {p}" for p in error.problems]) from None
+    if not isinstance(content, dict) or len(content) != 1:
+        got = f"{len(content)} keys" if isinstance(content, dict) else shown(content)
+        form = '{"0.1": {"vessel": {"center_position_m": [0, 0, 0], "heading_rad": 0}}}'
+        raise InputError(source, [f"{where}: one time step is needed, such as {form} (got {got})"])
+    ((timestamp, entries),) = content.items()
+    return timestamp, entries
 
 
 def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> RecordedPoses:
@@ -56,35 +109,51 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
         raise InputError(source, ["a mapping of timestamp to vessels is needed, with at least one timestamp"])
     if vessels is None:
         vessels = list({name: None for entries in data.values() if isinstance(entries, dict) for name in entries})
-    problems = _time_problems(list(data))
+    problems = time_problems(list(data))
     columns = {name: column for column, name in enumerate(vessels)}
-    present = np.zeros((len(data), len(vessels)), dtype=bool)
-    positions = np.zeros((len(data), len(vessels), 3))
-    headings = np.zeros((len(data), len(vessels)))
+    shape = len(data), len(vessels)
+    poses = Poses(np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros(shape))
     for step, (timestamp, entries) in enumerate(data.items()):
-        if not isinstance(entries, dict):
-            problems.append(f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})")
-            continue
-        for name, entry in entries.items():
-            if name not in columns:
-                problems.append(f"{join_path(timestamp, name)}: no vessel '{name}' ({nearest(name, vessels)})")
-                continue
-            found = _pose_problems(entry, join_path(timestamp, name))
-            problems += found
-            if not found:
-                column = columns[name]
-                present[step, column] = True
-                positions[step, column] = entry["center_position_m"]
-                headings[step, column] = entry["heading_rad"]
+        problems += fill_step(poses, step, timestamp, entries, columns)
         if len(problems) >= MAX_PROBLEMS:
             problems.append("… (the rest was not looked at)")
             break
     if problems:
         raise InputError(source, problems)
-    return RecordedPoses(tuple(data), Poses(present, positions, headings))
+    return RecordedPoses(tuple(data), poses)
 
 
-def _time_problems(timestamps: list[str]) -> list[str]:
+def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
+    """Put what is said of a time into a row of poses.
+
+    Args:
+        poses: Nobody is there yet at the step.
+        step: The row.
+        timestamp: The time's text.
+        entries: Vessel ID → centre position and heading.
+        columns: Vessel ID → column.
+
+    Returns:
+        What is wrong with it.
+    """
+    if not isinstance(entries, dict):
+        return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]
+    problems: list[str] = []
+    for name, entry in entries.items():
+        if name not in columns:
+            problems.append(f"{join_path(timestamp, name)}: no vessel '{name}' ({nearest(name, columns)})")
+            continue
+        found = _pose_problems(entry, join_path(timestamp, name))
+        problems += found
+        if not found:
+            column = columns[name]
+            poses.present[step, column] = True
+            poses.positions_m[step, column] = entry["center_position_m"]
+            poses.headings_rad[step, column] = entry["heading_rad"]
+    return problems
+
+
+def time_problems(timestamps: list[str]) -> list[str]:
     """Timestamps must be numbers and increase; the same time in two spellings is a duplicate."""
     problems: list[str] = []
     previous: tuple[str, float] | None = None

@@ -7,14 +7,23 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from pydantic import RootModel
 
 from modsim3d.errors import InputError
 from modsim3d.frames import Array, heading_of
-from modsim3d.poses.base import Poses, generated_timestamps
-from modsim3d.validation import join_path, nearest
+from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
+from modsim3d.validation import Metres, Number, join_path, nearest
 
-Waypoint = tuple[float, float, float]
+Waypoint = tuple[Number, Metres, Metres]
 """Time in seconds, w1 and w2 in metres."""
+
+
+class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
+    """Vessels along waypoints: vessel ID → waypoints."""
+
+    def build(self, request: PoseRequest) -> Tracks:
+        """The tracks through the waypoints."""
+        return waypoint_tracks(self.root, request.names or (), request.steps or 0, request.time_step_s or 0.0)
 
 
 @dataclass(frozen=True, eq=False)

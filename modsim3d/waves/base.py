@@ -49,7 +49,13 @@ class Motion:
 
 
 class WaveMotion(Protocol):
-    """Moves vessels: a moment's motion depends on that moment alone, not on which were asked for before or with it."""
+    """Moves vessels: a moment's motion depends on that moment alone, not on which were asked for before or with it.
+
+    Attributes:
+        needs_velocity: Whether it looks at how fast a vessel is, which is not known before its next pose has come.
+    """
+
+    needs_velocity: bool
 
     def motion(self, vessel: str, passage: Passage) -> Motion:
         """Heave and attitude of a vessel.

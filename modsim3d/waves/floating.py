@@ -16,6 +16,8 @@ from modsim3d.waves.jonswap import Sea
 class FloatingVessels:
     """Heave, roll and pitch of vessels on one sea that is the same for all of them; no yaw."""
 
+    needs_velocity = True
+
     def __init__(self, sea: Sea, hulls: Mapping[str, Hull]) -> None:
         """Take the sea, and the hull of each vessel by its ID."""
         self.sea = sea

@@ -80,6 +80,8 @@ class SecondOrderWaves:
     The processes step every `interval_s` and are linear between; without an interval they step with the scene.
     """
 
+    needs_velocity = False
+
     def __init__(self, axes: tuple[Axis, Axis, Axis], seed: int, interval_s: float | None = None) -> None:
         """Take the axes' coefficients; everything random comes from the seed."""
         self._axes = axes

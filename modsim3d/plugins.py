@@ -1,0 +1,82 @@
+"""Parts that other packages bring, found by entry point: by the group of their kind and by name."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.validation import nearest
+
+POSE_SOURCES = "modsim3d.pose_sources"
+WAVE_LEVELS = "modsim3d.wave_levels"
+SHAPES = "modsim3d.shapes"
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """Where a part came from.
+
+    Attributes:
+        group: Its kind.
+        name: As scene files call it.
+        package: Name and version of the package that brought it.
+    """
+
+    group: str
+    name: str
+    package: str
+
+    def __str__(self) -> str:
+        """For messages."""
+        return f"the plug-in '{self.name}' of {self.package}"
+
+
+def plugin_names(group: str) -> tuple[str, ...]:
+    """Names of the installed plug-ins of a kind, in order."""
+    return tuple(sorted({point.name for point in entry_points(group=group)}))
+
+
+def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) -> tuple[object, Plugin]:
+    """The object that an entry point names, and where it came from.
+
+    Args:
+        group: The kind.
+        name: As the scene file calls it.
+        path: Where the scene file does, for errors.
+        built_in: Names that need no plug-in, for the hint beside an unknown one.
+
+    Raises:
+        InputError: There is none, more than one, or it cannot be imported.
+    """
+    found = list(entry_points(group=group, name=name))
+    if not found:
+        hint = nearest(name, [*built_in, *plugin_names(group)])
+        raise InputError(path, [f"nothing is called '{name}' here, and no plug-in of {group} ({hint})"])
+    if len(found) > 1:
+        packages = " and ".join(sorted(_package(point) for point in found))
+        raise InputError(path, [f"{packages} both bring a plug-in '{name}' of {group}: uninstall one of them"])
+    (point,) = found
+    plugin = Plugin(group, name, _package(point))
+    try:
+        return point.load(), plugin
+    except Exception as error:  # whatever another's module does when it is imported
+        raise InputError(path, [f"{plugin} cannot be loaded from {point.value}: {_told(error)}"]) from error
+
+
+def failed(plugin: Plugin, error: Exception) -> ModsimError:
+    """The error of a plug-in, in one line that names it and the place."""
+    return ModsimError(f"{plugin}: {error}" if isinstance(error, ModsimError) else f"{plugin} failed: {_told(error)}")
+
+
+def _package(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
+
+
+def _told(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {text} ({Path(last.filename).name}, line {last.lineno})"

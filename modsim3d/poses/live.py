@@ -1,0 +1,75 @@
+"""Poses that come in while a scene runs, one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.frames import Array
+from modsim3d.poses.base import Poses
+from modsim3d.poses.replay import time_problems
+
+Step = tuple[str, Poses]
+"""The text of a step's time, and the poses of that one step."""
+
+
+class LivePoses:
+    """Keeps the steps that have come, and waits for those that have not.
+
+    The next step is taken from where it comes only when it is asked for. What has come stays: 40 bytes for each vessel
+    and step.
+
+    Attributes:
+        timestamps: Text of the time of each step that has come.
+        source: What to call it in an error.
+        steps: Those that have not come.
+    """
+
+    def __init__(self, steps: Iterable[Step], vessels: int, source: str) -> None:
+        """Take nothing yet.
+
+        Args:
+            steps: Gives each step when it comes.
+            vessels: V, the number of the scene's vessels.
+            source: What to call it in an error.
+        """
+        self.timestamps: list[str] = []
+        self.source = source
+        self.steps: Iterator[Step] = iter(steps)
+        self._rows: Array = np.zeros((64, vessels, 5))
+
+    def wait(self, step: int) -> bool:
+        """Wait until a step has come; False if there will be none.
+
+        Raises:
+            ModsimError: What came is wrong.
+        """
+        while len(self.timestamps) <= step:
+            arrived = next(self.steps, None)
+            if arrived is None:
+                return False
+            self._keep(*arrived)
+        return True
+
+    def _keep(self, timestamp: str, poses: Poses) -> None:
+        if problems := time_problems([*self.timestamps[-1:], timestamp]):
+            raise InputError(self.source, [f"step {len(self.timestamps) + 1}: {problems[0]}"])
+        count = len(self.timestamps)
+        if count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        row = self._rows[count]
+        row[:, 0], row[:, 1:4], row[:, 4] = poses.present[0], poses.positions_m[0], poses.headings_rad[0]
+        self.timestamps.append(timestamp)
+
+    def poses(self, first: int, stop: int) -> Poses:
+        """Poses at steps first to stop − 1; waits for those that have not come.
+
+        Raises:
+            ModsimError: They never come.
+        """
+        if stop > first and not self.wait(stop - 1):
+            raise ModsimError(f"{self.source}: ended after {len(self.timestamps)} steps; step {stop} was asked for")
+        rows = self._rows[first:stop]
+        return Poses(rows[..., 0] > 0, rows[..., 1:4].copy(), rows[..., 4].copy())

@@ -1,0 +1,63 @@
+"""The simplest way to write a pose source: where everybody is at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.errors import ModsimError
+from modsim3d.poses.base import PoseRequest, Poses, SourceKeys
+from modsim3d.validation import Strict, nearest
+
+Place = tuple[Sequence[float], float]
+"""Centre of the bottom plane in WCF, three metres, and the heading in radians."""
+
+
+class PosesByTime(SourceKeys, Strict):
+    """A pose source that says where vessels are at a time. Its fields are its keys in the scene file."""
+
+    def at(self, time_s: float, request: PoseRequest) -> Mapping[str, Place]:
+        """Where vessels are; one that is not named is not there.
+
+        The answer must depend on nothing else: times are asked for in any order, more than once, and by several
+        processes.
+
+        Args:
+            time_s: Of the step.
+            request: The scene's vessels, their names, and the seed.
+        """
+        raise NotImplementedError
+
+    def build(self, request: PoseRequest) -> TimedPoses:
+        """Poses at the scene's steps."""
+        return TimedPoses(request.timestamps, self.at, request)
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPoses:
+    """Poses from a function of time."""
+
+    timestamps: Sequence[str]
+    at: Callable[[float, PoseRequest], Mapping[str, Place]]
+    request: PoseRequest
+
+    def poses(self, first: int, stop: int) -> Poses:
+        """Poses at steps first to stop − 1.
+
+        Raises:
+            ModsimError: A vessel is named that the scene does not have.
+        """
+        names = self.request.names or ()
+        columns = {name: column for column, name in enumerate(names)}
+        shape = stop - first, len(names)
+        poses = Poses(np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros(shape))
+        for row, timestamp in enumerate(self.timestamps[first:stop]):
+            for name, (position_m, heading_rad) in self.at(float(timestamp), self.request).items():
+                if name not in columns:
+                    raise ModsimError(f"at time {timestamp} s: no vessel '{name}' ({nearest(name, names)})")
+                poses.present[row, columns[name]] = True
+                poses.positions_m[row, columns[name]] = position_m
+                poses.headings_rad[row, columns[name]] = heading_rad
+        return poses
