@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from modsim3d.detector.box_error import NormalBoxError, acceptable
 from modsim3d.detector.boxes import at_least_a_pixel, move, sizes
@@ -13,8 +12,9 @@ from modsim3d.detector.draws import normals
 from modsim3d.detector.records import Array, Indices
 
 POINTS = 4096
-"""Points of a Sobol' sequence that each box is integrated over. Against 2²⁰ points the mean of a box that keeps half
-of its draws is off by less than 0.01 of a standard deviation, its standard deviations by less than 1 %."""
+"""Points that each box is integrated over. For boxes that keep a third of their draws or more, means are off by less
+than 0.02 of a standard deviation and standard deviations by less than 2 %; with 1024 points both double."""
+_BASES = (2, 3, 5, 7)
 _BOXES_AT_ONCE = 64
 
 
@@ -40,10 +40,18 @@ class TruncatedErrors:
 def standard_points(count: int = POINTS) -> Array:
     """Points spread evenly over the standard normal distribution in four dimensions, shape (count, 4).
 
-    An unscrambled Sobol' sequence (Sobol' (1967)), moved by half a cell off the origin.
+    The sequence of Halton (1960), "On the efficiency of certain quasi-random sequences of points".
     """
-    points = qmc.Sobol(4, scramble=False).random(count)
-    return normals(points + 0.5 / count)
+    return normals(np.stack([_radical_inverse(count, base) for base in _BASES], axis=1))
+
+
+def _radical_inverse(count: int, base: int) -> Array:
+    """The numbers 1, 2, ... with their digits mirrored at the point, shape (count,)."""
+    left, inverse, weight = np.arange(1, count + 1), np.zeros(count), 1.0 / base
+    while left.any():
+        inverse += weight * (left % base)
+        left, weight = left // base, weight / base
+    return inverse
 
 
 def truncated_errors(
