@@ -54,7 +54,7 @@ def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections)
     assert whole.gated.any()
 
 
-@pytest.mark.parametrize("borders", [[0, 1, 2, 250, 250, 599, 600], [0, 600], list(range(0, 601, 37)) + [600]])
+@pytest.mark.parametrize("borders", [[0, 1, 2, 250, 250, 599, 600], [0, 600], [*range(0, 601, 37), 600]])
 def test_chunk_borders_change_nothing_with_every_model_on(whole: Detections, borders: list[int]) -> None:
     found = detect_in_chunks(detector(), rich_frames(), rich_targets(), borders)
     assert all_bytes(found) == all_bytes(whole)
