@@ -148,3 +148,12 @@ def test_the_bias_of_truncation_is_in_the_run_file(tmp_path: Path) -> None:
     assert abs(errors.mean() - excellent["mean"][2]) < error
     assert excellent["mean_shift"][2] > 30
     assert excellent["detections"] == len(errors)
+
+
+def test_a_contact_sheet_shows_the_detections_of_the_run(folder: Path) -> None:
+    command = [sys.executable, "-m", "modsim3d.cli", "run", str(folder / "scene.yaml"), "--steps", "100"]
+    done = subprocess.run(
+        [*command, "--out", str(folder / "drawn")], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (folder / "drawn" / "contact_sheet.png").stat().st_size > 10_000
