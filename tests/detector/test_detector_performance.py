@@ -41,3 +41,10 @@ def test_a_camera_with_its_own_chain_is_the_same_whatever_the_others_do() -> Non
     both.at(make_frames(500, "C0"))
     alone = PerformanceStates(model, Streams(1)).at(make_frames(500, "C1"))
     assert np.array_equal(both.at(make_frames(500, "C1")), alone)
+
+
+def test_a_forced_state_is_due_in_spite_of_rounding() -> None:
+    frames = make_frames(5, time_step_s=0.7)
+    assert frames.times_s[3] < 2.1
+    model = parse_detector(detector_data(performance={"schedule": [[0, "clear"], [2.1, "fog"]]}))
+    assert PerformanceStates(model, Streams(1)).at(frames).tolist() == [0, 0, 0, 1, 1]
