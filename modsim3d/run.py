@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from modsim3d.box_sample import BoxSample
 from modsim3d.counts import Counts
+from modsim3d.detector.reference import Reference
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.pose_lines import pose_lines
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.scene import Scene
 from modsim3d.simulate import step_ranges
-from modsim3d.workers import Range, open_workers
+from modsim3d.workers import Range, Workers, open_workers
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
@@ -33,6 +35,8 @@ class RunResult:
         seconds: Wall-clock time.
         resumed_steps: Steps whose truth was taken from an interrupted run.
         intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
+        reference: What the detector had to know of the whole scene; None if nothing.
+        truncation: What drawing degenerate boxes anew does to the box errors, by state; as in `run.json`.
     """
 
     folder: Path
@@ -41,6 +45,8 @@ class RunResult:
     seconds: float
     resumed_steps: int
     intersecting: tuple[tuple[str, str], ...]
+    reference: Reference | None
+    truncation: dict[str, dict[str, Any]]
 
 
 def run_scene(
@@ -68,28 +74,37 @@ def run_scene(
     started = time.perf_counter()
     if scene.live:
         _refuse_for_live(scene, resume, workers)
-    counts, steps, resumed, pairs = Counts(), 0, 0, set[tuple[int, int]]()
+    counts, boxes, steps, resumed, pairs = Counts(), BoxSample(), 0, 0, set[tuple[int, int]]()
     with open_workers(scene, workers) as made:
         settings = _settings(scene, made.backend)
         with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-            for block in made.blocks(directory.work, _told_what_is_kept(step_ranges(scene), scene, directory.work)):
+            reference = None
+            if scene.detector.needs_reference:
+                reference, resumed = _survey(made, directory.work, step_ranges(scene), progress)
+            ranges = _told_what_is_kept(step_ranges(scene), scene, directory.work)
+            for block in made.blocks(directory.work, ranges, reference):
                 directory.write(block.files)
                 if scene.live:
                     directory.write_poses(pose_lines(scene, steps, steps + block.steps))
                 counts += block.counts
+                boxes += block.boxes
                 steps += block.steps
                 pairs |= block.intersecting
-                resumed += block.steps if block.resumed else 0
-                progress(block.steps)
+                if reference is None:
+                    resumed += block.steps if block.resumed else 0
+                    progress(block.steps)
             directory.write_live_own_ships(steps)
-            directory.finish({**settings, **directory.live_settings(steps), "counts": asdict(counts)})
+            truncation = boxes.truncation(scene)
+            known = {**settings, **directory.live_settings(steps)}
+            directory.finish({**known, "counts": asdict(counts), "truncation": truncation})
     seconds = time.perf_counter() - started
     (folder / LOG_FILE).write_text(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
         f"{counts.frames} frames in {seconds:.3f} s, {resumed} steps taken from an interrupted run\n"
     )
     names = scene.occluder_names
-    return RunResult(folder, counts, steps, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
+    intersecting = tuple((names[a], names[b]) for a, b in sorted(pairs))
+    return RunResult(folder, counts, steps, seconds, resumed, intersecting, reference, truncation)
 
 
 def _refuse_for_live(scene: Scene, resume: bool, workers: int) -> None:
@@ -117,6 +132,18 @@ def _told_what_is_kept(ranges: Iterator[Range], scene: Scene, work: Path) -> Ite
             raise
         kept = f"what came before, {done} steps, is kept as complete lines in {work}"
         raise InputError(error.source, [*error.problems, kept]) from None
+
+
+def _survey(
+    made: Workers, folder: Path, ranges: Iterable[Range], progress: Callable[[int], None]
+) -> tuple[Reference, int]:
+    """Make and keep all truth first; what the detector must know of it, and steps of an interrupted run."""
+    reference, resumed = Reference(), 0
+    for block in made.surveys(folder, ranges):
+        reference += block.reference
+        resumed += block.steps if block.resumed else 0
+        progress(block.steps)
+    return reference, resumed
 
 
 def _settings(scene: Scene, backend: str) -> dict[str, Any]:

@@ -186,6 +186,11 @@ class _Reader:
                 "waves.spectrum: the sea needs to know how fast vessels are, which a stream tells too late: use "
                 "a level or coefficients"
             )
+        if scene.live and scene.detector.needs_reference:
+            self.problems.append(
+                f"detector: {keys.detector} holds rates over the whole scene (anchor: state_rate), which a stream of poses "
+                "does not show beforehand: use anchor: none"
+            )
         self._check_lenses(scene)
         if not scene.live:
             self._check_places(scene)

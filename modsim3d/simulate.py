@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +18,9 @@ from modsim3d.annotate.record import Occlusion, Truth, concatenate
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import Detector, reference_of
 from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.reference import Reference
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.poses import LivePoses
 from modsim3d.scene import Scene
@@ -100,43 +103,78 @@ def occlusion_by(
     return draw(outlines, intrinsics, renderer, annotation.supersample)
 
 
+@dataclass(frozen=True, eq=False)
+class DetectorInput:
+    """What a camera's detector is given for a block.
+
+    Attributes:
+        truth: The camera's rows.
+        rows: Those of them that are annotated, shape (n,).
+        frames: The camera's frames.
+        targets: The annotated vessels.
+    """
+
+    truth: Truth
+    rows: NDArray[np.int64]
+    frames: Frames
+    targets: Targets
+
+
+def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterator[DetectorInput]:
+    """What the truth of steps first to stop − 1 gives each camera's detector, in the order of the cameras."""
+    index = {label: i for i, label in enumerate(scene.detector.labels)}
+    labels = np.array([index[vessel.label] for vessel in scene.vessels])
+    times_s = scene.times_s(first, stop)
+    for number, camera in enumerate(scene.cameras):
+        seen = truth.take(truth.camera == number)
+        rows = np.flatnonzero(seen.annotated)
+        camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
+        frames = Frames(
+            camera=camera.name,
+            steps=np.arange(first, stop),
+            times_s=times_s,
+            image_size_px=camera.intrinsics.image_size_px,
+            sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
+            previous_s=float(scene.times_s(first - 1, first)[0]) if first else -math.inf,
+        )
+        targets = Targets(
+            frame=seen.step[rows] - first,
+            vessel=seen.vessel[rows],
+            label=labels[seen.vessel[rows]],
+            boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
+            visible_fraction=seen.visible_fraction[rows],
+            depth_m=seen.depth_m[rows],
+            vessel_ids=scene.vessel_names,
+        )
+        yield DetectorInput(seen, rows, frames, targets)
+
+
+def survey(scene: Scene, truth: Truth, first: int, stop: int) -> Reference:
+    """What a detector that `needs_reference` must know of a block; blocks add up."""
+    parts = detector_inputs(scene, truth, first, stop)
+    return sum((reference_of(scene.detector, part.frames, part.targets) for part in parts), Reference())
+
+
 class Simulation:
     """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
 
-    def __init__(self, scene: Scene) -> None:
-        """Set the detector up from the scene's seed."""
+    def __init__(self, scene: Scene, reference: Reference | None = None) -> None:
+        """Set the detector up from the scene's seed.
+
+        Args:
+            scene: The scene.
+            reference: Its targets, from `survey`, if its detector needs to know them.
+        """
         self.scene = scene
-        self._detector = Detector(scene.detector, scene.seed)
-        index = {label: i for i, label in enumerate(scene.detector.labels)}
-        self._labels: NDArray[np.int64] = np.array([index[vessel.label] for vessel in scene.vessels])
+        self._detector = Detector(scene.detector, scene.seed, scene.times_s, reference)
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
-        scene = self.scene
-        times_s = scene.times_s(first, stop)
-        parts = []
-        for index, camera in enumerate(scene.cameras):
-            seen = truth.take(truth.camera == index)
-            rows = np.flatnonzero(seen.annotated)
-            camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
-            frames = Frames(
-                camera=camera.name,
-                first_step=first,
-                times_s=times_s,
-                image_size_px=camera.intrinsics.image_size_px,
-                sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
-            )
-            targets = Targets(
-                frame=seen.step[rows] - first,
-                vessel=seen.vessel[rows],
-                label=self._labels[seen.vessel[rows]],
-                boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
-                visible_fraction=seen.visible_fraction[rows],
-                depth_m=seen.depth_m[rows],
-                vessel_ids=scene.vessel_names,
-            )
-            parts.append(CameraBlock(index, seen, rows, self._detector.detect(frames, targets)))
-        return Block(first, scene.timestamps(first, stop), tuple(parts))
+        parts = tuple(
+            CameraBlock(index, part.truth, part.rows, self._detector.detect(part.frames, part.targets))
+            for index, part in enumerate(detector_inputs(self.scene, truth, first, stop))
+        )
+        return Block(first, self.scene.timestamps(first, stop), parts)
 
 
 def block_steps(scene: Scene) -> int:
@@ -180,8 +218,13 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
     Yields:
         Each camera's frame at each step; of a live scene before the next step is waited for.
     """
-    simulation = Simulation(scene)
     with open_renderer(scene) as renderer:
-        for first, stop in step_ranges(scene):
-            block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
-            yield from frames_of(block, scene)
+        truths: Iterable[tuple[Truth, int, int]]
+        truths = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene))
+        reference = None
+        if scene.detector.needs_reference:
+            truths = list(truths)
+            reference = sum((survey(scene, *block) for block in truths), Reference())
+        simulation = Simulation(scene, reference)
+        for block in truths:
+            yield from frames_of(simulation.detect(*block), scene)

@@ -11,13 +11,14 @@ import orjson
 
 from modsim3d.annotate.record import Truth
 from modsim3d.block import Frame, frames_of
+from modsim3d.detector.reference import Reference
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.block_files import finished_truth
 from modsim3d.formats.run_directory import RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
 from modsim3d.formats.table_reader import read_frames, read_truth
 from modsim3d.scene import Scene
 from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import Simulation, block_ranges, block_steps
+from modsim3d.simulate import Simulation, block_ranges, block_steps, survey
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +42,30 @@ class StoredRun:
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """The frames of steps first to stop − 1, in order of step and camera.
 
-        An interrupted run's detections are drawn again from its truth: they are the ones that it would have written.
+        An interrupted run's detections are drawn again from its truth: they are the ones that it would have written, but
+        for a detector that must know the whole scene, which then knows only what is there.
         """
+        simulation = None if self.finished else Simulation(self.scene, self._reference())
         stop = self.steps if stop is None else min(stop, self.steps)
         for start, end in block_ranges(self.scene.steps, block_steps(self.scene)):
             low, high = max(start, first), min(end, stop)
             if low >= high:
                 continue
-            if self.finished:
+            if simulation is None:
                 yield from read_frames(self.folder, self.scene, low, high)
             else:
-                block = Simulation(self.scene).detect(self._kept(start, end), start, end)
+                block = simulation.detect(self._kept(start, end), start, end)
                 yield from frames_of(block, self.scene, range(low, high))
 
     def truth(self, first: int, stop: int) -> Truth:
         """The truth of steps first to stop − 1 of a finished run."""
         return read_truth(self.folder, self.scene, first, stop)
+
+    def _reference(self) -> Reference | None:
+        if not self.scene.detector.needs_reference:
+            return None
+        ranges = block_ranges(self.steps, block_steps(self.scene))
+        return sum((survey(self.scene, self._kept(*steps), *steps) for steps in ranges), Reference())
 
     def _kept(self, start: int, end: int) -> Truth:
         truth = finished_truth(self.folder / UNFINISHED, start, end)

@@ -115,7 +115,8 @@ def test_a_real_process_runs_it_with_workers_and_records_its_version(site, tmp_p
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
         done = subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, done.stderr
-        runs.append({file.name: file.read_bytes() for file in out.rglob("*") if file.is_file() and file.name != "run.log"})
+        files = [file for file in out.rglob("*") if file.is_file() and file.name != "run.log"]
+        runs.append({file.name: file.read_bytes() for file in files})
     assert runs[0] == runs[1]
     assert json.loads(runs[0]["run.json"])["plugins"] == {"modsim3d.pose_sources:drift": "modsim3d-drift 1.0"}
 

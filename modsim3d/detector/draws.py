@@ -6,6 +6,7 @@ a run is split into chunks must not show in its output.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from scipy import special
 from modsim3d.detector.records import Array, Frames, Indices, Targets
 from modsim3d.random_streams import Streams
 
+_LN_2 = math.log(2)
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: stands for the 0 whose normal would be −∞
 
 
@@ -45,17 +47,29 @@ def keyed_uniforms(
     order = np.argsort(owner, kind="stable")
     starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
     for rows in np.split(order, starts[1:]) if len(order) else []:
-        first, last = int(frame[rows].min()), int(frame[rows].max())
-        draws = streams.uniforms(
-            purpose,
-            frames.camera,
-            owners[owner[rows[0]]],
-            first=frames.first_step + first,
-            count=last - first + 1,
-            width=width,
+        result[rows] = step_uniforms(
+            streams, purpose, frames.camera, owners[owner[rows[0]]], steps=frames.steps[frame[rows]], width=width
         )
-        result[rows] = draws[frame[rows] - first]
     return result
+
+
+def step_uniforms(streams: Streams, purpose: str, *names: str, steps: Indices, width: int = 1) -> Array:
+    """Uniform numbers that belong to names and a step.
+
+    Args:
+        streams: Where they come from.
+        purpose: What they are for.
+        *names: Whose they are.
+        steps: In any order, shape (n,).
+        width: Numbers a step.
+
+    Returns:
+        Shape (n, width).
+    """
+    if not len(steps):
+        return np.empty((0, width))
+    first, last = int(steps.min()), int(steps.max())
+    return streams.uniforms(purpose, *names, first=first, count=last - first + 1, width=width)[steps - first]
 
 
 def target_uniforms(streams: Streams, purpose: str, frames: Frames, targets: Targets, width: int) -> Array:
@@ -72,6 +86,12 @@ def select(targets: Targets, rows: Indices) -> Targets:
 def normals(uniforms: Array) -> Array:
     """Standard normal numbers from uniform ones in [0, 1)."""
     result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
+    return result
+
+
+def log2(values: Array) -> Array:
+    """Logarithm to base two, by SciPy's loop over elements: NumPy's own may take several at a time."""
+    result: Array = special.xlogy(1.0, values) / _LN_2
     return result
 
 
