@@ -188,8 +188,8 @@ class _Reader:
             )
         if scene.live and scene.detector.needs_reference:
             self.problems.append(
-                f"detector: {keys.detector} holds rates over the whole scene (anchor: state_rate), which a stream of poses "
-                "does not show beforehand: use anchor: none"
+                f"detector: {keys.detector} holds rates over the whole scene (anchor: state_rate), which a stream does "
+                "not show beforehand: use anchor: none"
             )
         self._check_lenses(scene)
         if not scene.live:

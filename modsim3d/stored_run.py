@@ -42,8 +42,8 @@ class StoredRun:
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """The frames of steps first to stop − 1, in order of step and camera.
 
-        An interrupted run's detections are drawn again from its truth: they are the ones that it would have written, but
-        for a detector that must know the whole scene, which then knows only what is there.
+        An interrupted run's detections are drawn again from its truth: they are the ones that it would have written,
+        but for a detector that must know the whole scene, which then knows only what is there.
         """
         simulation = None if self.finished else Simulation(self.scene, self._reference())
         stop = self.steps if stop is None else min(stop, self.steps)

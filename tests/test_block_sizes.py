@@ -50,5 +50,7 @@ def test_one_silhouette_is_the_same_bits_as_among_many():
     together = outlines_of(boats)
     alone = [outlines_of([boat]) for boat in boats]
     assert len(together) == 50
-    for name in ("areas_px", "vertices_px", "boxes_px", "depth_m", "in_frame_fraction"):
+    (part,) = together.parts
+    np.testing.assert_array_equal(part.vertices_px, np.concatenate([one.parts[0].vertices_px for one in alone]))
+    for name in ("areas_px", "boxes_px", "depth_m", "in_frame_fraction"):
         np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(one, name) for one in alone]))
