@@ -39,6 +39,8 @@ app = typer.Typer(
 
   modsim3d compare my/scene.yaml              rendered truth against exact geometry
 
+  modsim3d report runs/first                  a page that plays a run
+
   modsim3d scenes                             the scenes that come with it""",
 )
 
@@ -195,6 +197,30 @@ def compare_command(
         console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
     if report.unexplained:
         raise typer.Exit(1)
+
+
+@app.command("report")
+def report_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")],
+    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="RUN/report.html")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Show every K-th step; the tables count all.")] = 1,
+) -> None:
+    """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
+
+    Example: modsim3d report runs/first
+    """
+    from modsim3d.run_report import write_report
+    from modsim3d.stored_run import open_run
+
+    opened = open_run(run)
+    with _progress_bar() as bar:
+        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
+        written = write_report(
+            opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
+        )
+    if not opened.finished:
+        typer.echo(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
+    typer.echo(f"written  {written}  ({written.stat().st_size / 1e6:.1f} MB)")
 
 
 @app.command("scenes")
