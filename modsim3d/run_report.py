@@ -186,7 +186,10 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
         "labels": list(scene.detector.labels),
         "occluders": list(scene.occluder_names),
         "vessels": [{"name": v.name, "label": v.label} for v in scene.vessels],
-        "cameras": [{"name": c.name, "size": list(c.intrinsics.image_size_px)} for c in scene.cameras],
+        "cameras": [
+            {"name": camera.name, "size": list(camera.intrinsics.image_size_px), "carrier": camera.mount.vessel}
+            for camera in scene.cameras
+        ],
         "colours": {
             "vessels": [_css(palette.vessel_colour(index)) for index in range(len(scene.vessels))],
             "hulls": [_css(palette.darker(palette.vessel_colour(index))) for index in range(len(scene.vessels))],

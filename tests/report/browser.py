@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
@@ -44,7 +45,6 @@ class Browser:
         self._session: str | None = None
         self.errors: list[str] = []
         self.requests: list[str] = []
-        self._loaded = False
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
@@ -85,8 +85,6 @@ class Browser:
             self.errors.append(json.dumps(said["entry"]))
         elif method == "Network.requestWillBeSent":
             self.requests.append(said["request"]["url"])
-        elif method == "Page.loadEventFired":
-            self._loaded = True
 
     def open(self, path: Path, size: tuple[int, int] = (1280, 900), hash: str = "") -> None:
         """Load a file and wait for its player; what was said of the page before is forgotten."""
@@ -94,12 +92,12 @@ class Browser:
         self.call("Page.navigate", url="about:blank")
         self.errors.clear()
         self.requests.clear()
-        self._loaded = False
         self.call("Page.navigate", url=path.resolve().as_uri() + hash)
-        while not self._loaded:
-            self._heed(self._read())
-        self.run("new Promise(done => { const look = () => window.player || !document.querySelector('#failure').hidden"
-                 " ? done(1) : setTimeout(look, 10); look(); })")  # fmt: skip
+        deadline = time.monotonic() + PATIENCE_S
+        while not self.run("Boolean(window.player || document.querySelector('#failure:not([hidden])'))"):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the player does not start: {self.errors}")
+            time.sleep(0.02)
 
     def resize(self, size: tuple[int, int]) -> None:
         """The window's width and height."""
@@ -162,11 +160,14 @@ class Browser:
 def open_browser() -> Iterator[Browser]:
     """A browser of its own, ended afterwards."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        their_in, our_out = os.pipe()
-        our_in, their_out = os.pipe()
-        # The protocol wants descriptors 3 and 4; a shell puts them there.
+        low_in, our_out = os.pipe()
+        our_in, low_out = os.pipe()
+        # The protocol wants descriptors 3 and 4; a shell puts them there, from numbers that are out of the way.
+        their_in, their_out = (fcntl.fcntl(low, fcntl.F_DUPFD, 10) for low in (low_in, low_out))
+        os.close(low_in)
+        os.close(low_out)
         start = f'exec "$@" 3<&{their_in} 4>&{their_out}'
-        command = ["/bin/sh", "-c", start, "sh", find_browser(), *FLAGS, f"--user-data-dir={profile}"]
+        command = ["bash", "-c", start, "bash", find_browser(), *FLAGS, f"--user-data-dir={profile}"]
         with subprocess.Popen(
             command, pass_fds=(their_in, their_out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         ) as process:

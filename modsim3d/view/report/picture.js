@@ -37,6 +37,14 @@ class Picture {
     this.view = { x: (x0 + x1 - width) / 2, y: (y0 + y1 - width / this.aspect) / 2, width };
   }
 
+  // Show a box with its surroundings, inside the image where that can be.
+  lookAt([x0, y0, x1, y1], [width, height]) {
+    const wide = Math.min(Math.max(3 * (x1 - x0), 3 * (y1 - y0) * this.aspect, 240), width, height * this.aspect);
+    const within = (middle, span, limit) => Math.min(Math.max(middle - span / 2, 0), Math.max(limit - span, 0));
+    const high = wide / this.aspect;
+    this.view = { x: within((x0 + x1) / 2, wide, width), y: within((y0 + y1) / 2, high, height), width: wide };
+  }
+
   zoom(factor, x, y) {
     const [imageX, imageY] = this.toImage(x, y), width = Math.min(Math.max(this.view.width / factor, 10), 1e5);
     const shrunk = width / this.view.width;
@@ -134,12 +142,21 @@ class Picture {
       const at = Math.min(Math.max(y, 0), height - PLATE_PX);
       if (this.placed.some(([px, py, pw]) => x < px + pw && px < x + wide && Math.abs(at - py) < PLATE_PX)) continue;
       this.placed.push([x, at, wide]);
+      if (attempt) this.leader(x + 3, at + PLATE_PX / 2, left, below ? bottom : top, colour);
       context.fillStyle = colour;
       context.fillRect(x, at, wide, PLATE_PX - 1);
       context.fillStyle = '#111';
       context.fillText(text, x + 4, at + FONT_PX);
       return;
     }
+  }
+
+  // From a label that had to move to its box.
+  leader(fromX, fromY, toX, toY, colour) {
+    this.context.beginPath();
+    this.context.moveTo(fromX, fromY);
+    this.context.lineTo(toX, toY);
+    this.stroke(colour, 1);
   }
 
   // The place of another picture in this one.

@@ -1,7 +1,7 @@
 // The player: what is shown, and how mouse, keys and buttons change it.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 20, 50];
-const CLOSEUP_ASPECT = 4 / 3, WIDEST = 16 / 9;
+const CLOSEUP_ASPECT = 16 / 10, WIDEST = 2;
 const $ = (id) => document.getElementById(id);
 
 class Player {
@@ -25,7 +25,7 @@ class Player {
     this.listen();
     this.resize();
     this.home();
-    this.fromAddress();
+    if (!this.fromAddress()) this.go(Math.max(0, this.timeline.summary.seen.findIndex((seen) => seen > 0)));
   }
 
   // ---- what there is to choose from
@@ -187,9 +187,10 @@ class Player {
 
   fromAddress() {
     const asked = /^#step=(\d+)$/.exec(location.hash);
-    if (!asked) return;
+    if (!asked) return false;
     const { steps } = this.recording.facts, found = steps.findIndex((step) => step >= Number(asked[1]));
     this.go(found < 0 ? steps.length - 1 : found);
+    return true;
   }
 
   // ---- views
@@ -203,29 +204,11 @@ class Player {
 
   // The part of the image in which vessels are, in any frame.
   home() {
-    const { full, box } = this.recording.columns, [width, height] = this.size, { quantum } = this.recording.facts;
-    this.around ??= [];
-    this.around[this.camera] ??= this.band([[this.recording.columns.truthStart, full], [this.recording.columns.drawnStart, box]]);
-    const [top, bottom] = this.around[this.camera].map((row) => row * quantum), high = width / this.picture.aspect;
+    const [width, height] = this.size, [top, bottom] = this.timeline.summary.rows, high = width / this.picture.aspect;
     const middle = top > bottom ? height / 2 : (top + bottom) / 2;
     const y = Math.min(Math.max(middle - high / 2, 0), Math.max(height - high, (height - high) / 2));
     this.picture.fit([0, y, width, y + high]);
     this.draw();
-  }
-
-  // Least and greatest row of the image that a box of this camera reaches.
-  band(tables) {
-    let top = Infinity, bottom = -Infinity;
-    for (const [start, sides] of tables) {
-      for (let index = 0; index < this.recording.length; index++) {
-        const frame = this.recording.frame(index, this.camera);
-        for (let row = start[frame]; row < start[frame + 1]; row++) {
-          top = Math.min(top, sides[4 * row + 1]);
-          bottom = Math.max(bottom, sides[4 * row + 3]);
-        }
-      }
-    }
-    return [top, bottom];
   }
 
   whole() { this.picture.fit([0, 0, ...this.size]); this.draw(); }
@@ -278,8 +261,7 @@ class Player {
     this.before = truth?.vessel ?? this.before;
     const { context, canvas } = this.closeup;
     if (truth) {
-      const [x0, y0, x1, y1] = truth.full, width = Math.max(4 * (x1 - x0), 4 * (y1 - y0) * CLOSEUP_ASPECT, 240);
-      this.closeup.view = { x: (x0 + x1 - width) / 2, y: (y0 + y1 - width / CLOSEUP_ASPECT) / 2, width };
+      this.closeup.lookAt(truth.full, this.size);
       this.closeup.draw(recording, index, camera, this.shown, frame);
       this.picture.mark(this.closeup);
     } else {
@@ -287,7 +269,7 @@ class Player {
       context.fillStyle = colourOf('--soft');
       context.font = '14px system-ui, sans-serif';
       const name = this.followed === null ? 'No vessel' : recording.facts.vessels[this.followed].name;
-      context.fillText(`${name} is in the image`.replace(/ is in/, this.followed === null ? ' is in' : ' is not in'), 14, 26);
+      context.fillText(`${name} is ${this.followed === null ? '' : 'not '}in the image`, 14, 26);
     }
     const name = truth ? recording.facts.vessels[truth.vessel].name : 'nothing';
     canvas.setAttribute('aria-label', `Close-up: ${name}`);
@@ -314,7 +296,8 @@ class Player {
     const byVessel = new Map(frame.truths.map((truth) => [truth.vessel, truth]));
     const confidence = new Map(drawn.map((detection) => [detection.vessel, detection.confidence]));
     this.rows.forEach(({ row, cells }, vessel) => {
-      const truth = byVessel.get(vessel), texts = truth ? describe(truth, confidence.get(vessel)) : ['', '', 'not in the image'];
+      const truth = byVessel.get(vessel), carries = facts.vessels[vessel].name === facts.cameras[camera].carrier;
+      const texts = truth ? describe(truth, confidence.get(vessel)) : ['', '', carries ? 'carries the camera' : 'not in the image'];
       row.classList.toggle('away', !truth);
       row.classList.toggle('missed', truth?.missed ?? false);
       texts.forEach((text, i) => { if (cells[i].textContent !== text) cells[i].textContent = text; });
@@ -361,7 +344,7 @@ function element(tag, properties = {}, ...children) {
 
 try {
   const recording = await openRecording();
-  $('player').hidden = false;
+  $('board').hidden = false;
   window.player = new Player(recording); // for the console, and for tests
 } catch (error) {
   $('failure').hidden = false;

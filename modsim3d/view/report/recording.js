@@ -86,13 +86,15 @@ class Recording {
   summary(camera) {
     const { columns, length } = this, vessels = this.facts.vessels.length;
     const summary = {
-      state: new Uint8Array(length), annotated: new Uint16Array(length), missed: new Uint16Array(length),
+      state: new Uint8Array(length), seen: new Uint16Array(length), annotated: new Uint16Array(length), missed: new Uint16Array(length),
       false: new Uint16Array(length), hidden: new Uint16Array(length),
       fraction: new Float32Array(vessels * length).fill(NaN), lost: new Uint8Array(vessels * length),
+      rows: [Infinity, -Infinity], // of the image: the least and the greatest that a vessel reaches
     };
     for (let index = 0; index < length; index++) {
       const frame = this.frame(index, camera);
       summary.state[index] = columns.state[frame];
+      summary.seen[index] = columns.truthStart[frame + 1] - columns.truthStart[frame];
       for (let row = columns.truthStart[frame]; row < columns.truthStart[frame + 1]; row++) {
         const at = columns.vessel[row] * length + index, fraction = columns.fraction[row];
         const missed = columns.flags[row] === 1;
@@ -100,6 +102,8 @@ class Recording {
         summary.lost[at] = missed ? 1 : 0;
         summary.annotated[index] += columns.flags[row] & 1;
         summary.missed[index] += missed ? 1 : 0;
+        summary.rows[0] = Math.min(summary.rows[0], columns.full[4 * row + 1] * this.facts.quantum);
+        summary.rows[1] = Math.max(summary.rows[1], columns.full[4 * row + 3] * this.facts.quantum);
         summary.hidden[index] += fraction > 0 && fraction < WHOLE ? 1 : 0;
       }
       for (let row = columns.drawnStart[frame]; row < columns.drawnStart[frame + 1]; row++) {

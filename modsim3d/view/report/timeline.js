@@ -1,6 +1,6 @@
 // The timeline of one camera: performance state, misses and false positives, visible fraction of each vessel.
 
-const STATE_PX = 18, BARS_PX = 22, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS_PX = 330;
+const STATE_PX = 18, BARS_PX = 22, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS_PX = 360;
 
 class Timeline {
   constructor(canvas, recording) {
@@ -17,7 +17,7 @@ class Timeline {
     this.summary = this.summaries[camera] ??= recording.summary(camera);
     this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.everSeen(vessel));
     const width = this.canvas.clientWidth;
-    this.left = Math.min(110, 0.22 * width);
+    this.left = Math.min(116, 0.3 * width);
     this.wide = width - this.left;
     this.rowPx = Math.min(16, Math.max(3, Math.floor(MOST_ROWS_PX / Math.max(this.vessels.length, 1))));
     this.rowsTop = STATE_PX + 2 * (BARS_PX + GAP_PX) + 2 * GAP_PX;
@@ -81,7 +81,7 @@ class Timeline {
   // How many in each column of pixels: the mean of its frames, in parts of the greatest.
   bars(context, top, name, counts) {
     const most = counts.reduce((a, b) => Math.max(a, b), 0);
-    this.text(context, name, 0, top + BARS_PX / 2, this.left - 6);
+    this.text(context, most ? `${name}, up to ${most}` : `${name}: none`, 0, top + BARS_PX / 2, this.left - 6);
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, BARS_PX);
     context.fillStyle = colourOf('--alarm');
@@ -93,13 +93,16 @@ class Timeline {
         context.fillRect(x, top + BARS_PX - high, wide, high);
       }
     }
-    this.text(context, `${most}`, this.left + 3, top + 7, 40);
   }
 
   // A vessel's visible fraction as the strength of its colour; missed below, in red.
   strip(context, vessel, top) {
     const { facts, length } = this.recording, { fraction, lost } = this.summary, high = this.rowPx - (this.rowPx > 5 ? 2 : 0.5);
-    if (this.rowPx >= 10) this.text(context, facts.vessels[vessel].name, 0, top + high / 2, this.left - 6);
+    const hidden = channels(colourOf('--hidden')), alarm = channels(facts.colours.alarm), own = channels(facts.colours.vessels[vessel]);
+    if (this.rowPx >= 9) {
+      context.font = `${Math.min(12, this.rowPx)}px system-ui, sans-serif`;
+      this.text(context, facts.vessels[vessel].name, 0, top + high / 2, this.left - 6);
+    }
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, high);
     for (const { first, stop, x, wide } of this.columns) {
@@ -111,25 +114,25 @@ class Timeline {
         missed += lost[at];
       }
       if (!seen) continue;
-      context.globalAlpha = 1;
-      context.fillStyle = colourOf('--ink');
+      context.fillStyle = mixed(hidden, own, sum / seen);
       context.fillRect(x, top, wide, high);
-      context.globalAlpha = sum / seen;
-      context.fillStyle = facts.colours.vessels[vessel];
-      context.fillRect(x, top, wide, high);
-      context.globalAlpha = missed / seen;
-      context.fillStyle = facts.colours.alarm;
+      if (!missed) continue;
+      context.fillStyle = mixed(own, alarm, missed / seen);
       context.fillRect(x, top + 0.6 * high, wide, 0.4 * high);
     }
-    context.globalAlpha = 1;
   }
 
   axis(context) {
-    const { times } = this.recording.facts, y = this.height - AXIS_PX / 2 + 2, count = Math.max(2, Math.floor(this.wide / 130));
-    for (let k = 0; k <= count; k++) {
-      const index = Math.round((k * (times.length - 1)) / count), text = `${Number(times[index].toFixed(1))} s`;
-      const wide = context.measureText(text).width;
-      this.text(context, text, Math.min(this.x(index + 0.5) - wide / 2, this.left + this.wide - wide), y, 200);
+    const { times } = this.recording.facts, y = this.height - AXIS_PX / 2 + 2, first = times[0], last = times.at(-1);
+    const least = ((last - first) * 70) / this.wide, power = 10 ** Math.floor(Math.log10(least || 1));
+    const apart = [1, 2, 5, 10].map((part) => part * power).find((step) => step >= least) ?? 1;
+    context.font = '12px system-ui, sans-serif';
+    for (let k = Math.ceil(first / apart); k * apart <= last; k++) {
+      const time = Number((k * apart).toFixed(6)), text = `${time} s`, wide = context.measureText(text).width;
+      const x = this.x(times.findIndex((each) => each >= time) + 0.5);
+      context.fillStyle = colourOf('--line');
+      context.fillRect(x, this.height - AXIS_PX, 1, 4);
+      this.text(context, text, Math.min(Math.max(x - wide / 2, this.left), this.left + this.wide - wide), y + 2, 200);
     }
   }
 
@@ -171,9 +174,16 @@ function colourOf(variable) {
 
 function forgetColours() { resolved = new Map(); }
 
+// Red, green and blue of a colour as the browser or the recording writes it.
+function channels(colour) {
+  if (colour.startsWith('#')) return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  return colour.match(/[\d.]+/g).slice(0, 3).map(Number);
+}
+
+function mixed(from, to, part) { return `rgb(${from.map((value, i) => Math.round(value + part * (to[i] - value)))})`; }
+
 // States in the order of the detector file, from pale to strong.
 function stateColour(state, states) {
   const part = states > 1 ? state / (states - 1) : 0;
-  const [from, to] = ['--state-first', '--state-last'].map((name) => colourOf(name).match(/\d+/g).map(Number));
-  return `rgb(${from.map((value, i) => Math.round(value + part * (to[i] - value)))})`;
+  return mixed(channels(colourOf('--state-first')), channels(colourOf('--state-last')), part);
 }
