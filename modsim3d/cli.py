@@ -215,9 +215,7 @@ def report_command(
     opened = open_run(run)
     with _progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
-        written = write_report(
-            opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
-        )
+        written = write_report(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     if not opened.finished:
         typer.echo(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
     typer.echo(f"written  {written}  ({written.stat().st_size / 1e6:.1f} MB)")

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from modsim3d.formats.tables import BOX_SIDES
@@ -68,16 +69,13 @@ class RunRows:
     @classmethod
     def of(cls, run: StoredRun) -> RunRows:
         """All rows of the steps that a run has."""
-        parts = list(run.tables())
-        frames, truth, drawn = (
-            pa.concat_tables([part[name] for part in parts]).combine_chunks()
-            for name in ("frames", "truth", "detections")
-        )
-        scene = run.scene
+        tables, scene = run.tables(), run.scene
+        frames, truth, drawn = (tables[name].combine_chunks() for name in ("frames", "truth", "detections"))
         cameras = [camera.name for camera in scene.cameras]
 
         def frame(table: pa.Table) -> Indices:
-            return table["step"].to_numpy() * len(cameras) + indices(table, "camera", cameras)
+            steps: Indices = table["step"].to_numpy()
+            return steps * len(cameras) + indices(table, "camera", cameras)
 
         return cls(
             scene,
@@ -166,7 +164,7 @@ def numbers(table: pa.Table, name: str) -> Array:
 
 def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     """A column of names as indices; `NOBODY` for null and for a name that is not among them."""
-    found = pa.compute.index_in(table[name], value_set=pa.array(list(names), pa.string()))
+    found = pc.index_in(table[name], value_set=pa.array(list(names), pa.string()))
     return np.asarray(found.fill_null(NOBODY).to_numpy(), dtype=np.int64)
 
 

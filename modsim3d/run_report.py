@@ -98,9 +98,7 @@ class _Geometry:
     corner_count: Indices
 
 
-def _geometry(
-    rows: RunRows, steps: Indices, shown: Indices, progress: Callable[[int], None]
-) -> _Geometry:
+def _geometry(rows: RunRows, steps: Indices, shown: Indices, progress: Callable[[int], None]) -> _Geometry:
     """Horizons and silhouettes.
 
     Args:

@@ -19,7 +19,8 @@ from typing import Any
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars", "--mute-audio",
          "--disable-background-networking", "--disable-component-update", "--disable-extensions", "--disable-sync",
-         "--force-color-profile=srgb", "--remote-debugging-pipe")  # fmt: skip
+         "--force-color-profile=srgb", "--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows",
+         "--disable-background-timer-throttling", "--remote-debugging-pipe")  # fmt: skip
 PATIENCE_S = 60.0
 
 
@@ -49,6 +50,8 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
+        self.call("Page.bringToFront")  # a page behind another is not animated
+        self.call("Emulation.setFocusEmulationEnabled", enabled=True)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Ask for something and wait for the answer."""

@@ -1,4 +1,4 @@
-"""The page of a run in a real browser: it plays, it can be handled by mouse and keyboard, and it asks nobody for anything."""
+"""The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
 
 from __future__ import annotations
 
@@ -56,7 +56,10 @@ def test_page_loads_without_errors_and_asks_for_nothing_but_itself(browser, page
 def test_slider_changes_the_frame(browser, page, crowded):
     browser.open(page, hash=f"#step={crowded}")
     before = pixels(browser)
-    browser.run("(slider => { slider.value = 20; slider.dispatchEvent(new Event('input')); })(document.querySelector('#slider'))")
+    browser.run(
+        "(slider => { slider.value = 20; slider.dispatchEvent(new Event('input')); })"
+        "(document.querySelector('#slider'))"
+    )
     assert browser.run("player.index") == 20
     assert "step 20 of" in browser.run("document.querySelector('#status').textContent")
     assert differ(pixels(browser), before)
@@ -78,7 +81,9 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
 def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, crowded, run_folder):
     """The colour at the middle of what is seen is its vessel's, where no other vessel's box reaches."""
     browser.open(page, hash=f"#step={crowded}")
-    browser.run("(() => { for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole(); })()")
+    browser.run(
+        "(() => { for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole(); })()"
+    )
     run = open_run(run_folder)
     (frame,) = [each for each in run.frames(crowded, crowded + 1) if each.camera == "C1"]
     picture, boxes, looked_at = pixels(browser), frame.truth.full_boxes_px, 0

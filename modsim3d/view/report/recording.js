@@ -7,7 +7,8 @@ async function openRecording() {
   const facts = JSON.parse(document.getElementById('facts').textContent);
   if (!window.DecompressionStream) throw new Error('This browser is too old to unpack the recording; a newer one will do.');
   const text = atob(document.getElementById('columns').textContent);
-  const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+  const packed = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) packed[i] = text.charCodeAt(i);
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'));
   const bytes = await new Response(stream).arrayBuffer();
   const columns = {};

@@ -42,10 +42,13 @@ def drawing_order(frame: Indices, depth_m: Array, hidden: Indices, hider: Indice
         A permutation of the rows, in order of frame, shape (n,).
     """
     order = np.lexsort((-depth_m, frame))
+    place = np.argsort(order)
+    wrong = np.unique(frame[hidden[place[hidden] > place[hider]]])
+    in_question = np.isin(frame[hidden], wrong)
     behind = defaultdict(set)
-    for back, front in zip(hidden.tolist(), hider.tolist(), strict=True):
+    for back, front in zip(hidden[in_question].tolist(), hider[in_question].tolist(), strict=True):
         behind[front].add(back)
-    for crowded in np.unique(frame[hidden]):
+    for crowded in wrong:
         rows = slice(*np.searchsorted(frame, (crowded, crowded + 1)))
         order[rows] = _behind_first(order[rows].tolist(), behind)
     return order

@@ -105,7 +105,17 @@ class Timeline {
     }
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, high);
-    for (const { first, stop, x, wide } of this.columns) {
+    let from = null, painted = '';
+    const paint = (to) => {
+      if (!painted) return;
+      const [whole, lower] = painted.split('/');
+      context.fillStyle = whole;
+      context.fillRect(from, top, to - from + 0.3, high);
+      if (!lower) return;
+      context.fillStyle = lower;
+      context.fillRect(from, top + 0.6 * high, to - from + 0.3, 0.4 * high);
+    };
+    for (const { first, stop, x } of this.columns) { // neighbours of one colour are painted in one go
       let seen = 0, sum = 0, missed = 0;
       for (let at = vessel * length + first; at < vessel * length + stop; at++) {
         if (Number.isNaN(fraction[at])) continue;
@@ -113,13 +123,12 @@ class Timeline {
         sum += fraction[at];
         missed += lost[at];
       }
-      if (!seen) continue;
-      context.fillStyle = mixed(hidden, own, sum / seen);
-      context.fillRect(x, top, wide, high);
-      if (!missed) continue;
-      context.fillStyle = mixed(own, alarm, missed / seen);
-      context.fillRect(x, top + 0.6 * high, wide, 0.4 * high);
+      const colours = !seen ? '' : `${mixed(hidden, own, sum / seen)}/${missed ? mixed(own, alarm, missed / seen) : ''}`;
+      if (colours === painted) continue;
+      paint(x);
+      [from, painted] = [x, colours];
     }
+    paint(this.left + this.wide);
   }
 
   axis(context) {
