@@ -134,6 +134,10 @@ class Scene:
         others = poses.present & (np.array(self.vessel_names) != camera.mount.vessel)
         return Sight(steps, poses, rotations, others, self._camera_poses(camera, poses, steps))
 
+    def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
+        """The side of the horizon on which the sea lies in a camera's images at some steps, shape (S, 3)."""
+        return camera.intrinsics.sea_half_plane(self.sight(camera, steps).camera_poses.camera_R_world)
+
     def _poses_at(self, steps: Indices) -> Poses:
         first, stop = int(steps[0]), int(steps[-1]) + 1
         poses = self.poses.poses(first, stop)
