@@ -30,7 +30,7 @@ def find_browser() -> str:
     found = next(filter(None, map(shutil.which, [asked] if asked else NAMES)), None)
     if found is None:
         raise FileNotFoundError(
-            f"no {asked or 'Chromium'} found: script/setup test installs one where apt has it (Debian); elsewhere "
+            f"{asked or 'Chromium'} was not found: script/setup test installs one where apt has it (Debian); elsewhere "
             "install Chromium or Chrome, or set CHROMIUM to its path"
         )
     return found
