@@ -221,6 +221,27 @@ def report_command(
     typer.echo(f"written  {written}  ({written.stat().st_size / 1e6:.1f} MB)")
 
 
+@app.command("rerun")
+def rerun_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")],
+    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="RUN/run.rrd")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Only every K-th step.")] = 1,
+) -> None:
+    """Write a run as a recording for the Rerun viewer: cameras, vessels and boxes in space and time.
+
+    Example: modsim3d rerun runs/first --out first.rrd
+    """
+    from modsim3d.run_rerun import write_recording
+    from modsim3d.stored_run import open_run
+
+    opened = open_run(run)
+    out = run / "run.rrd" if out is None else out
+    with _progress_bar() as bar:
+        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
+        write_recording(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
+    typer.echo(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")
+
+
 @app.command("scenes")
 def scenes_command() -> None:
     """List the scenes that come with modsim3d.

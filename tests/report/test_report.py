@@ -117,8 +117,11 @@ def test_every_kth_step_is_shown_and_all_are_counted(page, run_folder, tmp_path)
     assert facts["steps"] == list(range(0, STEPS, 7))
     assert facts["timestamps"] == all_facts["timestamps"][::7]
     cameras = len(facts["cameras"])
-    counts = np.diff(everything["drawnStart"]).reshape(-1, cameras)[::7].ravel()
-    np.testing.assert_array_equal(np.diff(columns["drawnStart"]), counts)
+    for starts in ("truthStart", "drawnStart"):
+        counts = np.diff(everything[starts]).reshape(-1, cameras)[::7].ravel()
+        np.testing.assert_array_equal(np.diff(columns[starts]), counts)
+        assert columns[starts][-1] == counts.sum() > 0
+    assert len(columns["vessel"]) == columns["truthStart"][-1]
     horizons = everything["horizon"].reshape(-1, cameras, 3)[::7].ravel()
     np.testing.assert_array_equal(columns["horizon"], horizons)
     assert table_after(thinned, "What happened") == table_after(page, "What happened")
