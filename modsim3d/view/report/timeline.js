@@ -51,7 +51,8 @@ class Timeline {
     const { length } = this.recording, count = Math.max(1, Math.min(Math.round(this.wide), length)), columns = [];
     for (let k = 0; k < count; k++) {
       const first = Math.floor((k * length) / count), stop = Math.floor(((k + 1) * length) / count);
-      columns.push({ first, stop, x: this.left + (k * this.wide) / count, wide: this.wide / count + 0.3 });
+      const x = Math.round(this.left + (k * this.wide) / count); // on whole pixels there are no seams
+      columns.push({ first, stop, x, wide: Math.round(this.left + ((k + 1) * this.wide) / count) - x });
     }
     return columns;
   }
@@ -110,10 +111,10 @@ class Timeline {
       if (!painted) return;
       const [whole, lower] = painted.split('/');
       context.fillStyle = whole;
-      context.fillRect(from, top, to - from + 0.3, high);
+      context.fillRect(from, top, to - from, high);
       if (!lower) return;
       context.fillStyle = lower;
-      context.fillRect(from, top + 0.6 * high, to - from + 0.3, 0.4 * high);
+      context.fillRect(from, top + 0.6 * high, to - from, 0.4 * high);
     };
     for (const { first, stop, x } of this.columns) { // neighbours of one colour are painted in one go
       let seen = 0, sum = 0, missed = 0;
