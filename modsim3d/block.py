@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,10 @@ from modsim3d.annotate.record import Truth
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +147,9 @@ class Frame:
         state: Name of the detector's performance state.
         truth: What the camera sees.
         detections: What the detector put out.
+        image_size_px: Width and height.
+        sea_half_plane: (a, b, c) with a·x + b·y + c >= 0 on the sea's side of the horizon, shape (3,).
+        scene_vessels: IDs of all vessels of the scene, seen or not; their order gives the colours of pictures.
     """
 
     camera: str
@@ -150,6 +158,24 @@ class Frame:
     state: str
     truth: FrameTruth
     detections: FrameDetections
+    image_size_px: tuple[int, int]
+    sea_half_plane: Array
+    scene_vessels: tuple[str, ...]
+
+    def plot(self, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
+        """Draw sea, sky, truth and detections with matplotlib; a notebook shows what is returned.
+
+        Args:
+            axes: Where to draw; a figure of its own if None.
+            zoom: Show only the part of the image in which there are vessels.
+            labels: Write names, classes and confidences.
+
+        Raises:
+            ModsimError: matplotlib is not installed.
+        """
+        from modsim3d.view.frame_plot import plot_frame  # the one arrow up, for the sake of frame.plot() in notebooks
+
+        return plot_frame(self, axes, zoom=zoom, labels=labels)
 
 
 def frames_of(block: Block, scene: Scene, steps: Sequence[int] | None = None) -> Iterator[Frame]:
@@ -158,14 +184,18 @@ def frames_of(block: Block, scene: Scene, steps: Sequence[int] | None = None) ->
     Args:
         block: Truth and detections.
         scene: That the block belongs to.
-        steps: Only these; all if None.
+        steps: Only these, ascending; all if None.
     """
-    for step in range(block.first, block.stop) if steps is None else steps:
-        for part in block.cameras:
-            yield _frame(block, part, scene, step)
+    wanted = np.arange(block.first, block.stop) if steps is None else np.array(steps, dtype=np.int64)
+    if not len(wanted):
+        return
+    horizons = [scene.sea_half_planes(scene.cameras[part.camera], wanted) for part in block.cameras]
+    for i, step in enumerate(wanted.tolist()):
+        for part, half_planes in zip(block.cameras, horizons, strict=True):
+            yield _frame(block, part, scene, step, half_planes[i])
 
 
-def _frame(block: Block, part: CameraBlock, scene: Scene, step: int) -> Frame:
+def _frame(block: Block, part: CameraBlock, scene: Scene, step: int, sea_half_plane: Array) -> Frame:
     within = step - block.first
     rows = slice(*np.searchsorted(part.truth.step, (step, step + 1)))
     drawn = slice(*np.searchsorted(part.detections.frame, (within, within + 1)))
@@ -205,4 +235,7 @@ def _frame(block: Block, part: CameraBlock, scene: Scene, step: int) -> Frame:
             vessels=tuple(scene.vessels[truth.vessel[row]].name if row >= 0 else None for row in sources),
             errors_px=detections.errors_px[drawn],
         ),
+        image_size_px=scene.cameras[part.camera].intrinsics.image_size_px,
+        sea_half_plane=sea_half_plane,
+        scene_vessels=scene.vessel_names,
     )

@@ -230,6 +230,10 @@ class Scene:
         known = len(self.poses.timestamps) if self.live else self.steps
         return max(first - margin, 0), max(min(stop + margin, known), stop)
 
+    def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
+        """The side of the horizon on which the sea lies in a camera's images at some steps, shape (S, 3)."""
+        return camera.intrinsics.sea_half_plane(self.sight(camera, steps).camera_poses.camera_R_world)
+
     def _poses_at(self, steps: Indices) -> Poses:
         first, stop = int(steps[0]), int(steps[-1]) + 1
         return _chosen(self.poses.poses(first, stop), steps - first)

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from modsim3d.annotate.record import Truth
 from modsim3d.block import Frame, frames_of
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import RunDirectoryError
-from modsim3d.formats.block_files import finished_truth
+from modsim3d.formats.block_files import TABLES, finished_truth
 from modsim3d.formats.run_directory import RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
 from modsim3d.formats.table_reader import read_frames, read_truth
 from modsim3d.scene import Scene
@@ -56,6 +58,20 @@ class StoredRun:
             else:
                 block = simulation.detect(self._kept(start, end), start, end)
                 yield from frames_of(block, self.scene, range(low, high))
+
+    def tables(self) -> dict[str, pa.Table]:
+        """All rows of `frames`, `truth` and `detections`; an interrupted run's are those that it would have written.
+
+        For who wants columns: many times as fast as `frames`, but all in memory.
+        """
+        if self.finished:
+            return {name: pq.read_table(self.folder / f"{name}.parquet") for name in TABLES}
+        parts = []
+        for first, stop in block_ranges(self.scene.steps, block_steps(self.scene)):
+            if first < self.steps:
+                block = Simulation(self.scene).detect(self._kept(first, stop), first, stop)
+                parts.append({name: table(block, self.scene) for name, (_, table) in TABLES.items()})
+        return {name: pa.concat_tables([part[name] for part in parts]) for name in TABLES}
 
     def truth(self, first: int, stop: int) -> Truth:
         """The truth of steps first to stop − 1 of a finished run."""

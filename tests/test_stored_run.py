@@ -32,6 +32,8 @@ def finished(scene, tmp_path_factory) -> Path:
 def assert_same_frames(found, expected):
     for a, b in zip(found, expected, strict=True):
         assert (a.camera, a.step, a.timestamp, a.state) == (b.camera, b.step, b.timestamp, b.state)
+        np.testing.assert_array_equal(a.sea_half_plane, b.sea_half_plane)
+        assert (a.image_size_px, a.scene_vessels) == (b.image_size_px, b.scene_vessels)
         for part in ("truth", "detections"):
             for field in fields(getattr(a, part)):
                 ours, theirs = getattr(getattr(a, part), field.name), getattr(getattr(b, part), field.name)

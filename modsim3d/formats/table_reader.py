@@ -75,6 +75,11 @@ def read_frames(folder: Path, scene: Scene, first: int, stop: int) -> Iterator[F
     frames = read_rows(folder / "frames.parquet", first, stop)
     truth = _by_frame(read_rows(folder / "truth.parquet", first, stop))
     detections = _by_frame(read_rows(folder / "detections.parquet", first, stop))
+    if first >= stop:
+        return
+    cameras = {camera.name: camera for camera in scene.cameras}
+    steps = np.arange(first, stop)
+    horizons = {name: scene.sea_half_planes(camera, steps) for name, camera in cameras.items()}
     for row in frames.to_pylist():
         key = row["step"], row["camera"]
         yield Frame(
@@ -84,6 +89,9 @@ def read_frames(folder: Path, scene: Scene, first: int, stop: int) -> Iterator[F
             state=row["state"],
             truth=_frame_truth(truth(key), scene),
             detections=_frame_detections(detections(key)),
+            image_size_px=cameras[row["camera"]].intrinsics.image_size_px,
+            sea_half_plane=horizons[row["camera"]][row["step"] - first],
+            scene_vessels=scene.vessel_names,
         )
 
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.report import browser
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCRIPTS = ["script/setup", "script/demo", "script/test", ".ci/run"]
 
@@ -54,3 +56,29 @@ def test_setup_accepts_the_pythons_that_the_package_does() -> None:
     lowest, above = re.findall(r"3\.\d+", asked)
     accepted = f"({lowest.replace('.', ', ')}) <= sys.version_info[:2] <= (3, {int(above.split('.')[1]) - 1})"
     assert accepted in (REPOSITORY / "script" / "setup").read_text()
+
+
+def test_setup_looks_for_the_browsers_that_the_tests_do() -> None:
+    assert f"${{CHROMIUM:-{' '.join(browser.NAMES)}}}" in (REPOSITORY / "script" / "setup").read_text()
+
+
+def browsers_found(folder: Path, **environment: str) -> bool:
+    """What setup's own `has_browser` says with nothing else on the path than a folder."""
+    text = (REPOSITORY / "script" / "setup").read_text()
+    function = re.search(r"^has_browser\(\) \{.*?^\}", text, re.DOTALL | re.MULTILINE)[0]
+    command = ["/bin/bash", "-c", f"{function}\nhas_browser"]
+    return subprocess.run(command, env={"PATH": str(folder), **environment}, check=False).returncode == 0
+
+
+def test_setup_takes_a_browser_that_runs_and_no_stub(tmp_path: Path) -> None:
+    assert not browsers_found(tmp_path)
+    stub = tmp_path / "chromium"
+    stub.write_text("#!/bin/sh\necho install the snap >&2; exit 1\n")
+    stub.chmod(0o755)
+    assert not browsers_found(tmp_path)
+    other = tmp_path / "mine"
+    other.write_text("#!/bin/sh\necho Chromium 100\n")
+    other.chmod(0o755)
+    assert browsers_found(tmp_path, CHROMIUM=str(other))
+    stub.write_text(other.read_text())
+    assert browsers_found(tmp_path)

@@ -69,6 +69,12 @@ def test_wheel_carries_every_file_of(wheel: Path, kind: str) -> None:
     assert {f"modsim3d/_data/{name}" for name in shipped} <= files_of(wheel)
 
 
+def test_wheel_carries_every_part_of_the_page_of_a_run(wheel: Path) -> None:
+    parts = run("git", "ls-files", "modsim3d/view/report", cwd=REPOSITORY).split()
+    assert {Path(path).suffix for path in parts} == {".py", ".html", ".css", ".js"}
+    assert set(parts) <= files_of(wheel)
+
+
 def test_wheel_says_that_it_is_typed(wheel: Path) -> None:
     assert "modsim3d/py.typed" in files_of(wheel)
 

@@ -1,0 +1,204 @@
+"""The page of a run: joins what a run directory holds with the page that shows it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.annotate.analytic import image_silhouettes
+from modsim3d.errors import RunDirectoryError
+from modsim3d.frames import Array
+from modsim3d.report_rows import NOBODY, RunRows, indices, numbers, positions
+from modsim3d.scene import Scene
+from modsim3d.stored_run import StoredRun
+from modsim3d.view import palette
+from modsim3d.view.report.page import Page, report_page
+from modsim3d.view.report.recording import NONE, Recording, in_250ths, in_quanta, quantum_px, starts
+from modsim3d.view.report.silhouettes import drawing_order, rings
+
+REPORT_FILE = "report.html"
+RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
+"""Pages that other commands write into a run directory, and what they are."""
+SIGHT_STEPS = 250
+"""Steps whose geometry is made together: few calls, little memory."""
+
+Indices = NDArray[np.int64]
+
+
+def write_report(
+    run: StoredRun, out: Path | None = None, every: int = 1, progress: Callable[[int], None] = lambda steps: None
+) -> Path:
+    """Write the page of a run.
+
+    Args:
+        run: A finished or an interrupted one.
+        out: The file; `report.html` in the run directory if None.
+        every: Show every K-th step; the tables count all of them.
+        progress: Called with the number of shown steps done since its last call.
+
+    Returns:
+        The file.
+
+    Raises:
+        RunDirectoryError: An interrupted run has kept nothing yet, or the file cannot be written.
+    """
+    if not run.steps:
+        raise RunDirectoryError(
+            f"{run.folder} was interrupted before its first steps were finished: there is nothing to show; "
+            "go on with modsim3d run --resume"
+        )
+    out = run.folder / REPORT_FILE if out is None else out
+    rows, scene = RunRows.of(run), run.scene
+    tally = rows.tally()
+    page = Page(
+        name=scene.name,
+        recording=_recording(rows, every, progress),
+        settings=run.settings,
+        overall=tally.overall(),
+        by_vessel=tally.by_vessel(scene.vessel_names),
+        by_state=tally.by_state([state.name for state in scene.detector.states]),
+        steps=run.steps,
+        planned_steps=scene.steps,
+        finished=run.finished,
+        every=every,
+        related=_related(run.folder, out),
+    )
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(report_page(page), encoding="utf-8")
+    except OSError as error:
+        raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
+    return out
+
+
+def _related(folder: Path, out: Path) -> list[tuple[str, str]]:
+    """Links, as seen from the page, to what other commands have written into the run directory, and what they are."""
+    base = Path(os.path.relpath(folder.resolve(), out.parent.resolve()))
+    return [((base / name).as_posix(), text) for name, text in RELATED.items() if (folder / name).is_file()]
+
+
+@dataclass(frozen=True, eq=False)
+class _Geometry:
+    """What the tables do not hold.
+
+    Attributes:
+        horizons: Sea half plane of each shown frame, shape (F, 3).
+        corners_px: Of the silhouettes, one after the other, shape (k, 2).
+        corner_count: Of each shown truth row, shape (n,).
+    """
+
+    horizons: Array
+    corners_px: Array
+    corner_count: Indices
+
+
+def _geometry(rows: RunRows, steps: Indices, shown: Indices, progress: Callable[[int], None]) -> _Geometry:
+    """Horizons and silhouettes.
+
+    Args:
+        rows: Of the run.
+        steps: Those shown.
+        shown: Truth rows, in the order in which they are drawn.
+        progress: Called with the number of steps done.
+    """
+    scene, cameras, vessels = rows.scene, len(rows.scene.cameras), len(rows.scene.vessels)
+    horizons = np.empty((len(steps), cameras, 3))
+    keys, counts, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
+    for first in range(0, len(steps), SIGHT_STEPS):
+        looked_at = steps[first : first + SIGHT_STEPS]
+        for index, camera in enumerate(scene.cameras):
+            sight = scene.sight(camera, looked_at)
+            rotations = sight.camera_poses.camera_R_world
+            horizons[first : first + SIGHT_STEPS, index] = camera.intrinsics.sea_half_plane(rotations)
+            outlines = sight.outlines(camera.intrinsics, scene.vessels)
+            points, count = rings(image_silhouettes(outlines, camera.intrinsics))
+            keys.append((looked_at[outlines.frame] * cameras + index) * vessels + outlines.vessel)
+            counts.append(count)
+            corners.append(points)
+        progress(len(looked_at))
+    found = positions(np.concatenate(keys), rows.truth_frame[shown] * vessels + rows.truth_vessel[shown])
+    count, points = np.concatenate(counts), np.concatenate(corners)
+    mine = np.where(found == NOBODY, 0, count[found] if len(count) else 0)
+    begins = (np.cumsum(count) - count)[found] if len(count) else found
+    within = np.arange(mine.sum()) - np.repeat(np.cumsum(mine) - mine, mine)
+    return _Geometry(horizons.reshape(-1, 3), points[np.repeat(begins, mine) + within], mine)
+
+
+def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Recording:
+    scene, cameras = rows.scene, len(rows.scene.cameras)
+    steps = np.arange(0, rows.steps, every)
+    frames = len(steps) * cameras
+    quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
+    occluders = rows.occluders()
+    known = occluders.row != NOBODY
+    order = drawing_order(rows.truth_frame, rows.numbers("depth_m"), occluders.hidden[known], occluders.row[known])
+    shown = order[rows.truth_frame[order] // cameras % every == 0]
+    drawn = np.flatnonzero(rows.drawn_frame // cameras % every == 0)
+    main_hider = np.full(len(order), NONE)
+    least_first = np.argsort(occluders.px, kind="stable")
+    main_hider[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last stays
+    geometry = _geometry(rows, steps, shown, progress)
+
+    def shown_frame(frame: Indices) -> Indices:
+        return frame // cameras // every * cameras + frame % cameras
+
+    columns = {
+        "state": rows.frame_state.reshape(-1, cameras)[::every].ravel().astype(np.uint8),
+        "horizon": geometry.horizons.astype(np.float32),
+        "truthStart": starts(shown_frame(rows.truth_frame[shown]), frames),
+        "vessel": rows.truth_vessel[shown].astype(np.uint16),
+        "flags": (rows.annotated[shown] + 2 * rows.detected[shown]).astype(np.uint8),
+        "fraction": in_250ths(rows.numbers("visible_fraction")[shown]),
+        "depth": rows.numbers("depth_m")[shown].astype(np.float32),
+        "hider": main_hider[shown].astype(np.uint16),
+        "full": in_quanta(rows.boxes_px("full")[shown], quantum),
+        "visible": in_quanta(rows.boxes_px("visible")[shown], quantum),
+        "cornerCount": geometry.corner_count.astype(np.uint16),
+        "corners": in_quanta(geometry.corners_px, quantum),
+        "drawnStart": starts(shown_frame(rows.drawn_frame[drawn]), frames),
+        "drawnVessel": np.where(rows.drawn_vessel < 0, NONE, rows.drawn_vessel)[drawn].astype(np.uint16),
+        "label": indices(rows.drawn, "label", scene.detector.labels)[drawn].astype(np.uint16),
+        "confidence": np.rint(1000 * numbers(rows.drawn, "confidence")[drawn]).astype(np.uint16),
+        "box": in_quanta(rows.drawn_boxes_px()[drawn], quantum),
+    }
+    return Recording(_facts(scene, steps, quantum), columns)
+
+
+def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
+    """What the numbers mean."""
+    timestamps = scene.timestamps(0, int(steps[-1]) + 1)
+    times_s = scene.times_s(0, int(steps[-1]) + 1)
+    return {
+        "quantum": quantum,
+        "mode": scene.annotation.mode,
+        "steps": steps.tolist(),
+        "timestamps": [timestamps[step] for step in steps],
+        "times": np.round(times_s[steps], 6).tolist(),
+        "states": [state.name for state in scene.detector.states],
+        "labels": list(scene.detector.labels),
+        "occluders": list(scene.occluder_names),
+        "vessels": [{"name": v.name, "label": v.label} for v in scene.vessels],
+        "cameras": [
+            {"name": camera.name, "size": list(camera.intrinsics.image_size_px), "carrier": camera.mount.vessel}
+            for camera in scene.cameras
+        ],
+        "colours": {
+            "vessels": [_css(palette.vessel_colour(index)) for index in range(len(scene.vessels))],
+            "hulls": [_css(palette.darker(palette.vessel_colour(index))) for index in range(len(scene.vessels))],
+            "sea": _css(palette.SEA),
+            "sky": _css(palette.SKY),
+            "truth": _css(palette.TRUTH),
+            "alarm": _css(palette.ALARM),
+            "ink": _css(palette.INK),
+        },
+    }
+
+
+def _css(colour: palette.Colour) -> str:
+    return "#" + "".join(f"{channel:02x}" for channel in colour)

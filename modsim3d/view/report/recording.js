@@ -1,0 +1,116 @@
+// The recording: columns of numbers and what they mean. Its other side is recording.py.
+
+const NONE = 0xffff, UNKNOWN_FRACTION = 255, WHOLE = 250;
+const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
+
+async function openRecording() {
+  const facts = JSON.parse(document.getElementById('facts').textContent);
+  if (!window.DecompressionStream) throw new Error('This browser is too old to unpack the recording; a newer one will do.');
+  const text = atob(document.getElementById('columns').textContent);
+  const packed = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) packed[i] = text.charCodeAt(i);
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'));
+  const bytes = await new Response(stream).arrayBuffer();
+  const columns = {};
+  for (const { name, type, offset, length } of facts.columns) columns[name] = new ARRAYS[type](bytes, offset, length);
+  return new Recording(facts, columns);
+}
+
+class Recording {
+  constructor(facts, columns) {
+    this.facts = facts;
+    this.columns = columns;
+    this.length = facts.steps.length;
+    this.rowsRead = 0; // how many rows were looked at, so that a test can see that a frame costs no more than itself
+    this.cornerStart = new Uint32Array(columns.cornerCount.length + 1);
+    columns.cornerCount.forEach((count, row) => { this.cornerStart[row + 1] = this.cornerStart[row] + count; });
+  }
+
+  frame(index, camera) { return index * this.facts.cameras.length + camera; }
+
+  state(index, camera) { return this.facts.states[this.columns.state[this.frame(index, camera)]]; }
+
+  // The side of the horizon on which the sea lies: a x + b y + c >= 0.
+  horizon(index, camera) {
+    const start = 3 * this.frame(index, camera);
+    return this.columns.horizon.subarray(start, start + 3);
+  }
+
+  // What the camera sees, farthest first.
+  truths(index, camera) {
+    const frame = this.frame(index, camera), { truthStart } = this.columns, rows = [];
+    for (let row = truthStart[frame]; row < truthStart[frame + 1]; row++) rows.push(this.truth(row));
+    return rows;
+  }
+
+  truth(row) {
+    this.rowsRead++;
+    const { vessel, flags, fraction, depth, hider } = this.columns;
+    const annotated = (flags[row] & 1) > 0, detected = (flags[row] & 2) > 0;
+    const full = this.box('full', row), visible = this.box('visible', row);
+    return {
+      row, vessel: vessel[row], annotated, detected, missed: annotated && !detected,
+      fraction: fraction[row] === UNKNOWN_FRACTION ? null : fraction[row] / WHOLE,
+      depth: depth[row], hider: hider[row] === NONE ? null : this.facts.occluders[hider[row]],
+      full, visible, target: this.facts.mode === 2 ? visible ?? full : full,
+    };
+  }
+
+  // What the detector put out.
+  detections(index, camera) {
+    const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence } = this.columns, rows = [];
+    for (let row = drawnStart[frame]; row < drawnStart[frame + 1]; row++) {
+      this.rowsRead++;
+      const vessel = drawnVessel[row];
+      rows.push({
+        vessel: vessel === NONE ? null : vessel, label: this.facts.labels[label[row]],
+        confidence: confidence[row] / 1000, box: this.box('box', row),
+      });
+    }
+    return rows;
+  }
+
+  // x_min, y_min, x_max, y_max in pixels, or null.
+  box(name, row) {
+    const sides = this.columns[name].subarray(4 * row, 4 * row + 4);
+    return sides[0] === NONE ? null : Array.from(sides, (side) => side * this.facts.quantum);
+  }
+
+  // A silhouette's corners in pixels: x, y, x, y, ...
+  silhouette(row) {
+    const { corners } = this.columns, { quantum } = this.facts;
+    const part = corners.subarray(2 * this.cornerStart[row], 2 * this.cornerStart[row + 1]);
+    return Array.from(part, (value) => value * quantum);
+  }
+
+  // What the timeline shows of a camera: for each step counts, and for each vessel and step its visible fraction.
+  summary(camera) {
+    const { columns, length } = this, vessels = this.facts.vessels.length;
+    const summary = {
+      state: new Uint8Array(length), seen: new Uint16Array(length), annotated: new Uint16Array(length), missed: new Uint16Array(length),
+      false: new Uint16Array(length), hidden: new Uint16Array(length),
+      fraction: new Float32Array(vessels * length).fill(NaN), lost: new Uint8Array(vessels * length),
+      rows: [Infinity, -Infinity], // of the image: the least and the greatest that a vessel reaches
+    };
+    for (let index = 0; index < length; index++) {
+      const frame = this.frame(index, camera);
+      summary.state[index] = columns.state[frame];
+      summary.seen[index] = columns.truthStart[frame + 1] - columns.truthStart[frame];
+      for (let row = columns.truthStart[frame]; row < columns.truthStart[frame + 1]; row++) {
+        const at = columns.vessel[row] * length + index, fraction = columns.fraction[row];
+        const missed = columns.flags[row] === 1;
+        summary.fraction[at] = fraction === UNKNOWN_FRACTION ? 1 : fraction / WHOLE;
+        summary.lost[at] = missed ? 1 : 0;
+        summary.annotated[index] += columns.flags[row] & 1;
+        summary.missed[index] += missed ? 1 : 0;
+        summary.rows[0] = Math.min(summary.rows[0], columns.full[4 * row + 1] * this.facts.quantum);
+        summary.rows[1] = Math.max(summary.rows[1], columns.full[4 * row + 3] * this.facts.quantum);
+        summary.hidden[index] += fraction > 0 && fraction < WHOLE ? 1 : 0;
+      }
+      for (let row = columns.drawnStart[frame]; row < columns.drawnStart[frame + 1]; row++) {
+        if (columns.drawnVessel[row] === NONE) summary.false[index]++;
+      }
+    }
+    return summary;
+  }
+}

@@ -1,0 +1,113 @@
+"""Counts of a run by vessel and by performance state, as rows of tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.frames import Array
+
+Flags = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+Rows = list[tuple[str, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """What is counted: columns over all steps of a run.
+
+    Attributes:
+        frame_state: Performance state of each image, shape (F,).
+        vessel: Of each truth row, shape (n,).
+        state: In the image of each truth row, shape (n,).
+        silhouette_px: Shape (n,).
+        visible_px: NaN where unknown, shape (n,).
+        annotated: Shape (n,).
+        detected: Shape (n,).
+        false_state: State in the image of each false positive, shape (m,).
+        mislabelled: Detections of a vessel under another label.
+    """
+
+    frame_state: Indices
+    vessel: Indices
+    state: Indices
+    silhouette_px: Array
+    visible_px: Array
+    annotated: Flags
+    detected: Flags
+    false_state: Indices
+    mislabelled: int
+
+    @property
+    def hidden_in_part(self) -> Flags:
+        """Truth rows of which something is seen and something is hidden."""
+        hidden: Flags = (self.visible_px > 0) & (self.visible_px < self.silhouette_px)
+        return hidden
+
+    @property
+    def hidden_wholly(self) -> Flags:
+        """Truth rows that have pixels, none of them seen."""
+        hidden: Flags = (self.visible_px == 0) & (self.silhouette_px > 0)
+        return hidden
+
+    def overall(self) -> Rows:
+        """What happened, summed over images: name, count, and what it is a share of."""
+        annotated, detected = int(self.annotated.sum()), int((self.annotated & self.detected).sum())
+        false = len(self.false_state)
+        return [
+            ("Images", str(len(self.frame_state)), ""),
+            ("Vessels in images", str(len(self.vessel)), "summed over images"),
+            ("Partly hidden", str(int(self.hidden_in_part.sum())), share(self.hidden_in_part.sum(), len(self.vessel))),
+            ("Wholly hidden", str(int(self.hidden_wholly.sum())), ""),
+            ("Annotated", str(annotated), "given to the detector"),
+            ("Detected", str(detected), f"{share(detected, annotated)} of annotated"),
+            ("Missed", str(annotated - detected), f"{share(annotated - detected, annotated)} of annotated"),
+            ("Mislabelled", str(self.mislabelled), f"{share(self.mislabelled, detected)} of detected"),
+            ("False positives", str(false), f"{share(false, detected + false)} of all detections"),
+        ]
+
+    def by_vessel(self, names: Sequence[str]) -> Rows:
+        """For each vessel: images, of those hidden in part and wholly, annotated, detected, missed, their share."""
+        rows = []
+        for index, name in enumerate(names):
+            mine = self.vessel == index
+            annotated, detected = self.annotated & mine, self.detected & mine
+            missed = int(annotated.sum() - detected.sum())
+            counts = (mine, self.hidden_in_part & mine, self.hidden_wholly & mine, annotated, detected)
+            numbers = [str(int(flags.sum())) for flags in counts]
+            rows.append((name, *numbers, str(missed), share(missed, annotated.sum())))
+        return rows
+
+    def by_state(self, names: Sequence[str]) -> Rows:
+        """For each state: images, annotated, detected, missed, their share, false positives, their share."""
+        rows = []
+        for index, name in enumerate(names):
+            mine = self.state == index
+            annotated, detected = int((self.annotated & mine).sum()), int((self.detected & mine).sum())
+            false, images = int((self.false_state == index).sum()), int((self.frame_state == index).sum())
+            missed = annotated - detected
+            numbers = (images, annotated, detected, missed)
+            shares = share(missed, annotated), str(false), share(false, detected + false)
+            rows.append((name, *map(str, numbers), *shares))
+        return rows
+
+
+VESSEL_HEADER = ("Vessel", "Images", "Partly hidden", "Wholly hidden", "Annotated", "Detected", "Missed", "Miss rate")
+STATE_HEADER = (
+    "Performance state",
+    "Images",
+    "Annotated",
+    "Detected",
+    "Missed",
+    "Miss rate",
+    "False positives",
+    "Share of detections",
+)
+
+
+def share(part: float, whole: float) -> str:
+    """A percentage; a dash where there is nothing to have a share of."""
+    return f"{part / whole:.1%}" if whole else "–"

@@ -1,0 +1,185 @@
+"""A headless Chromium, driven over the DevTools protocol through a pair of pipes: no driver, no port, no network."""
+
+from __future__ import annotations
+
+import base64
+import fcntl
+import json
+import os
+import select
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars", "--mute-audio",
+         "--disable-background-networking", "--disable-component-update", "--disable-extensions", "--disable-sync",
+         "--force-color-profile=srgb", "--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows",
+         "--disable-background-timer-throttling", "--remote-debugging-pipe")  # fmt: skip
+PATIENCE_S = 60.0
+
+
+def find_browser() -> str:
+    """The browser that `CHROMIUM` names, or the first on the path."""
+    asked = os.environ.get("CHROMIUM")
+    found = next(filter(None, map(shutil.which, [asked] if asked else NAMES)), None)
+    if found is None:
+        raise FileNotFoundError(
+            f"{asked or 'Chromium'} was not found: script/setup test installs one where apt has it (Debian); elsewhere "
+            "install Chromium or Chrome, or set CHROMIUM to its path"
+        )
+    return found
+
+
+class Browser:
+    """One tab of a browser, and what it has said."""
+
+    def __init__(self, process: subprocess.Popen[bytes], to_browser: int, from_browser: int) -> None:
+        self.process = process
+        self._to, self._from = to_browser, from_browser
+        self._number, self._rest = 0, b""
+        self._session: str | None = None
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+        self.call("Page.bringToFront")  # a page behind another is not animated
+        self.call("Emulation.setFocusEmulationEnabled", enabled=True)
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Ask for something and wait for the answer."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        while (answer := self._read()).get("id") != self._number:
+            self._heed(answer)
+        if "error" in answer:
+            raise RuntimeError(f"{method}: {answer['error']}")
+        return answer["result"]
+
+    def _read(self) -> dict[str, Any]:
+        deadline = time.monotonic() + PATIENCE_S
+        while b"\0" not in self._rest:
+            if not select.select([self._from], [], [], max(0.0, deadline - time.monotonic()))[0]:
+                raise TimeoutError("the browser does not answer")
+            part = os.read(self._from, 1 << 20)
+            if not part:
+                raise RuntimeError("the browser has stopped")
+            self._rest += part
+        text, _, self._rest = self._rest.partition(b"\0")
+        return json.loads(text)
+
+    def _heed(self, event: dict[str, Any]) -> None:
+        method, said = event.get("method"), event.get("params", {})
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(said["exceptionDetails"]))
+        elif method == "Runtime.consoleAPICalled" and said["type"] in ("error", "warning", "assert"):
+            self.errors.append(json.dumps(said["args"]))
+        elif method == "Log.entryAdded" and said["entry"]["level"] in ("error", "warning"):
+            self.errors.append(json.dumps(said["entry"]))
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(said["request"]["url"])
+
+    def open(self, path: Path, size: tuple[int, int] = (1280, 900), hash: str = "") -> None:
+        """Load a file and wait for its player; what was said of the page before is forgotten."""
+        self.resize(size)
+        self.call("Page.navigate", url="about:blank")
+        self.errors.clear()
+        self.requests.clear()
+        self.call("Page.navigate", url=path.resolve().as_uri() + hash)
+        deadline = time.monotonic() + PATIENCE_S
+        while not self.run("Boolean(window.player || document.querySelector('#failure:not([hidden])'))"):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the player does not start: {self.errors}")
+            time.sleep(0.02)
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """The window's width and height."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
+        )
+
+    def scheme(self, scheme: str) -> None:
+        """What the system prefers: `light` or `dark`."""
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def run(self, script: str) -> Any:
+        """The value of an expression in the page."""
+        answer = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(json.dumps(answer["exceptionDetails"]))
+        return answer["result"].get("value")
+
+    def press(self, key: str, shift: bool = False) -> None:
+        """Press a key as a user does."""
+        text = {"text": key} if len(key) == 1 else {}
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0,
+                      **(text if kind == "keyDown" else {}))  # fmt: skip
+
+    def click(self, selector: str, across: float = 0.5, down: float = 0.5) -> None:
+        """Press the mouse on an element, at a share of its width and height."""
+        x, y = self._place(selector, across, down)
+        self.mouse("mouseMoved", x, y)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.mouse(kind, x, y, button="left", clickCount=1)
+
+    def hover(self, selector: str, across: float, down: float) -> None:
+        """Move the mouse over an element."""
+        self.mouse("mouseMoved", *self._place(selector, across, down))
+
+    def wheel(self, selector: str, by: float) -> None:
+        """Turn the wheel over the middle of an element."""
+        self.mouse("mouseWheel", *self._place(selector, 0.5, 0.5), deltaX=0, deltaY=by)
+
+    def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        """A mouse event at a place in the window."""
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def _place(self, selector: str, across: float, down: float) -> tuple[float, float]:
+        box = self.run(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); "
+            "e.scrollIntoView({block: 'center', behavior: 'instant'});"
+            "const b = e.getBoundingClientRect(); return [b.x, b.y, b.width, b.height]; })()"
+        )
+        return box[0] + across * box[2], box[1] + down * box[3]
+
+    def screenshot(self, path: Path, whole: bool = False) -> None:
+        """What is seen, or the whole page, as PNG."""
+        answer = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        path.write_bytes(base64.b64decode(answer["data"]))
+
+
+@contextmanager
+def open_browser() -> Iterator[Browser]:
+    """A browser of its own, ended afterwards."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        low_in, our_out = os.pipe()
+        our_in, low_out = os.pipe()
+        # The protocol wants descriptors 3 and 4; a shell puts them there, from numbers that are out of the way.
+        their_in, their_out = (fcntl.fcntl(low, fcntl.F_DUPFD, 10) for low in (low_in, low_out))
+        os.close(low_in)
+        os.close(low_out)
+        start = f'exec "$@" 3<&{their_in} 4>&{their_out}'
+        command = ["bash", "-c", start, "bash", find_browser(), *FLAGS, f"--user-data-dir={profile}"]
+        with subprocess.Popen(
+            command, pass_fds=(their_in, their_out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ) as process:
+            os.close(their_in)
+            os.close(their_out)
+            try:
+                yield Browser(process, our_out, our_in)
+            finally:
+                process.terminate()
+                process.wait(timeout=PATIENCE_S)
+                os.close(our_out)
+                os.close(our_in)

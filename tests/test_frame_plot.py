@@ -1,0 +1,109 @@
+"""frame.plot(): the picture shows what the frame says, and imports no plotting library before it is asked for."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
+
+from modsim3d.errors import ModsimError
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import simulate_frames
+from modsim3d.view import palette
+from modsim3d.view.frame_plot import below_horizon
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return list(simulate_frames(load_scene("harbour", mode=2, seed=3, steps=200, source="analytic")))[120:]
+
+
+@pytest.fixture(scope="module")
+def frame(frames):
+    """With a missed vessel and a false positive."""
+    return next(f for f in frames if np.any(f.truth.annotated & ~f.truth.detected) and None in f.detections.vessels)
+
+
+def boxes_of(figure, colour, dashed=None):
+    (axes,) = figure.axes
+    found = [
+        p for p in axes.patches if isinstance(p, Rectangle) and p.get_edgecolor()[:3] == tuple(np.divide(colour, 255))
+    ]
+    kept = [p for p in found if dashed is None or (p.get_linestyle() == "--") == dashed]
+    return np.array([np.ravel(p.get_bbox()) for p in kept]).reshape(-1, 4)
+
+
+def test_plot_returns_a_figure_with_the_boxes_of_the_frame(frame):
+    figure = frame.plot()
+    assert isinstance(figure, Figure)
+    truth, found = frame.truth, frame.detections
+    np.testing.assert_allclose(boxes_of(figure, palette.TRUTH, dashed=True), truth.full_boxes_px)
+    missed = truth.boxes_px[truth.annotated & ~truth.detected]
+    np.testing.assert_allclose(boxes_of(figure, palette.ALARM, dashed=False), missed)
+    false = found.boxes_px[[vessel is None for vessel in found.vessels]]
+    np.testing.assert_allclose(boxes_of(figure, palette.ALARM, dashed=True), false)
+    name = next(vessel for vessel in found.vessels if vessel is not None)
+    colour = palette.vessel_colour(frame.scene_vessels.index(name))
+    mine = found.boxes_px[[vessel == name for vessel in found.vessels]]
+    assert any(np.allclose(row, mine[0]) for row in boxes_of(figure, colour))
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert any(text.startswith(f"{name}: ") for text in texts)
+    assert len(texts) == len(missed) + len(found)
+
+
+def test_picture_has_sea_below_and_sky_above_the_horizon(frame):
+    bare = replace(frame, truth=replace(frame.truth, vessels=()))
+    figure = bare.plot(labels=False)
+    figure.axes[0].set_axis_off()
+    _, sea = [patch for patch in figure.axes[0].patches if isinstance(patch, Polygon)]
+    a, b, c = frame.sea_half_plane
+    corners = sea.get_xy()
+    assert np.all(corners @ [a, b] + c >= -1e-6)
+    assert 0 < corners[:, 1].min() < corners[:, 1].max() == frame.image_size_px[1]
+
+
+def test_image_edges_are_the_limits_and_zoom_keeps_every_vessel_in_sight(frame):
+    axes = frame.plot().axes[0]
+    width, height = frame.image_size_px
+    assert (axes.get_xlim(), axes.get_ylim()) == ((0, width), (height, 0))
+    near = frame.plot(zoom=True, labels=False).axes[0]
+    (left, right), (bottom, top) = near.get_xlim(), near.get_ylim()
+    boxes = frame.truth.full_boxes_px
+    assert left <= boxes[:, 0].min() and right >= boxes[:, 2].max()
+    assert top <= boxes[:, 1].min() and bottom >= boxes[:, 3].max()
+    assert (bottom - top) < height
+    assert not near.texts
+
+
+def test_plot_draws_on_axes_that_it_is_given(frame):
+    figure = Figure()
+    left, right = figure.subplots(1, 2)
+    assert frame.plot(right) is figure
+    assert right.patches and not left.patches
+
+
+@pytest.mark.parametrize("plane, area", [((0, 1, -30), 700), ((0, -1, 30), 300), ((0, 0, 1), 1000), ((0, 0, -1), 0)])
+def test_part_of_the_image_below_the_horizon_has_the_area_that_it_should(plane, area):
+    corners = np.array([[0, 0], [10, 0], [10, 100], [0, 100]], dtype=float)
+    x, y = below_horizon(corners, np.array(plane, dtype=float)).T
+    assert abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2 == pytest.approx(area)
+
+
+def test_without_matplotlib_the_error_names_the_extra(frame, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ModsimError, match=r"modsim3d\[view\]"):
+        frame.plot()
+
+
+def test_frames_import_no_plotting_library():
+    script = (
+        "import sys, modsim3d\n"
+        "list(modsim3d.simulate_frames(modsim3d.load_scene('simulation_1', steps=2, source='analytic')))\n"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
