@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.cli_view import view_command
 from modsim3d.errors import ModsimError
+from modsim3d.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
@@ -39,8 +40,11 @@ app = typer.Typer(
 
   modsim3d compare my/scene.yaml              rendered truth against exact geometry
 
+  modsim3d view runs/simulation_1 --film all  a film of a run
+
   modsim3d scenes                             the scenes that come with it""",
 )
+app.command("view")(view_command)
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -111,7 +115,7 @@ def run_command(
     )
     folder = out if out is not None else Path("runs") / loaded.name
     try:
-        with _progress_bar() as bar:
+        with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=loaded.steps)
             result = run_scene(
                 loaded,
@@ -173,7 +177,7 @@ def compare_command(
     with open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("the rendered source is needed to compare with")
-        with _progress_bar() as bar:
+        with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=-(-loaded.steps // every))
             report = compare_sources(
                 loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
@@ -208,15 +212,6 @@ def scenes_command() -> None:
     for name, path in shipped_scenes().items():
         first = path.read_text(encoding="utf-8").partition("\n")[0]
         typer.echo(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")
-
-
-def _progress_bar() -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # Refreshed after each block: a thread that refreshes would keep workers from being copies of this process.
-    return Progress(*columns, console=Console(stderr=True), auto_refresh=False)
 
 
 def _print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
