@@ -20,7 +20,9 @@ ALL = ("detections", "scene", "ids")
 MOST_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
 LEAST_CROP = 0.02
-"""Share of an image that is shown around a vessel, however small."""
+"""Share of an image that is shown around vessels, however small they are."""
+LEAST_ASPECT, MOST_ASPECT = 4 / 3, 8 / 3
+"""Width over height of the part of an image that is shown around vessels, if the image is not smaller."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ class FilmPlan:
 
 
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
-    """For each camera the part of its image in which vessels and their detections are, with the image's aspect."""
+    """For each camera the part of its image in which vessels and their detections are."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
     for frames in selection.frames():
         for found, frame in zip(boxes, frames, strict=True):
@@ -84,7 +86,8 @@ def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
         size = np.array(selection.run.scene.cameras[index].intrinsics.image_size_px, dtype=np.float64)
         every = np.concatenate(found)
         low, high = (every[:, :2].min(axis=0), every[:, 2:].max(axis=0)) if len(every) else (0 * size, size)
-        shown = min(1.0, 1.1 * float(np.max((high - low) / size)) + LEAST_CROP) * size
+        width, height = np.minimum(1.15 * (high - low) + LEAST_CROP * size, size)
+        shown = np.minimum([max(width, height * LEAST_ASPECT), max(height, width / MOST_ASPECT)], size)
         corner = np.clip((low + high - shown) / 2, 0, size - shown)
         (x, y), (right, bottom) = corner.tolist(), (corner + shown).tolist()
         crops.append((x, y, right, bottom))

@@ -45,6 +45,7 @@ def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
     """
     size = np.array(pen.picture.size)
     plates = np.empty((0, 4))
+    chosen: list[tuple[Label, Array]] = []
     content = np.array(keep_clear, dtype=np.float64).reshape(-1, 4)
     for label in labels:
         x0, y0, x1, y1 = label.box
@@ -61,9 +62,13 @@ def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
         covered = (_shared(places, content) / np.clip(_areas(content), 1, plate)).sum(axis=1)
         cost = covered + 0.35 * np.arange(len(places)) / 6 + np.where(taken, np.inf, 0.0)
         best = places[int(np.argmin(cost))]
-        _draw(pen, label, best)
+        chosen.append((label, best))
         plates = np.vstack([plates, best])
-    return len(plates)
+    for label, place in chosen:  # lines before plates: none crosses a text
+        _lead(pen, label, place)
+    for label, place in chosen:
+        pen.plate(round(float(place[0])), round(float(place[1])), label.text, label.colour)
+    return len(chosen)
 
 
 def _places(label: Label, plate: Array, size: Array) -> Array:
@@ -104,12 +109,11 @@ def _areas(boxes: Array) -> Array:
     return areas
 
 
-def _draw(pen: Pen, label: Label, place: Array) -> None:
-    """The plate, and a line to its box if it does not touch it."""
+def _lead(pen: Pen, label: Label, place: Array) -> None:
+    """A line from a label to its box, if it does not touch it."""
     x0, y0, x1, y1 = label.box
     left, top, right, bottom = place.tolist()
     start = np.array([min(max((left + right) / 2, x0), x1), min(max((top + bottom) / 2, y0), y1)])
     end = np.array([min(max(start[0], left), right), min(max(start[1], top), bottom)])
     if np.abs(end - start).max() > 4:
         pen.segments(np.array([[start, end]]), label.colour, 0.5)
-    pen.plate(round(left), round(top), label.text, label.colour)
