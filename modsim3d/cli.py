@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.cli_view import view_command
 from modsim3d.errors import ModsimError
+from modsim3d.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
 
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
@@ -41,9 +42,11 @@ app = typer.Typer(
 
   modsim3d ais log.csv --out scenes/traffic   a scene from real traffic
   modsim3d report runs/first                  a page that plays a run
+  modsim3d view runs/simulation_1 --film all  a film of a run
 
   modsim3d scenes                             the scenes that come with it""",
 )
+app.command("view")(view_command)
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -121,7 +124,7 @@ def run_command(
     )
     folder = out if out is not None else Path("runs") / loaded.name
     try:
-        with _progress_bar() as bar:
+        with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=None if loaded.live else loaded.steps)
             result = run_scene(
                 loaded,
@@ -185,7 +188,7 @@ def compare_command(
     with open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("the rendered source is needed to compare with")
-        with _progress_bar() as bar:
+        with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=-(-loaded.steps // every))
             report = compare_sources(
                 loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
@@ -277,7 +280,7 @@ def report_command(
     from modsim3d.stored_run import open_run
 
     opened = open_run(run)
-    with _progress_bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         written = write_report(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     if not opened.finished:
@@ -300,7 +303,7 @@ def rerun_command(
 
     opened = open_run(run)
     out = run / "run.rrd" if out is None else out
-    with _progress_bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_recording(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     typer.echo(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")
@@ -317,15 +320,6 @@ def scenes_command() -> None:
     for name, path in shipped_scenes().items():
         first = path.read_text(encoding="utf-8").partition("\n")[0]
         typer.echo(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")
-
-
-def _progress_bar() -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # Refreshed after each block: a thread that refreshes would keep workers from being copies of this process.
-    return Progress(*columns, console=Console(stderr=True), auto_refresh=False)
 
 
 def _print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:

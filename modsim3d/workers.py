@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
-import multiprocessing
-import signal
-import sys
-import threading
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol
 
 from modsim3d.annotate.record import Truth
 from modsim3d.box_sample import BoxSample
@@ -22,18 +15,16 @@ from modsim3d.counts import Counts
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.formats.block_files import BlockFiles, finished_truth, keep_truth
+from modsim3d.processes import in_order, open_pool, result_of
 from modsim3d.scene import Scene
 from modsim3d.simulate import Simulation, open_renderer, survey, truth_block
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
-BLOCKS_AHEAD = 3
-"""Blocks for each worker that may wait for their turn to be written: it bounds the memory."""
+DIED = "what was finished is kept: go on with --resume, perhaps with fewer --workers"
 
 Range = tuple[int, int]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +152,8 @@ class Processes:
     def __init__(self, pool: ProcessPoolExecutor, count: int) -> None:
         """Use a pool of `count` processes."""
         self._pool = pool
-        self._ahead = count * BLOCKS_AHEAD
-        self.backend = self._result(pool.submit(_backend))
+        self._count = count
+        self.backend = result_of(pool.submit(_backend), DIED)
 
     def surveys(self, folder: Path, ranges: Iterable[Range]) -> Iterator[SurveyedBlock]:
         """What the detector must know of the ranges, in their order.
@@ -170,7 +161,7 @@ class Processes:
         Raises:
             ModsimError: A worker died.
         """
-        return self._in_order(lambda steps: self._pool.submit(_survey, folder, *steps), ranges)
+        return in_order(self._pool, self._count, _survey, ((folder, *steps) for steps in ranges), DIED)
 
     def blocks(
         self, folder: Path, ranges: Iterable[Range], reference: Reference | None = None
@@ -180,27 +171,7 @@ class Processes:
         Raises:
             ModsimError: A worker died.
         """
-        return self._in_order(lambda steps: self._pool.submit(_make, folder, *steps, reference), ranges)
-
-    def _in_order(self, submit: Callable[[Range], Future[T]], ranges: Iterable[Range]) -> Iterator[T]:
-        """Results in the order of the ranges; only so many are begun that their memory is bounded."""
-        waiting: deque[Future[T]] = deque()
-        for steps in ranges:
-            waiting.append(submit(steps))
-            if len(waiting) >= self._ahead:
-                yield self._result(waiting.popleft())
-        while waiting:
-            yield self._result(waiting.popleft())
-
-    @staticmethod
-    def _result(future: Future[T]) -> T:
-        try:
-            return future.result()
-        except BrokenProcessPool:
-            raise ModsimError(
-                "a worker process died (killed, or out of memory); what was finished is kept: go on with --resume, "
-                "perhaps with fewer --workers"
-            ) from None
+        return in_order(self._pool, self._count, _make, ((folder, *steps, reference) for steps in ranges), DIED)
 
 
 @contextmanager
@@ -214,24 +185,8 @@ def open_workers(scene: Scene, count: int) -> Iterator[Workers]:
         with open_renderer(scene) as renderer:
             yield ThisProcess(BlockMaker(scene, renderer))
         return
-    if multiprocessing.parent_process() is not None:
-        raise ModsimError(
-            "workers cannot be started inside a process that multiprocessing made; a script that starts them must do "
-            "so under `if __name__ == '__main__':`"
-        )
-    context = multiprocessing.get_context(_start_method())
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start, initargs=(scene,))
-    try:
+    with open_pool(count, _start, scene) as pool:
         yield Processes(pool, count)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _start_method() -> str:
-    """A copy of this process starts at once, but is safe only while it has one thread."""
-    tasks = Path("/proc/self/task")
-    threads = len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
-    return "fork" if threads == 1 else "spawn"
 
 
 _maker: BlockMaker | ModsimError | None = None
@@ -241,9 +196,6 @@ _open = ExitStack()
 def _start(scene: Scene) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _maker
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)  # a killed parent must not leave workers behind
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that they work for says what was interrupted
     try:
         _maker = BlockMaker(scene, _open.enter_context(open_renderer(scene)))
     except ModsimError as error:
@@ -260,9 +212,9 @@ def _backend() -> str:
     return _this_maker().backend
 
 
-def _survey(folder: Path, first: int, stop: int) -> SurveyedBlock:
-    return _this_maker().survey(folder, first, stop)
+def _survey(piece: tuple[Path, int, int]) -> SurveyedBlock:
+    return _this_maker().survey(*piece)
 
 
-def _make(folder: Path, first: int, stop: int, reference: Reference | None) -> FinishedBlock:
-    return _this_maker().make(folder, first, stop, reference)
+def _make(piece: tuple[Path, int, int, Reference | None]) -> FinishedBlock:
+    return _this_maker().make(*piece)

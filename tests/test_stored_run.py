@@ -13,6 +13,7 @@ from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import open_renderer, simulate_frames, truth_block
 from modsim3d.stored_run import open_run
+from tests.scenes import write_scene
 
 STEPS = 300
 
@@ -52,6 +53,13 @@ def test_some_steps_read_back_are_those_steps(finished):
     run = open_run(finished)
     everything = list(run.frames())
     assert_same_frames(run.frames(240, 260), [frame for frame in everything if 240 <= frame.step < 260])
+
+
+def test_steps_at_which_nothing_is_seen_read_back_as_empty_frames(tmp_path):
+    scene = load_scene(write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}, 1))
+    run_scene(scene, tmp_path / "run")
+    (frame,) = open_run(tmp_path / "run").frames()
+    assert len(frame.truth) == len(frame.detections) == 0
 
 
 def test_truth_read_back_is_the_truth(scene, finished):

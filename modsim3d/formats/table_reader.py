@@ -100,7 +100,7 @@ def _by_frame(table: pa.Table) -> Any:
     steps, cameras = table["step"].to_numpy(), table["camera"].to_numpy(zero_copy_only=False)
     begins = np.flatnonzero(np.append(True, (steps[1:] != steps[:-1]) | (cameras[1:] != cameras[:-1])))
     begins = begins if len(steps) else begins[:0]
-    ends = np.append(begins[1:], len(steps))
+    ends = np.append(begins[1:], len(steps))[: len(begins)]  # of an empty table: none
     where = {(int(steps[i]), str(cameras[i])): (int(i), int(end)) for i, end in zip(begins, ends, strict=True)}
 
     def rows(key: tuple[int, str]) -> pa.Table:

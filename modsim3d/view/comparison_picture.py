@@ -1,62 +1,133 @@
-"""A picture of boxes that sources disagree on, over the ID image."""
+"""A picture of what sources disagree on: all their boxes, and the pixels that differ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from modsim3d.frames import Array
+from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
-from modsim3d.view.panel import Window, background, font, outline_box
+from modsim3d.view.palette import Colour
+from modsim3d.view.pen import Pen, font
+from modsim3d.view.plain import background, owner_colour
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Window
 
 SIZE_PX = (960, 540)
-KEY_PX = 34
-STYLES = {  # box: colour, dashed, width
-    "rendered full": (palette.TRUTH, False, 1),
-    "analytic full": (palette.VESSELS[1], True, 2),
-    "rendered visible": (palette.VESSELS[3], False, 3),
-    "analytic visible": (palette.VESSELS[0], True, 3),
-    "rectangles visible": (palette.ALARM, True, 3),
+KEY_PX, LINE_PX = 60, 26
+STYLES = {  # box: colour, dashed, weight
+    "rendered full": (palette.TRUTH, False, 0.5),
+    "analytic full": (palette.VESSELS[1], True, 1.0),
+    "rendered visible": (palette.VESSELS[3], False, 1.5),
+    "analytic visible": (palette.VESSELS[0], True, 1.5),
+    "rectangles visible": (palette.ALARM, True, 1.5),
 }
+BOTH: Colour = (150, 158, 164)
+PIXELS = (
+    ("pixels of both", BOTH),
+    ("of the rendered source only", palette.ALARM),
+    ("of the exact region only", palette.VESSELS[2]),
+)
 
 
 def comparison_picture(
-    boxes_px: Mapping[str, Sequence[float]], sea_half_plane: Array, ids: NDArray[np.uint32]
+    boxes_px: Mapping[str, Sequence[float]], vessel: int, solids: Solids, exact: shapely.Geometry, drawer: IdDrawer
 ) -> Image.Image:
-    """The boxes of a case over the ID image, with a key.
+    """The boxes of a case and what each source sees of its vessel, with a key.
 
     Args:
         boxes_px: Name of a box → x_min, y_min, x_max, y_max; NaN where there is none.
-        sea_half_plane: (a, b, c) of the horizon.
-        ids: Vessel index + 1 at each pixel of the whole image.
+        vessel: Index into the scene's vessels.
+        solids: What stands before the camera.
+        exact: What is seen of the vessel, as a region of the image.
+        drawer: Draws ID buffers.
     """
     x0, y0, x1, y1 = boxes_px["rendered full"]
-    margin = 0.6 * max(x1 - x0, (y1 - y0) * SIZE_PX[0] / SIZE_PX[1], 24.0)
-    width = x1 - x0 + margin
+    width = 1.6 * max(x1 - x0, (y1 - y0) * SIZE_PX[0] / SIZE_PX[1], 24.0)
     left, top = (x0 + x1 - width) / 2, (y0 + y1 - width * SIZE_PX[1] / SIZE_PX[0]) / 2
     window = Window(left, top, SIZE_PX[0] / width, SIZE_PX)
-    picture = Image.new("RGB", (SIZE_PX[0], SIZE_PX[1] + KEY_PX), palette.PAPER)
-    picture.paste(background(window, sea_half_plane, ids), (0, KEY_PX))
-    shown = picture.crop((0, KEY_PX, *picture.size))
-    draw = ImageDraw.Draw(shown)
-    for name, (colour, dashed, line) in STYLES.items():
-        box = np.array(boxes_px[name], dtype=float)
+    image_size = solids.intrinsics.image_size_px
+    ids = solids.ids(Window(0.0, 0.0, 1.0, image_size), drawer)
+    differing = differing_pixels(ids == vessel + 1, exact)
+    shown = background(window, solids.sea_half_plane, image_size)
+    _paint_pixels(shown, window, ids, differing, len(solids.extents_m))
+    pen = Pen(shown, 1280)
+    for ring in _rings(exact):
+        corners = window.to_picture(ring)
+        pen.segments(np.stack([corners[:-1], corners[1:]], axis=1), palette.WHITE, 0.5)
+    for name, (colour, dashed, weight) in STYLES.items():
+        box = np.array(boxes_px[name], dtype=np.float64)
         if not np.isnan(box).any():
-            outline_box(draw, window, box, colour, line, dashed=dashed)
+            (pen.dashed_box if dashed else pen.box)(window.corners(box), colour, weight)
+    picture = Image.new("RGB", (SIZE_PX[0], SIZE_PX[1] + KEY_PX), palette.PAPER)
     picture.paste(shown, (0, KEY_PX))
-    _key(ImageDraw.Draw(picture))
+    _key(Pen(picture, 1280), [int((differing == i + 1).sum()) for i in range(len(PIXELS))])
     return picture
 
 
-def _key(draw: ImageDraw.ImageDraw) -> None:
+def differing_pixels(seen: NDArray[np.bool_], exact: shapely.Geometry) -> NDArray[np.uint8]:
+    """Which source each pixel of an image belongs to: 0 neither, 1 both, 2 the first only, 3 the second only.
+
+    Args:
+        seen: Pixels that the rendered source saw, shape (h, w).
+        exact: The exact region; a pixel belongs to it if its centre does.
+    """
+    height, width = seen.shape
+    inside = np.zeros(seen.shape, dtype=bool)
+    if not exact.is_empty:
+        x0, y0, x1, y1 = exact.bounds
+        columns = np.arange(max(int(x0) - 1, 0), min(int(x1) + 2, width))
+        rows = np.arange(max(int(y0) - 1, 0), min(int(y1) + 2, height))
+        shapely.prepare(exact)
+        inside[np.ix_(rows, columns)] = shapely.contains_xy(exact, columns[None, :] + 0.5, rows[:, None] + 0.5)
+    return np.where(seen & inside, 1, np.where(seen, 2, np.where(inside, 3, 0))).astype(np.uint8)
+
+
+def _paint_pixels(
+    picture: Image.Image, window: Window, ids: NDArray[np.uint32], differing: NDArray[np.uint8], vessels: int
+) -> None:
+    """The other vessels darkened, the case's pixels by their source."""
+    width, height = window.size
+    columns = np.floor(window.x + (np.arange(width) + 0.5) / window.scale).astype(int)
+    rows = np.floor(window.y + (np.arange(height) + 0.5) / window.scale).astype(int)
+    i = np.flatnonzero((rows >= 0) & (rows < ids.shape[0]))
+    j = np.flatnonzero((columns >= 0) & (columns < ids.shape[1]))
+    here = np.ix_(rows[i], columns[j])
+    who, what = ids[here], differing[here]
+    pixels = np.array(picture)
+    part = pixels[np.ix_(i, j)]
+    for value in np.unique(who[who > 0]).tolist():
+        part[who == value] = palette.darker(owner_colour(value - 1, vessels))
+    for index, (_, colour) in enumerate(PIXELS):
+        part[what == index + 1] = colour
+    pixels[np.ix_(i, j)] = part
+    picture.paste(Image.fromarray(pixels))
+
+
+def _rings(region: shapely.Geometry) -> list[Array]:
+    """The boundary of a region as closed lines, each of shape (k, 2)."""
+    lines = shapely.get_parts(shapely.boundary(region))
+    return [shapely.get_coordinates(line) for line in lines]
+
+
+def _key(pen: Pen, counts: Sequence[int]) -> None:
     x = 8
-    for name, (colour, dashed, _) in STYLES.items():
-        draw.rectangle((x, 9, x + 22, 24), fill=palette.SEA)
-        draw.line((x + 3, 17, x + (9 if dashed else 19), 17), fill=colour, width=3)
-        if dashed:
-            draw.line((x + 13, 17, x + 19, 17), fill=colour, width=3)
-        draw.text((x + 28, 8), name, fill=palette.INK, font=font(14))
-        x += 42 + int(draw.textlength(name, font=font(14)))
+    for name, (colour, dashed, weight) in STYLES.items():
+        pen.draw.rectangle((x, 6, x + 24, 24), fill=palette.SEA)
+        (pen.dashed_box if dashed else pen.box)((x + 3, 9, x + 22, 22), colour, weight)
+        x = _text(pen, x, 6, name)
+    x = 8
+    for (name, colour), count in zip(PIXELS, counts, strict=True):
+        pen.draw.rectangle((x, 6 + LINE_PX, x + 24, 24 + LINE_PX), fill=colour)
+        x = _text(pen, x, 6 + LINE_PX, f"{count} {name}")
+
+
+def _text(pen: Pen, x: int, y: int, text: str) -> int:
+    """Write beside a sample; where the next one goes."""
+    pen.draw.text((x + 30, y + 1), text, fill=palette.INK, font=font(14))
+    return x + 46 + int(pen.draw.textlength(text, font=font(14)))

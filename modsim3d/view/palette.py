@@ -1,4 +1,7 @@
-"""Colours that colour-blind people can tell apart (Okabe & Ito, 2008)."""
+"""Colours that colour-blind people can tell apart: those of Okabe & Ito (2008), "Color Universal Design".
+
+The vermilion among them is kept for what went wrong, so that no vessel has it; what went wrong differs in its line too.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +13,43 @@ VESSELS: tuple[Colour, ...] = (
     (0, 158, 115),
     (240, 228, 66),
     (204, 121, 167),
-    (213, 94, 0),
     (0, 114, 178),
 )
+ALARM: Colour = (213, 94, 0)
 SEA: Colour = (38, 52, 64)
 SKY: Colour = (168, 186, 198)
+HORIZON: Colour = (226, 234, 238)
 TRUTH: Colour = (225, 225, 225)
-ALARM: Colour = (255, 84, 84)
+OBSTACLE: Colour = (122, 122, 122)
 PAPER: Colour = (250, 250, 248)
 INK: Colour = (30, 30, 30)
+SOFT_INK: Colour = (110, 110, 110)
+WHITE: Colour = (255, 255, 255)
+BLACK: Colour = (0, 0, 0)
+
+TINT, SHADE = 0.5, 0.4
+"""How much white or black is mixed into the second and third round of vessel colours."""
 
 
 def vessel_colour(index: int) -> Colour:
-    """The colour of a vessel, by its index in the scene; colours repeat after seven."""
-    return VESSELS[index % len(VESSELS)]
+    """The colour of a vessel, by its index in the scene: six hues, then lighter, then darker ones, then again."""
+    turn, hue = divmod(index, len(VESSELS))
+    colour = VESSELS[hue]
+    return (colour, mixed(colour, WHITE, TINT), mixed(colour, BLACK, SHADE))[turn % 3]
+
+
+def mixed(colour: Colour, other: Colour, share: float) -> Colour:
+    """A colour with a share of another in it."""
+    r, g, b = (round(c + (o - c) * share) for c, o in zip(colour, other, strict=True))
+    return r, g, b
 
 
 def darker(colour: Colour, factor: float = 0.62) -> Colour:
     """The same hue with less light."""
-    r, g, b = (int(channel * factor) for channel in colour)
-    return r, g, b
+    return mixed(colour, BLACK, 1 - factor)
+
+
+def ink_on(colour: Colour) -> Colour:
+    """The colour of text on a plate: dark on light, light on dark."""
+    luma = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2]
+    return INK if luma > 112 else PAPER

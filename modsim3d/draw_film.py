@@ -1,0 +1,236 @@
+"""Films and single pictures of a stored run, drawn from its directory alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from modsim3d.block import Frame
+from modsim3d.errors import ModsimError, RendererError
+from modsim3d.film_plan import FilmPlan
+from modsim3d.processes import in_order, open_pool
+from modsim3d.render.plain_ids import IdDrawer, PlainIds
+from modsim3d.scene import Scene
+from modsim3d.selection import Selection
+from modsim3d.simulate import open_renderer
+from modsim3d.view.film_files import MOST_RATE, encoded, open_film
+from modsim3d.view.gif import film_palette
+from modsim3d.view.ids_picture import ids_picture
+from modsim3d.view.painter import Subject, paint
+from modsim3d.view.scene_picture import scene_picture
+from modsim3d.view.timetable import Timetable
+from modsim3d.view.window import Window
+
+STEPS_TOGETHER = 4
+"""Steps that a worker draws at a time."""
+PALETTE_SAMPLES = 4
+
+Piece = list[list[Frame]]
+
+
+class Draughtsman:
+    """Draws the pictures of a film one by one."""
+
+    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer) -> None:
+        """Take what all pictures share."""
+        self._scene = scene
+        self._plan = plan
+        self._drawer = drawer
+        self._layout = plan.layout(scene)
+
+    def draw(self, frames: list[Frame]) -> Image.Image:
+        """The picture of a step, from its frames, one for each camera of the plan."""
+        subjects = [Subject.of(self._scene, frame) for frame in frames]
+        sizes = self._layout.panel_sizes
+        panels = [
+            self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
+            for (place, kind), size in zip(self._plan.panels(), sizes, strict=True)
+        ]
+        titles = [
+            " · ".join(
+                ([frames[place].camera] if len(frames) > 1 else []) + ([kind] if len(self._plan.kinds) > 1 else [])
+            )
+            for place, kind in self._plan.panels()
+        ]
+        return self._layout.compose(self._head(frames), titles, panels)
+
+    def _panel(self, subject: Subject, kind: str, window: Window) -> Image.Image:
+        nominal = self._layout.nominal_width
+        if kind == "ids":
+            return ids_picture(subject.solids, window, self._drawer, nominal)
+        if kind == "scene" and self._plan.layers is None:
+            return scene_picture(self._scene, subject.solids.camera, subject.frame.step, window, self._drawer)
+        return paint(subject, window, self._plan.layers_of(kind), self._drawer, nominal_width_px=nominal)
+
+    def _head(self, frames: list[Frame]) -> str:
+        first = frames[0]
+        states = dict.fromkeys(frame.state for frame in frames)
+        camera = [first.camera] if len(frames) == 1 else []
+        parts = [self._scene.name, *camera, f"{first.timestamp} s", f"step {first.step}"]
+        return "    ".join([*parts, f"detector {', '.join(states)}"])
+
+
+@contextmanager
+def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
+    """What draws ID buffers for pictures: the renderer, or NumPy where there is none or the scene uses none."""
+    with ExitStack() as stack:
+        try:
+            renderer = stack.enter_context(open_renderer(scene))
+        except RendererError:
+            renderer = None  # a picture of a run that was made elsewhere
+        yield renderer or PlainIds()
+
+
+@dataclass(frozen=True)
+class DrawnFilm:
+    """A film that was drawn.
+
+    Attributes:
+        path: The file, or the folder of PNG files.
+        size: Width and height.
+        frames: Different ones.
+        timetable: How long each is shown.
+    """
+
+    path: Path
+    size: tuple[int, int]
+    frames: int
+    timetable: Timetable
+
+
+def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
+    """Draw the first step of a selection into a PNG."""
+    scene = selection.run.scene
+    with open_drawer(scene) as drawer:
+        picture = Draughtsman(scene, plan, drawer).draw(next(selection.frames()))
+    partial = path.with_name(f".{path.name}.partial")
+    picture.save(partial, format="PNG")
+    partial.replace(path)
+    return path
+
+
+def draw_film(
+    selection: Selection,
+    plan: FilmPlan,
+    kind: str,
+    path: Path,
+    *,
+    speed: float = 1.0,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> DrawnFilm:
+    """Draw a film.
+
+    Args:
+        selection: Steps and cameras.
+        plan: What every picture shows.
+        kind: Of `FORMATS`.
+        path: The file, or the folder of PNG files.
+        speed: Seconds of the run in one of the film.
+        workers: Processes that draw; the film is the same bytes whatever their number.
+        progress: Called with the number of frames done since its last call.
+
+    Raises:
+        ModsimError: The film cannot be drawn or encoded.
+    """
+    scene = selection.run.scene
+    timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
+    shown = dict(zip(selection.steps, timetable.shown.tolist(), strict=True))
+    drawn = [step for step in selection.steps if shown[step] or kind == "png"]
+    with _open_draughtsmen(scene, plan, workers) as draw:
+        colours = None
+        samples: list[_Drawn] = []
+        if kind == "gif":
+            chosen = dict.fromkeys(drawn[i * len(drawn) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
+            pieces = [[_frames_at(selection, step)] for step in chosen]
+            samples = [one for piece in draw(_Job("mp4", None, piece) for piece in pieces) for one in piece]
+            colours = film_palette([Image.frombytes("RGB", one.size, one.data) for one in samples])
+        jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn)))
+        pictures = (one for piece in draw(jobs) for one in piece)
+        first = next(pictures)
+        # Opened after the workers have started: they must not hold its end of the encoder's pipe open.
+        with open_film(kind, path, first.size, timetable.rate, colours) as film:
+            for one in _chain(first, pictures):
+                film.add(one.step, one.data, shown[one.step])
+                progress(1)
+    return DrawnFilm(path, first.size, len(drawn), timetable)
+
+
+def _chain(first: _Drawn, others: Iterable[_Drawn]) -> Iterator[_Drawn]:
+    yield first
+    yield from others
+
+
+def _frames_at(selection: Selection, step: int) -> list[Frame]:
+    every = list(selection.run.frames(step, step + 1))
+    return [every[index] for index in selection.cameras]
+
+
+def _pieces(selection: Selection, steps: set[int]) -> Iterator[Piece]:
+    piece: Piece = []
+    for frames in selection.frames():
+        if frames[0].step in steps:
+            piece.append(frames)
+        if len(piece) == STEPS_TOGETHER:
+            yield piece
+            piece = []
+    if piece:
+        yield piece
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """Steps to draw, and what their pictures are to be encoded for."""
+
+    kind: str
+    colours: Image.Image | None
+    piece: Piece
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """A step's picture, encoded."""
+
+    step: int
+    size: tuple[int, int]
+    data: bytes
+
+
+Draw = Callable[[Iterable[_Job]], Iterator[list[_Drawn]]]
+
+
+@contextmanager
+def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Draw]:
+    """Somebody who draws: this process for one worker, or that many others."""
+    if workers == 1:
+        with open_drawer(scene) as drawer:
+            draughtsman = Draughtsman(scene, plan, drawer)
+            yield lambda jobs: (_draw_job(draughtsman, job) for job in jobs)
+        return
+    with open_pool(workers, _start, scene, plan) as pool:
+        yield lambda jobs: in_order(pool, workers, _work, jobs, "draw the film again, perhaps with fewer --workers")
+
+
+def _draw_job(draughtsman: Draughtsman, job: _Job) -> list[_Drawn]:
+    pictures = [(frames[0].step, draughtsman.draw(frames)) for frames in job.piece]
+    return [_Drawn(step, picture.size, encoded(picture, job.kind, job.colours)) for step, picture in pictures]
+
+
+_draughtsman: Draughtsman | None = None
+_open = ExitStack()
+
+
+def _start(scene: Scene, plan: FilmPlan) -> None:
+    """Set a worker up once; its context lives as long as it does."""
+    global _draughtsman
+    _draughtsman = Draughtsman(scene, plan, _open.enter_context(open_drawer(scene)))
+
+
+def _work(job: _Job) -> list[_Drawn]:
+    if _draughtsman is None:
+        raise ModsimError("this process was not set up as a worker")
+    return _draw_job(_draughtsman, job)

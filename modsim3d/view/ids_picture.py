@@ -1,0 +1,68 @@
+"""ID maps: who is front-most at each pixel, each vessel in its colour and with its number."""
+
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image
+
+from modsim3d.render.id_pass import Ids
+from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.view.hatching import hatch_hidden
+from modsim3d.view.palette import Colour
+from modsim3d.view.pen import Pen, font, text_size
+from modsim3d.view.plain import background, owner_colour
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Window
+
+SEA: Colour = (24, 28, 32)
+SKY: Colour = (48, 54, 60)
+
+
+def ids_picture(solids: Solids, window: Window, drawer: IdDrawer, nominal_width_px: int | None = None) -> Image.Image:
+    """The ID map of a window, with what is hidden hatched over what hides it.
+
+    Args:
+        solids: What stands before the camera.
+        window: What to show, and how large: an ID is that at the centre of each of the picture's pixels.
+        drawer: Draws ID buffers.
+        nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
+    """
+    picture = background(window, solids.sea_half_plane, solids.intrinsics.image_size_px, SEA, SKY)
+    if not len(solids.owners):
+        return picture
+    ids = solids.ids(window, drawer)
+    rows, columns = np.flatnonzero(ids.any(axis=1)), np.flatnonzero(ids.any(axis=0))
+    if not len(rows):
+        return picture
+    left, top, right, bottom = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+    shown = ids[top:bottom, left:right]
+    table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
+    for owner in np.unique(solids.owners).tolist():
+        if owner + 1 < len(table):
+            table[owner + 1] = owner_colour(owner, len(solids.extents_m))
+    patch = np.array(picture.crop((left, top, right, bottom)))
+    patch[shown > 0] = table[shown[shown > 0]]
+    picture.paste(Image.fromarray(patch), (left, top))
+    pen = Pen(picture, nominal_width_px)
+    hatch_hidden(picture, window, solids, ids, pen.unit)
+    _number(pen, shown, left, top, len(solids.extents_m))
+    return picture
+
+
+def _number(pen: Pen, ids: Ids, left: int, top: int, vessels: int) -> None:
+    """Write each vessel's number on what is seen of it, where it fits."""
+    size = max(9, round(pen.text_px * 0.9))
+    for value in np.unique(ids[ids > 0]).tolist():
+        if value > vessels:
+            continue
+        here = ids == value
+        row = int(np.argmax(here.sum(axis=1)))
+        columns = np.flatnonzero(here[row])
+        x0, y0, x1, y1 = text_size(str(value), size)
+        if len(columns) < x1 - x0 + 4 or here.sum(axis=0).max() < y1 - y0 + 4:
+            continue
+        x = left + int(columns[len(columns) // 2])
+        middle = np.flatnonzero(here[:, x - left])
+        y = top + int(middle[len(middle) // 2])
+        at = (x - (x0 + x1) / 2, y - (y0 + y1) / 2)
+        pen.draw.text(at, str(value), fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))

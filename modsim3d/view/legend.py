@@ -1,0 +1,102 @@
+"""Keys to what is drawn, as strips of sample and text that break where the width ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from PIL import Image
+
+from modsim3d.view import palette
+from modsim3d.view.layers import Layers
+from modsim3d.view.palette import Colour
+from modsim3d.view.pen import Pen, font, text_size
+
+MOST_VESSELS = 40
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sample and what it means.
+
+    Attributes:
+        text: What it means.
+        colour: Of the sample.
+        style: `box`, `dashed`, `false`, `missed`, `hatched` or `filled`.
+    """
+
+    text: str
+    colour: Colour
+    style: str = "box"
+
+
+def detection_entries(layers: Layers, mode: int) -> list[Entry]:
+    """The key to boxes.
+
+    Args:
+        layers: That are drawn.
+        mode: Annotation mode.
+    """
+    shown = (
+        (layers.truth, Entry("truth", palette.TRUTH)),
+        (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
+        (layers.visible and mode < 2, Entry("what is seen", palette.TRUTH, "dashed")),
+        (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
+        (layers.missed, Entry("missed", palette.ALARM, "missed")),
+        (layers.false_positives, Entry("false positive", palette.ALARM, "false")),
+        (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
+    )
+    return [entry for drawn, entry in shown if drawn]
+
+
+def vessel_entries(names: Sequence[str]) -> list[Entry]:
+    """The key to colours and numbers."""
+    shown = [Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)]
+    more = [Entry(f"and {len(names) - MOST_VESSELS} more", palette.PAPER, "filled")]
+    hatched = [Entry("hidden", palette.VESSELS[0], "hatched")]
+    return shown[:MOST_VESSELS] + (more if len(names) > MOST_VESSELS else []) + hatched
+
+
+def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
+    """A strip of a width, as high as its entries need; of no height without any."""
+    rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
+    x = text_px // 2
+    for entry in entries:
+        needed = 3 * text_px + text_size(entry.text, text_px)[2]
+        if x + needed > width and rows[-1]:
+            rows.append([])
+            x = text_px // 2
+        rows[-1].append((x, entry))
+        x += needed + text_px
+    line = round(1.8 * text_px)
+    strip = Image.new("RGB", (width, line * len(rows)), palette.PAPER)
+    pen = Pen(strip, 85 * text_px)
+    for row, placed in enumerate(rows):
+        for left, entry in placed:
+            _entry(pen, entry, left, row * line, text_px)
+    return strip
+
+
+def _entry(pen: Pen, entry: Entry, x: int, y: int, text_px: int) -> None:
+    chip = (x, y + round(0.35 * text_px), x + 2 * text_px, y + round(1.5 * text_px))
+    pen.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=palette.SEA)
+    inset = text_px // 6 + 1
+    box = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
+    if entry.style == "filled":
+        pen.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=entry.colour)
+    elif entry.style == "dashed":
+        pen.dashed_box(box, entry.colour, 0.75, 4.0)
+    elif entry.style == "missed":
+        pen.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
+    elif entry.style == "false":
+        pen.crossed(box, entry.colour)
+        pen.dashed_box(box, entry.colour, 1.0, 4.0)
+    elif entry.style == "hatched":
+        for start in range(chip[0], chip[2], 6):
+            top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
+            pen.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
+    else:
+        pen.box(box, entry.colour, 1.0)
+    _, high, _, low = text_size("Ag", text_px)
+    middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
+    pen.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))

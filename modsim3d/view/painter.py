@@ -1,0 +1,176 @@
+"""One picture of one frame, layer by layer, at any size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from modsim3d.block import Frame
+from modsim3d.frames import Array
+from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.scene import Scene
+from modsim3d.view import palette
+from modsim3d.view.hatching import hatch_hidden
+from modsim3d.view.labels import Label, draw_labels
+from modsim3d.view.layers import Layers
+from modsim3d.view.palette import Colour
+from modsim3d.view.pen import Pen
+from modsim3d.view.plain import background, draw_horizon, fill_solids
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Box, Window
+
+DIM = 0.25
+"""How much darker vessels are filled under boxes of their colour."""
+SHORT_BELOW_PX = 480
+"""A picture narrower than this has room for the confidence only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A frame and what stood before the camera.
+
+    Attributes:
+        frame: Truth and detections.
+        solids: The vessels themselves.
+        vessels: IDs of the scene's vessels, for their colours.
+    """
+
+    frame: Frame
+    solids: Solids
+    vessels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, frame: Frame) -> Subject:
+        """A frame of a scene."""
+        (camera,) = (camera for camera in scene.cameras if camera.name == frame.camera)
+        return cls(frame, Solids.at(scene, camera, frame.step), scene.vessel_names)
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        """Width and height of the camera's image."""
+        return self.solids.intrinsics.image_size_px
+
+    def colour(self, vessel: str) -> Colour:
+        """A vessel's colour."""
+        return palette.vessel_colour(self.vessels.index(vessel))
+
+
+def paint(
+    subject: Subject,
+    window: Window,
+    layers: Layers,
+    drawer: IdDrawer,
+    *,
+    ground: Image.Image | None = None,
+    nominal_width_px: int | None = None,
+) -> Image.Image:
+    """Draw a frame.
+
+    Args:
+        subject: The frame.
+        window: What to show, and how large.
+        layers: What to draw of it.
+        drawer: Draws ID buffers, for filled and hatched silhouettes.
+        ground: A picture to draw on, in place of plain sea and sky.
+        nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
+    """
+    solids = subject.solids
+    half_plane = solids.sea_half_plane
+    picture = ground or background(window, half_plane, subject.image_size_px)
+    pen = Pen(picture, nominal_width_px)
+    if layers.horizon:
+        draw_horizon(pen, window, half_plane, subject.image_size_px)
+    if layers.silhouettes:
+        fill_solids(picture, window, solids, drawer, DIM if layers.truth or layers.detections else 0.0)
+    if layers.hatching and any(subject.frame.truth.occluded_by):
+        hatch_hidden(picture, window, solids, solids.ids(window, drawer), pen.unit)
+    if layers.wires or layers.points:
+        _draw_shoeboxes(pen, window, solids, layers)
+    labels = _draw_truth(pen, window, subject, layers) + _draw_detections(pen, window, subject, layers)
+    boxes = [window.corners(box) for box in subject.frame.truth.full_boxes_px] + [label.box for label in labels]
+    draw_labels(pen, sorted(labels, key=lambda label: label.colour != palette.ALARM), boxes)
+    return picture
+
+
+def _draw_shoeboxes(pen: Pen, window: Window, solids: Solids, layers: Layers) -> None:
+    for vessel, edges, corners in solids.shoeboxes():
+        colour = palette.vessel_colour(vessel)
+        if layers.wires:
+            pen.segments(window.to_picture(edges), colour, 0.75)
+        if layers.points:
+            radius = max(1.5, 2.5 * pen.unit)
+            for x, y in window.to_picture(corners[np.isfinite(corners).all(axis=1)]).tolist():
+                pen.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour, outline=palette.INK)
+
+
+def _draw_truth(pen: Pen, window: Window, subject: Subject, layers: Layers) -> list[Label]:
+    truth, short = subject.frame.truth, pen.picture.width < SHORT_BELOW_PX
+    labels = []
+    for i in range(len(truth)):
+        full = window.corners(truth.full_boxes_px[i])
+        annotated = bool(truth.annotated[i])
+        for shown, boxes in ((layers.full, truth.full_boxes_px), (layers.visible, truth.visible_boxes_px)):
+            if shown and _is_another(boxes[i], truth.boxes_px[i] if annotated else None):
+                pen.dashed_box(window.corners(boxes[i]), palette.TRUTH, 0.75)
+        if layers.truth and annotated:
+            pen.box(window.corners(truth.boxes_px[i]), palette.TRUTH, 0.75, halo=True)
+        share = ""
+        if layers.fractions and truth.visible_fraction[i] < 1:
+            share = _percent(float(truth.visible_fraction[i]), short)
+        if layers.missed and annotated and not truth.detected[i]:
+            pen.brackets(window.corners(truth.boxes_px[i]), palette.ALARM, 1.5)
+            if layers.labels:
+                text = "missed" if short else f"missed {truth.vessels[i]}"
+                labels.append(Label(full, text + (f", {share}" if share else ""), palette.ALARM, below=True))
+                continue
+        if share:
+            labels.append(Label(full, share, palette.TRUTH, below=True))
+    return labels
+
+
+def _is_another(box: Array, annotated: Array | None) -> bool:
+    """Whether there is a box, and it is not the annotated one."""
+    return not np.isnan(box).any() and (annotated is None or not np.array_equal(box, annotated))
+
+
+def _percent(fraction: float, short: bool) -> str:
+    """What is seen of a vessel; 0 and 100 % only where nothing and all is."""
+    percent = f"{min(max(round(100 * fraction), 1), 99) if fraction else 0} %"
+    return percent if short else f"{percent} seen"
+
+
+def _draw_detections(pen: Pen, window: Window, subject: Subject, layers: Layers) -> list[Label]:
+    detections = subject.frame.detections
+    labels = []
+    order: NDArray[np.int64] = np.argsort(detections.confidence, kind="stable")  # the surest is drawn last, on top
+    for i in order.tolist():
+        vessel = detections.vessels[i]
+        box = window.corners(detections.boxes_px[i])
+        if not (layers.false_positives if vessel is None else layers.detections):
+            continue
+        colour = palette.ALARM if vessel is None else subject.colour(vessel)
+        _draw_detection(pen, box, colour, false=vessel is None)
+        if layers.labels:
+            text = f"{detections.confidence[i]:.2f}"
+            if pen.picture.width >= SHORT_BELOW_PX:
+                text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {text}"
+            labels.append(Label(box, text, colour))
+    return labels[::-1]
+
+
+def _draw_detection(pen: Pen, box: Box, colour: Colour, *, false: bool) -> None:
+    if false:
+        pen.crossed(box, colour)
+        pen.dashed_box(box, colour, 1.5)
+    else:
+        pen.box(box, colour, 1.5)
+
+
+def _remark(kind: str) -> str:
+    """What is said of a detection that is not simply a vessel's."""
+    if kind == "true":
+        return ""
+    return "false: " if kind == "false_positive" else f"{kind.replace('_', ' ')}: "

@@ -1,0 +1,109 @@
+"""The plain style of Jessen & Mohr (2023), Figures 9.3 and 9.4: a dark sea, a light sky, a horizon between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from modsim3d.frames import Array
+from modsim3d.render.id_pass import Region
+from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.view import palette
+from modsim3d.view.palette import Colour
+from modsim3d.view.pen import Pen
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Window
+
+SAMPLES = 2
+"""Sides of vessels are drawn this much larger and shrunk, so that their edges have no steps."""
+
+
+def background(
+    window: Window,
+    sea_half_plane: Array,
+    image_size_px: tuple[int, int],
+    sea: Colour = palette.SEA,
+    sky: Colour = palette.SKY,
+) -> Image.Image:
+    """Sea and sky; paper outside the camera's image.
+
+    Args:
+        window: What to show.
+        sea_half_plane: (a, b, c) of the horizon, in image pixels.
+        image_size_px: Of the camera.
+        sea: Colour.
+        sky: Colour.
+    """
+    picture = Image.new("RGB", window.size, palette.PAPER)
+    draw = ImageDraw.Draw(picture)
+    width, height = window.size
+    corners = window.to_picture(np.array([[0, 0], [image_size_px[0], image_size_px[1]]], dtype=np.float64))
+    (left, top), (right, bottom) = np.clip(np.rint(corners), 0, (width, height)).tolist()
+    if right <= left or bottom <= top:
+        return picture
+    draw.rectangle((left, top, right - 1, bottom - 1), fill=sky)
+    # A pixel is of the sea if its centre is; whole pixels count from their own corner here.
+    frame = np.array([(left, top), (right - 1, top), (right - 1, bottom - 1), (left, bottom - 1)])
+    polygon = _kept(frame, sea_half_plane, window)
+    if len(polygon):
+        draw.polygon([tuple(point) for point in np.rint(polygon).tolist()], fill=sea)
+    return picture
+
+
+def _kept(polygon: Array, half_plane: Array, window: Window) -> Array:
+    """The part of a convex polygon of pixels on the sea's side of the horizon."""
+    image = (polygon + 0.5) / window.scale + (window.x, window.y)
+    value = image @ half_plane[:2] + half_plane[2]
+    points = []
+    for i in range(len(polygon)):
+        if (value[i - 1] >= 0) != (value[i] >= 0):
+            share = value[i - 1] / (value[i - 1] - value[i])
+            points.append(polygon[i - 1] + share * (polygon[i] - polygon[i - 1]))
+        if value[i] >= 0:
+            points.append(polygon[i])
+    return np.array(points).reshape(-1, 2)
+
+
+def draw_horizon(pen: Pen, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
+    """A line where the sea ends."""
+    a, b, c = sea_half_plane
+    if a == b == 0:
+        return
+    foot = -c * np.array([a, b])
+    reach = 2.0 * sum(image_size_px) + float(np.abs(foot).max())
+    along = np.array([-b, a]) * reach
+    pen.segments(window.to_picture(np.array([[foot - along, foot + along]])), palette.HORIZON, 0.5)
+
+
+def fill_solids(picture: Image.Image, window: Window, solids: Solids, drawer: IdDrawer, dim: float = 0.0) -> None:
+    """Fill what is seen of every vessel with its colour, each side by its light.
+
+    Args:
+        picture: To draw on.
+        window: What it shows.
+        solids: The vessels.
+        drawer: Says which is in front.
+        dim: Share of black in all colours, so that boxes stand out.
+    """
+    triangles = solids.triangles
+    if not len(triangles.row):
+        return
+    corners = window.to_picture(triangles.corners_px).reshape(-1, 2)
+    region = Region.around(np.concatenate([corners.min(axis=0), corners.max(axis=0)]), window.size)
+    if not region.width or not region.height:
+        return
+    faces = solids.faces(window, drawer, region, SAMPLES)
+    vessels = len(solids.extents_m)
+    colours = np.array([owner_colour(owner, vessels) for owner in solids.owners.tolist()])[triangles.row]
+    table = np.concatenate([[(0.0, 0.0, 0.0)], colours * (solids.light() * (1 - dim))[:, None]]).astype(np.uint8)
+    place = (region.x, region.y, region.x + region.width, region.y + region.height)
+    patch = picture.crop(place).resize((region.width * SAMPLES, region.height * SAMPLES), Image.Resampling.NEAREST)
+    pixels = np.array(patch)
+    drawn = np.flatnonzero(faces.reshape(-1))
+    pixels.reshape(-1, 3)[drawn] = table[faces.reshape(-1)[drawn]]
+    picture.paste(Image.fromarray(pixels).reduce(SAMPLES), place)
+
+
+def owner_colour(owner: int, vessels: int) -> Colour:
+    """The colour of a vessel, or of what else may hide one."""
+    return palette.vessel_colour(owner) if owner < vessels else palette.OBSTACLE

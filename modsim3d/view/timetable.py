@@ -1,0 +1,57 @@
+"""When each frame of a film is shown: real time unless asked otherwise, whatever the steps of the run are like."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.frames import Array
+
+LEAST_RATE = 5
+"""Frames per second; slower films show each frame several times, as some players stumble over long frames."""
+SAME_S = 1e-6
+"""Steps that differ by less are of the same length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """A film's pace.
+
+    Attributes:
+        rate: Pictures a second.
+        shown: How many pictures in a row each frame is shown for; 0 if the film is too fast for it, shape (n,).
+    """
+
+    rate: Fraction
+    shown: NDArray[np.int64]
+
+    @property
+    def duration_s(self) -> float:
+        """How long the film is."""
+        return float(self.shown.sum() / self.rate)
+
+    @classmethod
+    def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
+        """The pace of frames that stand for given durations.
+
+        Steps of one length, at a rate between `LEAST_RATE` and the most, give one picture a frame. Otherwise each
+        picture shows the frame that is due at its time.
+
+        Args:
+            durations_s: Of each frame in the run, positive, shape (n,).
+            speed: How many seconds of the run pass in one of the film.
+            most_rate: Pictures a second.
+        """
+        film_s = durations_s / speed
+        shortest = float(film_s.min())
+        repeats = max(1, math.ceil(LEAST_RATE * shortest - SAME_S))
+        rate = min(Fraction(repeats / shortest).limit_denominator(1000), Fraction(most_rate))
+        if np.ptp(film_s) <= SAME_S and repeats / shortest <= most_rate + SAME_S:
+            return cls(rate, np.full(len(film_s), repeats))
+        ends = np.rint(np.cumsum(film_s) * float(rate)).astype(np.int64)
+        ends[-1] = max(ends[-1], 1)
+        return cls(rate, np.diff(ends, prepend=0))

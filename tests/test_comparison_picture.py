@@ -1,0 +1,44 @@
+"""Which pixels two sources differ in, and the picture of it."""
+
+import numpy as np
+import shapely
+
+from modsim3d.scene_reader import load_scene
+from modsim3d.view import palette
+from modsim3d.view.comparison_picture import BOTH, KEY_PX, PIXELS, comparison_picture, differing_pixels
+from modsim3d.view.solids import Solids
+from tests.scenes import crossing
+
+
+def test_a_pixel_belongs_to_a_region_if_its_centre_does():
+    seen = np.zeros((6, 8), dtype=bool)
+    seen[1:4, 1:4] = True
+    differing = differing_pixels(seen, shapely.box(2.4, 0.6, 6.4, 4.4))  # columns 2 to 5, rows 1 to 3
+    expected = np.zeros((6, 8))
+    expected[1:4, 1] = 2
+    expected[1:4, 2:4] = 1
+    expected[1:4, 4:6] = 3
+    np.testing.assert_array_equal(differing, expected)
+
+
+def test_without_a_region_every_pixel_is_the_rendered_sources():
+    seen = np.eye(4, dtype=bool)
+    np.testing.assert_array_equal(differing_pixels(seen, shapely.Polygon()), 2 * seen)
+
+
+def test_a_region_beyond_the_image_is_cut_at_its_edge():
+    assert (differing_pixels(np.ones((3, 3), dtype=bool), shapely.box(-9, -9, 99, 99)) == 1).all()
+
+
+def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
+    scene = load_scene(crossing(tmp_path))
+    solids = Solids.at(scene, scene.cameras[0], 0)
+    vessel = int(solids.owners[0])
+    box = solids.outlines.boxes_px[0]
+    shifted = shapely.box(*(box + np.array([3.0, 0.0, 3.0, 0.0])))
+    names = ("rendered full", "analytic full", "rendered visible", "analytic visible", "rectangles visible")
+    picture = comparison_picture({name: box.tolist() for name in names}, vessel, solids, shifted, renderer)
+    pixels = np.asarray(picture)[KEY_PX:]
+    for colour in (BOTH, *(colour for _, colour in PIXELS[2:])):
+        assert (pixels == colour).all(axis=-1).sum() > 50
+    assert (pixels == palette.SEA).all(axis=-1).any()

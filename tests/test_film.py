@@ -1,0 +1,216 @@
+"""Films of a run, read back."""
+
+import json
+import re
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from modsim3d import cli
+from modsim3d.run import run_scene
+from modsim3d.scene_reader import load_scene
+from modsim3d.view import ids_picture, palette
+from modsim3d.view.film_layout import FilmLayout
+from tests.scenes import crossing
+
+STEPS = 12
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("film")
+    run_scene(load_scene(crossing(folder, STEPS)), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def two_cameras(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("two")
+    path = crossing(folder, STEPS)
+    scene = json.loads(path.read_text())
+    left = json.loads(json.dumps(scene["cameras"]["C0"]))
+    left["pose"]["yaw_rad"] = 1.5  # nothing is there
+    left["image_size_px"] = [400, 301]
+    scene["cameras"]["left"] = left
+    path.write_text(json.dumps(scene))
+    run_scene(load_scene(path), folder / "run")
+    return folder / "run"
+
+
+def view(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["modsim3d", "view", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return stopped.value.code
+
+
+def probe(path):
+    """What ffmpeg says of a film's only stream, and its pictures."""
+    import imageio_ffmpeg
+
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    (stream,) = re.findall(r"Stream #0:0.*: Video: (.*)", done.stderr.decode().partition("Output #0")[0])
+    width, height = (int(side) for side in re.search(r", (\d+)x(\d+)", stream).groups())
+    return stream, np.frombuffer(done.stdout, dtype=np.uint8).reshape(-1, height, width, 3)
+
+
+def atoms(path):
+    """Names of an MP4's outermost atoms, in their order (ISO/IEC 14496-12)."""
+    data, at, names = path.read_bytes(), 0, []
+    while at < len(data):
+        size, name = struct.unpack(">I4s", data[at : at + 8])
+        names.append(name.decode())
+        at += size or len(data)
+    return names
+
+
+@pytest.mark.parametrize("width", [162, 480])
+def test_mp4_plays_in_every_browser(monkeypatch, run, tmp_path, width):
+    out = tmp_path / "film.mp4"
+    assert view(monkeypatch, run, "--film", "detections", "--to", 5, "--width", width, "--out", out) == 0
+    stream, pictures = probe(out)
+    assert stream.startswith("h264")
+    assert "yuv420p" in stream
+    assert pictures.shape[2] == width  # 162 is no multiple of 16
+    assert pictures.shape[1] % 2 == 0
+    assert " 5 fps" in stream  # a step a second: each is shown five times
+    assert len(pictures) == 5 * 6
+    names = atoms(out)
+    assert names.index("moov") < names.index("mdat")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4"]
+
+
+def test_colours_survive_the_film(monkeypatch, run, tmp_path):
+    options = ("--film", "ids", "--width", 960)
+    assert view(monkeypatch, run, *options, "--to", 1, "--out", tmp_path / "a.mp4") == 0
+    assert view(monkeypatch, run, *options, "--frame", 0, "--out", tmp_path / "a.png") == 0
+    stream, pictures = probe(tmp_path / "a.mp4")
+    assert "bt709" in stream
+    still = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
+    assert np.abs(pictures[0].astype(int) - still).mean() < 2
+    for colour in (ids_picture.SEA, ids_picture.SKY, palette.VESSELS[2]):  # the ship's
+        here = (still == colour).all(axis=-1)
+        assert here.sum() > 5000
+        assert np.abs(np.median(pictures[0][here], axis=0) - colour).max() <= 4
+
+
+@pytest.mark.parametrize("kind", ["mp4", "gif"])
+def test_films_are_the_same_bytes_whatever_the_workers(monkeypatch, run, tmp_path, kind):
+    options = ("--film", "all", "--every", 2, "--width", 360)
+    for workers in (1, 2):
+        assert view(monkeypatch, run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.{kind}") == 0
+    assert (tmp_path / f"1.{kind}").read_bytes() == (tmp_path / f"2.{kind}").read_bytes()
+
+
+def test_png_frames_are_the_single_pictures(monkeypatch, run, tmp_path):
+    options = ("--film", "detections", "--width", 320)
+    assert view(monkeypatch, run, *options, "--format", "png", "--every", 5, "--out", tmp_path / "film") == 0
+    assert sorted(path.name for path in (tmp_path / "film").iterdir()) == [
+        "frame_000000.png",
+        "frame_000005.png",
+        "frame_000010.png",
+    ]
+    assert view(monkeypatch, run, *options, "--frame", 5, "--out", tmp_path / "five.png") == 0
+    assert (tmp_path / "five.png").read_bytes() == (tmp_path / "film" / "frame_000005.png").read_bytes()
+
+
+def test_gif_needs_no_ffmpeg_and_lasts_as_long_as_the_run(monkeypatch, run, tmp_path):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    out = tmp_path / "film.gif"
+    assert view(monkeypatch, run, "--film", "ids", "--width", 320, "--from", 2, "--to", 9, "--every", 2, "--speed", 2,
+                "--out", out) == 0  # fmt: skip
+    with Image.open(out) as film:
+        assert film.size[0] == 320
+        lasted = 0
+        for index in range(film.n_frames):
+            film.seek(index)
+            lasted += film.info["duration"]
+    assert lasted == 4000  # steps 2, 4, 6 and 8 stand for two seconds each, at twice the speed
+
+
+def test_frames_are_drawn_from_the_directory_alone(monkeypatch, run, tmp_path):
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for path in run.iterdir():
+        target = moved / path.name
+        if path.is_dir():
+            target.mkdir()
+            for inner in path.iterdir():
+                (target / inner.name).write_bytes(inner.read_bytes())
+        else:
+            target.write_bytes(path.read_bytes())
+    for folder, name in ((run, "a"), (moved, "b")):
+        assert (
+            view(
+                monkeypatch, folder, "--frame", "5s", "--film", "all", "--width", 640, "--out", tmp_path / f"{name}.png"
+            )
+            == 0
+        )
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_step_and_its_time_give_the_same_picture(monkeypatch, run, tmp_path):
+    for text in ("7", "7.0", "7s"):
+        assert view(monkeypatch, run, "--frame", text, "--width", 320, "--out", tmp_path / f"{text}.png") == 0
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+
+
+def test_cameras_stand_side_by_side(monkeypatch, two_cameras, tmp_path):
+    assert view(monkeypatch, two_cameras, "--frame", 0, "--film", "scene", "--out", tmp_path / "both.png") == 0
+    assert view(monkeypatch, two_cameras, "--frame", 0, "--film", "scene", "--camera", "left", "--width", 1000,
+                "--out", tmp_path / "left.png") == 0  # fmt: skip
+    with Image.open(tmp_path / "both.png") as both, Image.open(tmp_path / "left.png") as left:
+        assert both.width == 1920
+        assert left.width == 1000
+        assert both.height % 2 == left.height % 2 == 0
+        assert abs(left.height - 1000 * 301 / 400) < 120
+
+
+def test_only_with_vessels_leaves_out_what_shows_none(monkeypatch, two_cameras, tmp_path, capsys):
+    arguments = (two_cameras, "--film", "scene", "--only-with-vessels", "--format", "png", "--width", 320)
+    assert view(monkeypatch, *arguments, "--out", tmp_path / "both") == 0
+    assert 0 < len(list((tmp_path / "both").iterdir())) <= STEPS
+    assert view(monkeypatch, *arguments, "--camera", "left", "--out", tmp_path / "left") == 2
+    assert "no vessel is in an image of left" in capsys.readouterr().err
+
+
+def test_a_crop_shows_the_same_pixels_larger(monkeypatch, run, tmp_path):
+    crop = (200, 150, 600, 450)
+    assert view(monkeypatch, run, "--frame", 3, "--film", "scene", "--width", 800, "--crop",
+                ",".join(map(str, crop)), "--out", tmp_path / "crop.png") == 0  # fmt: skip
+    assert view(monkeypatch, run, "--frame", 3, "--film", "scene", "--width", 1600, "--out", tmp_path / "all.png") == 0
+    part, whole = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in ("crop", "all"))
+    head = [FilmLayout(width, 1, (), ()).head_px for width in (800, 1600)]
+    shown = whole[head[1] + 300 : head[1] + 900, 400:1200]
+    assert np.abs(part[head[0] : head[0] + 600] - shown).mean() < 1.0
+
+
+def test_crop_to_vessels_keeps_every_box_in_sight(run):
+    from modsim3d.film_plan import crop_to_vessels
+    from modsim3d.selection import select
+    from modsim3d.stored_run import open_run
+
+    chosen = select(open_run(run), (0,))
+    ((x0, y0, x1, y1),) = crop_to_vessels(chosen)
+    assert 0 <= x0 < x1 <= 800
+    assert 0 <= y0 < y1 <= 600
+    assert 4 / 3 - 1e-9 <= (x1 - x0) / (y1 - y0) <= 8 / 3 + 1e-9
+    for (frame,) in chosen.frames():
+        for box in frame.truth.full_boxes_px:
+            assert x0 <= box[0]
+            assert y0 <= box[1]
+            assert box[2] <= x1 + 1e-9
+            assert box[3] <= y1 + 1e-9
+
+
+def test_the_contact_sheet_can_be_drawn_again(monkeypatch, run):
+    assert view(monkeypatch, run, "--sheet") == 0
+    first = (run / "contact_sheet.png").read_bytes()
+    assert view(monkeypatch, run, "--sheet") == 2
+    assert view(monkeypatch, run, "--sheet", "--overwrite") == 0
+    assert (run / "contact_sheet.png").read_bytes() == first

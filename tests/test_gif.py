@@ -1,0 +1,66 @@
+"""GIF films read back with another program's eyes: Pillow's reader."""
+
+import io
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from modsim3d.view import palette
+from modsim3d.view.gif import GifWriter, film_palette, quantised
+
+
+def written(frames, ticks, colours):
+    out = io.BytesIO()
+    writer = GifWriter(out, (frames[0].shape[1], frames[0].shape[0]), colours)
+    for frame, shown in zip(frames, ticks, strict=True):
+        writer.write(Image.fromarray(frame), shown)
+    writer.close()
+    return Image.open(io.BytesIO(out.getvalue()))
+
+
+def grey():
+    holder = Image.new("P", (1, 1))
+    holder.putpalette([level for level in range(256) for _ in range(3)])
+    return holder
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_what_is_read_is_what_was_written(seed, count):
+    rng = np.random.default_rng(seed)
+    height, width = rng.integers(1, 40, 2)
+    frames = [rng.integers(0, 256, (height, width), dtype=np.uint8)]
+    for _ in range(count - 1):  # like films, most of a frame is that of the one before
+        frame = frames[-1].copy()
+        frame[rng.integers(0, height) :, : rng.integers(0, width + 1)] = rng.integers(0, 256)
+        frames.append(frame)
+    ticks = rng.integers(2, 30, count).tolist()
+    film = written(frames, ticks, grey())
+    shown, total = [], 0
+    for index in range(getattr(film, "n_frames", 1)):
+        film.seek(index)
+        shown.append(np.asarray(film.convert("L")))
+        total += film.info["duration"]
+    distinct = [frame for i, frame in enumerate(frames) if i == 0 or not np.array_equal(frame, frames[i - 1])]
+    np.testing.assert_array_equal(shown, distinct)
+    assert total == 10 * sum(ticks)
+
+
+def test_a_frame_may_last_longer_than_a_gif_can_say():
+    film = written([np.zeros((2, 2), dtype=np.uint8), np.ones((2, 2), dtype=np.uint8)], [200_000, 5], grey())
+    total = 0
+    for index in range(film.n_frames):
+        film.seek(index)
+        total += film.info["duration"]
+    assert total == 10 * 200_005
+
+
+def test_the_colours_of_vessels_are_kept_exactly():
+    picture = Image.new("RGB", (60, 40), palette.SEA)
+    colours = film_palette([picture])
+    for i, colour in enumerate([*palette.VESSELS, palette.ALARM, palette.TRUTH]):
+        picture.paste(colour, (5 * i, 0, 5 * i + 5, 5))
+    seen = np.asarray(quantised(picture, colours).convert("RGB"))
+    np.testing.assert_array_equal(seen, np.asarray(picture))

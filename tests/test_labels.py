@@ -1,0 +1,58 @@
+"""Labels stay inside the picture and off each other."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from modsim3d.view import labels
+from modsim3d.view.labels import Label, draw_labels
+from modsim3d.view.pen import Pen
+
+
+def drawn_plates(boxes, width, height, monkeypatch_plates):
+    pen = Pen(Image.new("RGB", (width, height)))
+    size = pen.plate_size
+    pen.plate = lambda x, y, text, colour: monkeypatch_plates.append((x, y, *np.add((x, y), size(text))))
+    count = draw_labels(pen, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
+    return count
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(320, 213), (1280, 853), (90, 20)]), st.integers(0, 25))
+def test_plates_are_in_the_picture_and_share_no_pixel(seed, size, count):
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-0.2, 1.1, (count, 2)) * size
+    boxes = np.concatenate([low, low + rng.uniform(1, 200, (count, 2))], axis=1).tolist()
+    plates = []
+    assert drawn_plates(boxes, *size, plates) == len(plates) <= count
+    for i, (x0, y0, x1, y1) in enumerate(plates):
+        assert x0 >= 0
+        assert y0 >= 0
+        assert x1 <= size[0]
+        assert y1 <= size[1]
+        for a0, b0, a1, b1 in plates[:i]:
+            assert min(x1, a1) <= max(x0, a0) or min(y1, b1) <= max(y0, b0)
+
+
+def test_a_label_alone_stands_on_its_box():
+    plates = []
+    drawn_plates([[300.0, 200.0, 400.0, 260.0]], 1280, 853, plates)
+    ((x0, _, _, y1),) = plates
+    assert x0 == 300
+    assert y1 == 200 - 2
+
+
+def test_labels_of_one_place_are_all_drawn_where_there_is_room():
+    plates = []
+    assert drawn_plates([[600.0, 400.0, 630.0, 420.0]] * 8, 1280, 853, plates) == 8
+
+
+def test_a_label_of_a_box_outside_the_picture_is_left_out():
+    assert drawn_plates([[-90.0, 0.0, -10.0, 50.0], [0.0, 900.0, 50.0, 950.0]], 1280, 853, []) == 0
+
+
+def test_places_never_lie_on_taken_ones():
+    taken = np.array([[0.0, 0.0, 10.0, 10.0]])
+    places = np.array([[10.0, 0.0, 20.0, 10.0], [9.0, 9.0, 12.0, 12.0]])
+    np.testing.assert_array_equal(labels._shared(places, taken), [[0.0], [1.0]])

@@ -1,0 +1,209 @@
+"""Pictures of frames: properties first; what they look like has been looked at."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from modsim3d.errors import ModsimError
+from modsim3d.render.plain_ids import PlainIds
+from modsim3d.scene import Scene
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import simulate_frames
+from modsim3d.view import palette
+from modsim3d.view.hatching import silhouette_mask
+from modsim3d.view.ids_picture import ids_picture
+from modsim3d.view.layers import DETECTIONS, Layers
+from modsim3d.view.painter import Subject, paint
+from modsim3d.view.plain import background
+from modsim3d.view.scene_picture import scene_picture
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Window
+from tests.scenes import crossing
+
+SIZES = (320, 1280, 3600)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    return load_scene(crossing(tmp_path_factory.mktemp("painter")))
+
+
+@pytest.fixture(scope="module")
+def subjects(scene) -> list[Subject]:
+    return [Subject.of(scene, frame) for frame in simulate_frames(scene)]
+
+
+@pytest.fixture(scope="module")
+def hiding(subjects) -> Subject:
+    """The ship hides a boat in part."""
+    fractions = [np.append(s.frame.truth.visible_fraction, 1.0).min() for s in subjects]
+    return next(s for s, fraction in zip(subjects, fractions, strict=True) if 0.05 < fraction < 0.95)
+
+
+def count(picture: Image.Image, colour) -> int:
+    return int((np.asarray(picture) == colour).all(axis=-1).sum())
+
+
+def whole(subject: Subject, width: int) -> Window:
+    return Window.whole(subject.image_size_px, width)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.1, -2.0, np.pi])
+def test_sea_is_where_the_half_plane_says(roll):
+    half_plane = np.array([np.sin(roll), np.cos(roll), -300 * np.cos(roll) - 400 * np.sin(roll)])
+    picture = np.asarray(background(Window(0, 0, 1, (800, 600)), half_plane, (800, 600)))
+    x, y = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
+    distance = half_plane[0] * x + half_plane[1] * y + half_plane[2]
+    sea = (picture == palette.SEA).all(axis=-1)
+    clear = np.abs(distance) > 1
+    np.testing.assert_array_equal(sea[clear], distance[clear] > 0)
+
+
+def test_outside_the_image_is_paper():
+    picture = background(Window(-100, -50, 1, (1000, 700)), np.array([0.0, 1.0, -300.0]), (800, 600))
+    assert picture.getpixel((99, 300)) == picture.getpixel((500, 49)) == picture.getpixel((900, 300)) == palette.PAPER
+    assert picture.getpixel((100, 50)) == palette.SKY
+    assert picture.getpixel((899, 649)) == palette.SEA
+
+
+@pytest.mark.parametrize("width", SIZES)
+def test_a_picture_has_the_size_asked_for_and_truth_where_it_is(hiding, width):
+    window = whole(hiding, width)
+    picture = paint(hiding, window, Layers(truth=True), PlainIds())
+    assert picture.size == (width, width * 3 // 4)
+    for box in hiding.frame.truth.boxes_px[hiding.frame.truth.annotated]:
+        x0, y0, x1, y1 = (round(side) for side in window.corners(box))
+        assert picture.getpixel(((x0 + x1) // 2, y0)) == palette.TRUTH
+        assert picture.getpixel((x0, (y0 + y1) // 2)) == palette.TRUTH
+
+
+def test_lines_and_text_grow_with_the_picture(hiding):
+    shares = []
+    for width in SIZES:
+        picture = paint(hiding, whole(hiding, width), replace(DETECTIONS, silhouettes=False), PlainIds())
+        plain = paint(hiding, whole(hiding, width), Layers(horizon=True), PlainIds())
+        shares.append((np.asarray(picture) != np.asarray(plain)).any(axis=-1).mean())
+    assert shares[1] == pytest.approx(shares[2], rel=0.25)
+    assert shares[0] > shares[1]  # on a thumbnail they stop growing smaller
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Layers)])
+def test_each_layer_draws_something_and_only_when_it_is_on(subjects, name):
+    """Fractions and labels are drawn next to the boxes of others."""
+    companions = {"labels": {"detections": True, "missed": True}}.get(name, {})
+    without, with_it = Layers(**companions), replace(Layers(**companions), **{name: True})
+    changed = 0
+    for subject in subjects:
+        mode_0 = replace(subject.frame.truth, boxes_px=subject.frame.truth.full_boxes_px)
+        if name == "visible":
+            subject = replace(subject, frame=replace(subject.frame, truth=mode_0))
+        elif name == "missed":
+            truth = replace(mode_0, detected=np.zeros(len(mode_0), dtype=bool))
+            subject = replace(subject, frame=replace(subject.frame, truth=truth))
+        elif name == "false_positives":
+            nobody = replace(subject.frame.detections, vessels=(None,) * len(subject.frame.detections))
+            subject = replace(subject, frame=replace(subject.frame, detections=nobody))
+        window = whole(subject, 640)
+        a, b = (np.asarray(paint(subject, window, layers, PlainIds())) for layers in (without, with_it))
+        changed += int((a != b).any(axis=-1).sum())
+    assert changed > 0
+
+
+def test_a_detection_without_a_vessel_is_a_false_one_whatever_its_kind(hiding):
+    detections = replace(
+        hiding.frame.detections,
+        vessels=(None,) * len(hiding.frame.detections),
+        kinds=("persistent_false_positive",) * len(hiding.frame.detections),
+    )
+    subject = replace(hiding, frame=replace(hiding.frame, detections=detections))
+    picture = paint(subject, whole(subject, 1280), Layers.of(["detections", "false_positives"]), PlainIds())
+    assert count(picture, palette.ALARM) > 100
+    assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
+
+
+def test_a_detection_of_a_vessel_has_its_colour_whatever_its_kind(hiding):
+    detections = replace(hiding.frame.detections, kinds=("duplicate",) * len(hiding.frame.detections))
+    subject = replace(hiding, frame=replace(hiding.frame, detections=detections))
+    picture = paint(subject, whole(subject, 1280), Layers.of(["detections", "false_positives"]), PlainIds())
+    for vessel in filter(None, detections.vessels):
+        assert count(picture, subject.colour(vessel)) > 100
+
+
+def test_wires_go_through_the_corner_points(hiding):
+    window = whole(hiding, 1280)
+    picture = np.asarray(paint(hiding, window, Layers(wires=True), PlainIds())).astype(int)
+    plain = np.asarray(paint(hiding, window, Layers(), PlainIds())).astype(int)
+    for _, edges, corners in hiding.solids.shoeboxes():
+        assert edges.shape == (12, 2, 2)
+        np.testing.assert_allclose(np.linalg.norm(edges[:, :, None] - corners, axis=-1).min(axis=-1), 0, atol=1e-9)
+        for x, y in window.to_picture(edges.mean(axis=1)):
+            if 1 < x < 1278 and 1 < y < 958:
+                i, j = int(y), int(x)
+                assert np.abs(picture - plain)[i - 1 : i + 2, j - 1 : j + 2].max() > 20
+
+
+def test_an_unknown_layer_is_refused_with_those_there_are():
+    with pytest.raises(ModsimError, match=r"'ghosts'.*silhouettes, hatching"):
+        Layers.of(["truth", "ghosts"])
+
+
+def test_ids_drawn_small_are_those_of_the_pixel_centres(hiding, renderer):
+    """Against the whole ID image, sampled: at a third of the size, the centre of a pixel is that of one of nine."""
+    solids = hiding.solids
+    large = solids.ids(Window(0, 0, 1, (801, 600)), renderer)
+    small = solids.ids(Window(0, 0, 1 / 3, (267, 200)), renderer)
+    assert (small > 0).any()
+    assert (large[1::3, 1::3] != small).mean() < 2e-4  # an edge through a centre
+
+
+def test_id_map_has_each_vessels_colour_where_its_id_is(hiding, renderer):
+    window = whole(hiding, 800)
+    picture = np.asarray(ids_picture(hiding.solids, window, renderer))
+    ids = hiding.solids.ids(window, renderer)
+    for value in np.unique(ids[ids > 0]):
+        same = (picture[ids == value] == palette.vessel_colour(int(value) - 1)).all(axis=-1)
+        assert same.mean() > 0.5  # the rest is hatched by what it hides, or under its number
+    changed = (picture == picture[0, 0]).all(axis=-1)
+    assert not changed[ids > 0].any()
+
+
+def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):
+    truth = hiding.frame.truth
+    i = int(np.argmin(np.where(truth.visible_fraction > 0, truth.visible_fraction, 1.0)))
+    window = whole(hiding, 800)
+    plain = paint(hiding, window, Layers(), PlainIds())
+    hatched = paint(hiding, window, Layers(hatching=True), PlainIds())
+    colour = hiding.colour(truth.vessels[i])
+    hidden = truth.silhouette_px[i] - truth.visible_px[i]
+    assert count(plain, colour) == 0
+    assert 0.3 * hidden < count(hatched, colour) < 0.7 * hidden
+
+
+def test_silhouette_mask_covers_what_the_truth_counts(subjects):
+    for subject in subjects:
+        truth, solids = subject.frame.truth, subject.solids
+        for row, owner in enumerate(solids.owners.tolist()):
+            i = truth.vessels.index(subject.vessels[owner])
+            _, mask = silhouette_mask(solids, row, Window(0, 0, 1, (800, 600)))
+            box = truth.full_boxes_px[i]
+            boundary = 2 * (box[2] - box[0] + box[3] - box[1])
+            assert abs(int(mask.sum()) - truth.silhouette_px[i]) <= boundary + 8
+
+
+def test_the_scene_shows_sea_sky_and_each_vessel_in_shades_of_its_hue(scene, hiding, renderer):
+    camera, step = hiding.solids.camera, hiding.frame.step
+    window = Window.whole(camera.intrinsics.image_size_px, 800)
+    picture = np.asarray(scene_picture(scene, camera, step, window, renderer)).astype(float)
+    ids = Solids.at(scene, camera, step).ids(window, renderer)
+    assert len(np.unique(ids)) > 3
+    for value in np.unique(ids[ids > 0]).tolist():
+        pixels = picture[ids == value]
+        colour = np.array(palette.vessel_colour(value - 1), dtype=float)
+        lightness = pixels @ colour / (colour @ colour)
+        hue = np.linalg.norm(pixels - lightness[:, None] * colour, axis=1)
+        assert np.median(hue) < 3
+        assert 0.45 < np.median(lightness) <= 1.0
+    assert (picture[0, 0] == palette.SKY).all()
+    assert (picture[-1, 0] == palette.SEA).all()
