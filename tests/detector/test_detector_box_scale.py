@@ -38,7 +38,7 @@ MIXED = {
 }
 
 
-def errors_of(error: dict[str, Any], box_px: list[float], frames: int = 4000, vessels: int = 10) -> Detections:
+def errors_of(error: dict[str, Any], box_px: list[float], frames: int = 2000, vessels: int = 10) -> Detections:
     model = parse_detector(one_state_data(**SEEN, box_error=error))
     return run(model, make_frames(frames), make_targets(same_boxes(frames, vessels, box_px)))
 

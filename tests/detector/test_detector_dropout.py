@@ -120,6 +120,13 @@ def test_effects_of_nothing_leave_the_chain_as_it_is() -> None:
     )
 
 
+def test_a_slope_may_start_at_nothing_seen() -> None:
+    only = {"model": "logistic", "visible_fraction": {"per_unit": -3, "reference": 0}}
+    targets = varied_targets(50)
+    added = parse_detector(model_data(dropout=only)).dropout.log_odds(targets)
+    np.testing.assert_allclose(added, -3 * targets.visible_fraction)
+
+
 def test_an_unknown_visible_fraction_changes_nothing() -> None:
     targets = dataclasses.replace(varied_targets(400), visible_fraction=np.full(400 * VESSELS, np.nan))
     only = {"model": "logistic", "visible_fraction": {"per_unit": -9, "reference": 1}}

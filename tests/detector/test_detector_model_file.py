@@ -66,6 +66,7 @@ BAD = [
     ("dropout", {"model": "table", "size_px": SLOPE}, "size_px: model table needs edges and odds"),
     ("dropout", {"model": "logistic", "size_px": {"per_unit": 1}}, "a reference at which nothing changes"),
     ("dropout", {"model": "logistic", "size_px": SLOPE | {"per_unit": 1}}, "exactly one of per_unit and per_doubling"),
+    ("dropout", {"model": "logistic", "size_px": SLOPE | {"reference": 0}}, "it must be above 0 with per_doubling"),
     ("dropout", {"model": "table", "size_px": {"edges": [9, 4], "odds": [1, 1, 1]}}, "must ascend (got 9, 4)"),
     ("dropout", {"model": "table", "size_px": {"edges": [9], "odds": [1]}}, "has 1 edges and 1 odds"),
     ("dropout", {"model": "table", "size_px": {"edges": [9], "odds": [1, 0]}}, "dropout.size_px.odds[1]"),

@@ -108,6 +108,16 @@ def test_a_miss_in_a_state_without_misses_is_impossible_however_long_misses_pers
     assert 0 < missed.mean() < 1
 
 
+def test_rates_hold_in_states_that_change_much_faster_than_misses_do() -> None:
+    data = detector_data(transition_matrix=[[0.3, 0.7], [0.7, 0.3]], persistence={"class_s": 2})
+    result = detect(data, all_seen(3000), 3000, 0.1)
+    missed, kept = labels_over_time(result, 3000) < 0, np.exp(-0.1 / 2)
+    for state, rate in ((0, 0.2), (1, 0.4)):
+        ours = missed[result.states == state]
+        worth = 3000 * VESSELS * (1 - kept) / (1 + kept)
+        assert abs(ours.mean() - rate) < 4 * np.sqrt(rate * (1 - rate) / worth)
+
+
 def test_box_errors_keep_their_mean_and_covariance(found: Detections, step_s: float) -> None:
     errors, kept = found.errors_px[found.kind == TRUE], np.exp(-step_s / TAU_S)
     worth = len(errors) * (1 - kept) / (1 + kept)
