@@ -122,7 +122,7 @@ class _Mp4(FilmFile):
             quality=None,
             macro_block_size=2,  # 16 by default, and then it scales frames whose sides are not multiples of it
             output_params=[
-                *("-crf", "20", "-preset", "medium", "-threads", str(ENCODER_THREADS)),
+                *("-crf", "20", "-preset", "veryfast", "-threads", str(ENCODER_THREADS)),
                 *("-g", str(max(1, round(KEY_FRAME_S * rate)))),
                 # Without these players guess the colours' matrix by the film's size.
                 *("-vf", "scale=out_color_matrix=bt709:out_range=tv"),

@@ -100,7 +100,8 @@ def _shared(places: Array, boxes: Array) -> Array:
     """Area that each place shares with each box, shape (k, n)."""
     low = np.maximum(places[:, None, :2], boxes[None, :, :2])
     high = np.minimum(places[:, None, 2:], boxes[None, :, 2:])
-    area: Array = np.prod(np.maximum(high - low, 0), axis=-1)
+    sides = np.maximum(high - low, 0)
+    area: Array = sides[..., 0] * sides[..., 1]
     return area
 
 

@@ -14,8 +14,8 @@ from modsim3d.view.pen import Pen
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 
-SAMPLES = 2
-"""Sides of vessels are drawn this much larger and shrunk, so that their edges have no steps."""
+SMOOTH_SAMPLES = 2
+"""Vessels drawn this much larger and shrunk have edges without steps."""
 
 
 def background(
@@ -75,7 +75,15 @@ def draw_horizon(pen: Pen, window: Window, sea_half_plane: Array, image_size_px:
     pen.segments(window.to_picture(np.array([[foot - along, foot + along]])), palette.HORIZON, 0.5)
 
 
-def fill_solids(picture: Image.Image, window: Window, solids: Solids, drawer: IdDrawer, dim: float = 0.0) -> None:
+def fill_solids(
+    picture: Image.Image,
+    window: Window,
+    solids: Solids,
+    drawer: IdDrawer,
+    *,
+    dim: float = 0.0,
+    samples: int = SMOOTH_SAMPLES,
+) -> None:
     """Fill what is seen of every vessel with its colour, each side by its light.
 
     Args:
@@ -84,6 +92,7 @@ def fill_solids(picture: Image.Image, window: Window, solids: Solids, drawer: Id
         solids: The vessels.
         drawer: Says which is in front.
         dim: Share of black in all colours, so that boxes stand out.
+        samples: Each side is drawn this much larger and shrunk.
     """
     triangles = solids.triangles
     if not len(triangles.row):
@@ -92,16 +101,18 @@ def fill_solids(picture: Image.Image, window: Window, solids: Solids, drawer: Id
     region = Region.around(np.concatenate([corners.min(axis=0), corners.max(axis=0)]), window.size)
     if not region.width or not region.height:
         return
-    faces = solids.faces(window, drawer, region, SAMPLES)
+    faces = solids.faces(window, drawer, region, samples)
     vessels = len(solids.extents_m)
     colours = np.array([owner_colour(owner, vessels) for owner in solids.owners.tolist()])[triangles.row]
-    table = np.concatenate([[(0.0, 0.0, 0.0)], colours * (solids.light() * (1 - dim))[:, None]]).astype(np.uint8)
+    table = np.zeros((len(colours) + 1, 4), dtype=np.uint8)
+    table[1:, :3] = colours * (solids.light() * (1 - dim))[:, None]
     place = (region.x, region.y, region.x + region.width, region.y + region.height)
-    patch = picture.crop(place).resize((region.width * SAMPLES, region.height * SAMPLES), Image.Resampling.NEAREST)
-    pixels = np.array(patch)
-    drawn = np.flatnonzero(faces.reshape(-1))
-    pixels.reshape(-1, 3)[drawn] = table[faces.reshape(-1)[drawn]]
-    picture.paste(Image.fromarray(pixels).reduce(SAMPLES), place)
+    patch = picture.crop(place).resize((region.width * samples, region.height * samples), Image.Resampling.NEAREST)
+    # A pixel as one number is looked up four times as fast as three.
+    under = np.frombuffer(patch.tobytes("raw", "RGBX"), dtype=np.uint32).reshape(faces.shape)
+    pixels = np.where(faces > 0, table.view(np.uint32)[:, 0][faces], under)
+    filled = Image.frombytes("RGB", patch.size, pixels.tobytes(), "raw", "RGBX")
+    picture.paste(filled.reduce(samples), place)
 
 
 def owner_colour(owner: int, vessels: int) -> Colour:
