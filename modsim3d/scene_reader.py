@@ -155,7 +155,9 @@ class _Reader:
         level = self._wave_level()
         obstacles = self._obstacles(keys) if keys else ()
         if vessels is not None:
-            vessels = tuple(self._with_mesh(vessel, (entries or {})[vessel.name].get("mesh")) for vessel in vessels)
+            vessels = tuple(
+                self._with_mesh(vessel, (entries or {}).get(vessel.name, {}).get("mesh")) for vessel in vessels
+            )
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
