@@ -35,6 +35,8 @@ app = typer.Typer(
 
   modsim3d run my/scene.yaml --out runs/mine  a scene of your own
 
+  modsim3d detect runs/mine --detector my/detector.yaml --out runs/other    the detector alone, over the same truth
+
   modsim3d check my/scene.yaml                what is wrong with it, all at once
 
   modsim3d compare my/scene.yaml              rendered truth against exact geometry
@@ -86,6 +88,8 @@ def run_command(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
     seed: Annotated[int | None, typer.Option(min=0, help="In place of the scene's.")] = None,
+    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the scene's.")] = None,
+    detector_seed: Annotated[int | None, typer.Option(min=0, help="Of the detector alone.")] = None,
     mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
     source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
@@ -104,6 +108,8 @@ def run_command(
     loaded = load_scene(
         scene,
         seed=seed,
+        detector=detector,
+        detector_seed=detector_seed,
         steps=steps,
         mode=mode,
         source=source.value if source else None,
@@ -129,6 +135,37 @@ def run_command(
 
         draw_contact_sheet(loaded, folder)
     _summarise(loaded, result, sheet)
+
+
+@app.command("detect")
+def detect_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
+    out: Annotated[Path, typer.Option(help="The new run directory.")],
+    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the run's.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the detector, in place of the run's.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that share the work; the files stay the same.")] = 1,
+) -> None:
+    """Run another detector, or another seed of it, over a finished run's truth, without rendering again.
+
+    Example: modsim3d detect runs/first --detector my/detector.yaml --seed 7 --out runs/second
+    """
+    from modsim3d.detect_run import detect_run
+    from modsim3d.stored_run import open_run
+
+    stored = open_run(run)
+    with _progress_bar() as bar:
+        task = bar.add_task(stored.scene.name, total=stored.scene.steps)
+        result = detect_run(
+            stored,
+            out,
+            detector=detector,
+            seed=seed,
+            overwrite=overwrite,
+            workers=workers,
+            progress=lambda steps: bar.update(task, advance=steps, refresh=True),
+        )
+    _summarise(stored.scene, result, sheet=False)
 
 
 @app.command("check")

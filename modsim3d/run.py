@@ -14,7 +14,7 @@ from modsim3d.counts import Counts
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.scene import Scene
 from modsim3d.simulate import block_ranges, block_steps
-from modsim3d.workers import open_workers
+from modsim3d.workers import Workers, open_workers
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
@@ -61,18 +61,46 @@ def run_scene(
     Raises:
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
+    with open_workers(scene, workers) as made:
+        return write_run(
+            scene, folder, made, settings_of(scene, made.backend), overwrite=overwrite, resume=resume, progress=progress
+        )
+
+
+def write_run(
+    scene: Scene,
+    folder: Path,
+    made: Workers,
+    settings: dict[str, Any],
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Write the run directory of a scene from the blocks that workers make.
+
+    Args:
+        scene: The scene.
+        folder: The run directory.
+        made: Who makes the blocks.
+        settings: Everything that decides the content of the files, see `settings_of`.
+        overwrite: Replace a run that is there.
+        resume: Continue an interrupted run that is there.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The scene asks for what cannot be, or the folder cannot be used.
+    """
     started = time.perf_counter()
     counts, resumed, pairs = Counts(), 0, set[tuple[int, int]]()
-    with open_workers(scene, workers) as made:
-        settings = _settings(scene, made.backend)
-        with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-            for block in made.blocks(directory.work, block_ranges(scene.steps, block_steps(scene))):
-                directory.write(block.files)
-                counts += block.counts
-                pairs |= block.intersecting
-                resumed += block.steps if block.resumed else 0
-                progress(block.steps)
-            directory.finish({**settings, "counts": asdict(counts)})
+    with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
+        for block in made.blocks(directory.work, block_ranges(scene.steps, block_steps(scene))):
+            directory.write(block.files)
+            counts += block.counts
+            pairs |= block.intersecting
+            resumed += block.steps if block.resumed else 0
+            progress(block.steps)
+        directory.finish({**settings, "counts": asdict(counts)})
     seconds = time.perf_counter() - started
     (folder / LOG_FILE).write_text(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
@@ -82,13 +110,14 @@ def run_scene(
     return RunResult(folder, counts, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
 
 
-def _settings(scene: Scene, backend: str) -> dict[str, Any]:
+def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
     """Everything that decides the content of the files; no times and no host names."""
     return {
         "format": FORMAT,
         "scene": scene.name,
         "scene_sha256": scene.sha256,
         "seed": scene.seed,
+        "detector_seed": scene.detector_seed,
         "steps": scene.steps,
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],

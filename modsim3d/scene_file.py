@@ -150,12 +150,19 @@ class SceneKeys(Strict):
     steps: Steps | None = None
     time_step_s: Interval | None = None
     seed: Seed = 0
+    detector_seed: Seed | None = None
     vessels: str | dict[str, object]
     poses: PosesKeys
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
+
+    @property
+    def truth_has_seed(self) -> bool:
+        """Whether what the cameras see depends on the seed: poses that are drawn, and waves."""
+        drawn = self.poses.file is None and self.poses.tracks is None
+        return drawn or (self.waves is not None and self.waves.level != "none")
 
     @field_validator("vessels", mode="before")
     @classmethod

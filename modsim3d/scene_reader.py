@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from modsim3d.annotate.modes import Annotation
 from modsim3d.camera import Camera, Intrinsics, Mount
@@ -20,7 +19,7 @@ from modsim3d.errors import InputError
 from modsim3d.poses import PoseSource, circular_motion, load_poses, waypoint_tracks
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import AnnotationKeys, CameraKeys, SceneKeys, WavesKeys
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.waves import AXES, Axis, SecondOrderWaves, level_axes
@@ -38,6 +37,8 @@ OVERRIDES = {
     "source": ("annotation", "source"),
     "supersample": ("annotation", "supersample"),
     "render": ("annotation", "render"),
+    "detector": ("detector",),
+    "detector_seed": ("detector_seed",),
 }
 """What a caller may change in a scene file without editing it, and where it stands."""
 
@@ -84,6 +85,8 @@ def load_scene(
     source: str | None = None,
     supersample: int | None = None,
     render: str | None = None,
+    detector: Path | None = None,
+    detector_seed: int | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -95,6 +98,8 @@ def load_scene(
         source: In place of the file's annotation source.
         supersample: In place of the file's.
         render: In place of the file's, `regions` or `full`.
+        detector: A detector file, in place of the scene file's.
+        detector_seed: In place of the file's.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -103,7 +108,16 @@ def load_scene(
     data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
     if not isinstance(data, dict):
         raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
-    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
+    given = {
+        "seed": seed,
+        "steps": steps,
+        "mode": mode,
+        "source": source,
+        "supersample": supersample,
+        "render": render,
+        "detector": None if detector is None else str(detector.resolve()),  # a scene's paths are relative to it
+        "detector_seed": detector_seed,
+    }
     for name, value in given.items():
         if value is not None:
             _override(data, OVERRIDES[name], value)
@@ -143,12 +157,14 @@ class _Reader:
         poses = self._poses(keys, names, vessels)
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
-        annotation = keys.annotation
+        annotation, copy = keys.annotation, self._copy(keys, entries or {})
         scene = Scene(
             name=self.path.stem,
             path=self.path,
-            sha256=self._sha256(keys),
+            sha256=copy.sha256(),
             seed=keys.seed,
+            detector_seed=keys.seed if keys.detector_seed is None else keys.detector_seed,
+            truth_has_seed=keys.truth_has_seed,
             steps=keys.steps or len(poses.timestamps),
             vessels=vessels,
             poses=poses,
@@ -156,7 +172,7 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             waves=_waves(keys.waves, keys.seed),
-            copy=self._copy(keys, entries or {}),
+            copy=copy,
         )
         self._check_places(scene)
         if self.problems:
@@ -285,14 +301,17 @@ class _Reader:
             name = f"poses.json{'.gz' if keys.poses.file.endswith('.gz') else ''}"
             files[name] = self.folder / keys.poses.file
             document["poses"] = {"file": name}
-        return SceneCopy(self.path.stem, document, files)
+        if document.get("detector_seed") == keys.seed:
+            del document["detector_seed"]  # says nothing
+        # In one order, whether the caller or the file set a key; vessels and cameras keep theirs, which has a meaning.
+        if isinstance(document.get("annotation"), dict):
+            document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
+        return SceneCopy(self.path.stem, _ordered(document, SceneKeys), files)
 
-    def _sha256(self, keys: SceneKeys) -> str:
-        named = [keys.vessels if isinstance(keys.vessels, str) else None, keys.poses.file, keys.detector]
-        digest = hashlib.sha256()
-        for path in [self.path, *(self.folder / name for name in named if name is not None)]:
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return digest.hexdigest()
+
+def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """A section with its keys in the order of its model."""
+    return {name: keys[name] for name in model.model_fields if name in keys}
 
 
 def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:

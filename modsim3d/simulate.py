@@ -100,9 +100,9 @@ class Simulation:
     """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
 
     def __init__(self, scene: Scene) -> None:
-        """Set the detector up from the scene's seed."""
+        """Set the detector up from its seed."""
         self.scene = scene
-        self._detector = Detector(scene.detector, scene.seed)
+        self._detector = Detector(scene.detector, scene.detector_seed)
         index = {label: i for i, label in enumerate(scene.detector.labels)}
         self._labels: NDArray[np.int64] = np.array([index[vessel.label] for vessel in scene.vessels])
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from modsim3d.counts import Counts
 from modsim3d.errors import ModsimError
 from modsim3d.formats.block_files import BlockFiles, finished_truth, keep_truth
+from modsim3d.formats.table_reader import read_truth
 from modsim3d.scene import Scene
 from modsim3d.simulate import Simulation, open_renderer, truth_block
 
@@ -55,10 +56,17 @@ class FinishedBlock:
 class BlockMaker:
     """Makes blocks of a scene, each from truth to files."""
 
-    def __init__(self, scene: Scene, renderer: IdRenderer | None) -> None:
-        """Set up the detector."""
+    def __init__(self, scene: Scene, renderer: IdRenderer | None, truth_run: Path | None = None) -> None:
+        """Set up the detector.
+
+        Args:
+            scene: The scene.
+            renderer: For the rendered source.
+            truth_run: A finished run of the scene whose truth is taken; it is made anew if None.
+        """
         self._scene = scene
         self._renderer = renderer
+        self._truth_run = truth_run
         self._simulation = Simulation(scene)
         self.backend = renderer.context.description if renderer else "none"
 
@@ -70,8 +78,12 @@ class BlockMaker:
             first: First step.
             stop: The step after the last.
         """
-        truth = finished_truth(folder, first, stop)
-        resumed = truth is not None
+        truth, resumed = None, False
+        if self._truth_run is not None:
+            truth = read_truth(self._truth_run, self._scene, first, stop)
+        else:
+            truth = finished_truth(folder, first, stop)
+            resumed = truth is not None
         if truth is None:
             truth = truth_block(self._scene, first, stop, self._renderer)
             keep_truth(folder, truth, first, stop)
@@ -138,15 +150,20 @@ class Processes:
 
 
 @contextmanager
-def open_workers(scene: Scene, count: int) -> Iterator[Workers]:
+def open_workers(scene: Scene, count: int, truth_run: Path | None = None) -> Iterator[Workers]:
     """This process for one worker, or that many others.
+
+    Args:
+        scene: The scene.
+        count: How many.
+        truth_run: A finished run of the scene whose truth is taken, without a renderer; it is made anew if None.
 
     Raises:
         RendererError: There is no OpenGL library.
     """
     if count == 1:
-        with open_renderer(scene) as renderer:
-            yield ThisProcess(BlockMaker(scene, renderer))
+        with _block_maker(scene, truth_run) as maker:
+            yield ThisProcess(maker)
         return
     if multiprocessing.parent_process() is not None:
         raise ModsimError(
@@ -154,11 +171,20 @@ def open_workers(scene: Scene, count: int) -> Iterator[Workers]:
             "so under `if __name__ == '__main__':`"
         )
     context = multiprocessing.get_context(_start_method())
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start, initargs=(scene,))
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start, initargs=(scene, truth_run))
     try:
         yield Processes(pool, count)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _block_maker(scene: Scene, truth_run: Path | None) -> Iterator[BlockMaker]:
+    if truth_run is not None:
+        yield BlockMaker(scene, None, truth_run)
+        return
+    with open_renderer(scene) as renderer:
+        yield BlockMaker(scene, renderer)
 
 
 def _start_method() -> str:
@@ -172,14 +198,14 @@ _maker: BlockMaker | ModsimError | None = None
 _open = ExitStack()
 
 
-def _start(scene: Scene) -> None:
+def _start(scene: Scene, truth_run: Path | None) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _maker
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)  # a killed parent must not leave workers behind
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that they work for says what was interrupted
     try:
-        _maker = BlockMaker(scene, _open.enter_context(open_renderer(scene)))
+        _maker = _open.enter_context(_block_maker(scene, truth_run))
     except ModsimError as error:
         _maker = error  # an error here would break the pool, and nobody would learn what it was
 
