@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -117,10 +118,11 @@ class Simulation:
             camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
             frames = Frames(
                 camera=camera.name,
-                first_step=first,
+                steps=np.arange(first, stop),
                 times_s=times_s,
                 image_size_px=camera.intrinsics.image_size_px,
                 sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
+                previous_s=float(scene.times_s(first - 1, first)[0]) if first else -math.inf,
             )
             targets = Targets(
                 frame=seen.step[rows] - first,

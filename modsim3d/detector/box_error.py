@@ -118,7 +118,7 @@ class NormalBoxError:
     def _hopeless(self, frames: Frames, state: Indices, targets: Targets, row: int) -> str:
         width, height = sizes(targets.boxes_px[row])
         mean = ", ".join(f"{value:g}" for value in self.means_px[state[row]])
-        step = frames.first_step + int(targets.frame[row])
+        step = int(frames.steps[targets.frame[row]])
         return (
             f"vessel '{targets.vessel_ids[targets.vessel[row]]}' at step {step} of camera '{frames.camera}': "
             f"in {MOST_DRAWS} draws of the box error of state '{self.state_names[state[row]]}' (mean {mean} "
@@ -130,7 +130,7 @@ class NormalBoxError:
 def _generator(streams: Streams, frames: Frames, targets: Targets, row: int) -> np.random.Generator:
     """The redraws of one row: a stream apart, so that the first draws of later steps stay as they were."""
     vessel = targets.vessel_ids[targets.vessel[row]]
-    step = frames.first_step + int(targets.frame[row])
+    step = int(frames.steps[targets.frame[row]])
     return streams.generator("detector.box_error_redraw", frames.camera, vessel, step=step)
 
 

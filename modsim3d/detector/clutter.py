@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.detector.boxes import clip, sizes
-from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, poisson_quantile
+from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, poisson_quantile, step_uniforms
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Frames, Indices, Targets
 from modsim3d.detector.sea import uniform_places
@@ -61,7 +61,7 @@ class Setting:
     @property
     def n_kept(self) -> Indices:
         """Detected targets in each frame, shape (S,)."""
-        return np.bincount(self.kept.frame, minlength=len(self.frames.times_s)).astype(np.int64)
+        return np.bincount(self.kept.frame, minlength=len(self.frames)).astype(np.int64)
 
 
 class ClutterModel(Protocol):
@@ -85,9 +85,7 @@ class Calibrated:
     def counts(self, setting: Setting) -> Indices:
         """Poisson, read from one uniform number a frame."""
         rate, camera = setting.false_discovery_rate, setting.frames.camera
-        uniforms = setting.streams.uniforms(
-            "detector.clutter_count", camera, first=setting.frames.first_step, count=len(rate)
-        )
+        uniforms = step_uniforms(setting.streams, "detector.clutter_count", camera, steps=setting.frames.steps)
         return poisson_quantile(uniforms[:, 0], setting.n_kept * rate / (1 - rate))
 
     def sizes_px(self, setting: Setting, frame: Indices, uniforms: Array) -> Array:

@@ -45,17 +45,29 @@ def keyed_uniforms(
     order = np.argsort(owner, kind="stable")
     starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
     for rows in np.split(order, starts[1:]) if len(order) else []:
-        first, last = int(frame[rows].min()), int(frame[rows].max())
-        draws = streams.uniforms(
-            purpose,
-            frames.camera,
-            owners[owner[rows[0]]],
-            first=frames.first_step + first,
-            count=last - first + 1,
-            width=width,
+        result[rows] = step_uniforms(
+            streams, purpose, frames.camera, owners[owner[rows[0]]], steps=frames.steps[frame[rows]], width=width
         )
-        result[rows] = draws[frame[rows] - first]
     return result
+
+
+def step_uniforms(streams: Streams, purpose: str, *names: str, steps: Indices, width: int = 1) -> Array:
+    """Uniform numbers that belong to names and a step.
+
+    Args:
+        streams: Where they come from.
+        purpose: What they are for.
+        *names: Whose they are.
+        steps: In any order, shape (n,).
+        width: Numbers a step.
+
+    Returns:
+        Shape (n, width).
+    """
+    if not len(steps):
+        return np.empty((0, width))
+    first, last = int(steps.min()), int(steps.max())
+    return streams.uniforms(purpose, *names, first=first, count=last - first + 1, width=width)[steps - first]
 
 
 def target_uniforms(streams: Streams, purpose: str, frames: Frames, targets: Targets, width: int) -> Array:

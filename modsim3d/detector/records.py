@@ -1,7 +1,8 @@
-"""What the detector is given and what it returns: columns over a run of consecutive frames of one camera."""
+"""What the detector is given and what it returns: columns over a run of frames of one camera."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,22 +18,28 @@ KINDS = ("true", "false_positive")
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A run of S consecutive steps seen by one camera.
+    """A run of S frames of one camera, one after another.
 
     Attributes:
         camera: The camera's ID.
-        first_step: Step of the first frame.
-        times_s: Time of each step since the scene's first, shape (S,).
+        steps: Step of each frame, ascending, not necessarily consecutive, shape (S,).
+        times_s: Time of each frame since the scene's first step, shape (S,).
         image_size_px: Width and height.
         sea_half_planes: (a, b, c) for each frame, shape (S, 3): a·x + b·y + c >= 0 on the sea side of the
             horizon, in pixels.
+        previous_s: Time of the camera's frame before these; −∞ if there is none.
     """
 
     camera: str
-    first_step: int
+    steps: Indices
     times_s: Array
     image_size_px: tuple[int, int]
     sea_half_planes: Array
+    previous_s: float = -math.inf
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.steps)
 
 
 @dataclass(frozen=True, eq=False)

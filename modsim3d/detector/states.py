@@ -80,7 +80,7 @@ class StateSequence:
     def _transitions_before(self, frames: Frames) -> Indices:
         """Number of transitions up to each frame, shape (S,)."""
         if self._interval_s is None:
-            return frames.first_step + np.arange(len(frames.times_s), dtype=np.int64)
+            return frames.steps
         return np.floor(frames.times_s / self._interval_s + _EARLY).astype(np.int64)
 
     def _extend(self, last: int) -> None:

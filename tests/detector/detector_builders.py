@@ -78,7 +78,9 @@ def make_frames(
     time_step_s: float = 0.1,
 ) -> Frames:
     times_s = (first_step + np.arange(count)) * time_step_s
-    return Frames(camera, first_step, times_s, image_px, np.tile(np.asarray(sea, dtype=float), (count, 1)))
+    previous_s = (first_step - 1) * time_step_s if first_step else -np.inf
+    planes = np.tile(np.asarray(sea, dtype=float), (count, 1))
+    return Frames(camera, first_step + np.arange(count), times_s, image_px, planes, previous_s)
 
 
 def make_targets(boxes_px: Any, label: Any = 0, vessel_ids: Sequence[str] | None = None) -> Targets:
@@ -106,10 +108,11 @@ def chunk(frames: Frames, targets: Targets, start: int, stop: int) -> tuple[Fram
     rows = slice(first, last)
     part = Frames(
         frames.camera,
-        frames.first_step + start,
+        frames.steps[start:stop],
         frames.times_s[start:stop],
         frames.image_size_px,
         frames.sea_half_planes[start:stop],
+        float(frames.times_s[start - 1]) if start else frames.previous_s,
     )
     return (
         part,

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -199,3 +199,22 @@ def test_every_detection_is_in_the_image_and_at_least_a_pixel(
     assert found.boxes_px.min() >= 0
     assert np.all(found.boxes_px[:, 2:] <= [width, height])
     assert np.all((found.confidence >= 0.2) & (found.confidence <= 1))
+
+
+def test_a_camera_with_fewer_frames_sees_in_each_what_one_with_all_of_them_sees() -> None:
+    data = detector_data(transition_interval_s=0.7)
+    model, targets = parse_detector(data), scattered_targets()
+    frames = make_frames(STEPS)
+    every_third = np.arange(0, STEPS, 3)
+    fewer = replace(
+        frames, steps=frames.steps[::3], times_s=frames.times_s[::3], sea_half_planes=frames.sea_half_planes[::3]
+    )
+    rows = np.flatnonzero(targets.frame % 3 == 0)
+    part = replace(
+        targets,
+        **{f.name: getattr(targets, f.name)[rows] for f in fields(Targets)[1:-1]},
+        frame=targets.frame[rows] // 3,
+    )
+    whole, some = run(model, frames, targets), run(model, fewer, part)
+    assert np.array_equal(some.boxes_px, whole.boxes_px[np.isin(whole.frame, every_third)])
+    assert np.array_equal(some.states, whole.states[::3])
