@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
+    from modsim3d.learn.parameters import Verdict
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
 
@@ -36,6 +37,8 @@ app = typer.Typer(
   modsim3d run my/scene.yaml --out runs/mine  a scene of your own
 
   modsim3d detect runs/mine --detector my/detector.yaml --out runs/other    the detector alone, over the same truth
+
+  modsim3d verify runs/mine                   does the run obey its detector file?
 
   modsim3d check my/scene.yaml                what is wrong with it, all at once
 
@@ -168,6 +171,47 @@ def detect_command(
     _summarise(stored.scene, result, sheet=False)
 
 
+@app.command("verify")
+def verify_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
+    detector: Annotated[Path | None, typer.Option(help="Hold it against this file, not the run's own.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for verify.json and verify.html.", show_default="RUN")
+    ] = None,
+) -> None:
+    """Does a run obey its detector file? Every parameter, asked and measured, with a verdict.
+
+    Exit status 1 if a verdict is against the run.
+
+    Example: modsim3d verify runs/first
+    """
+    from rich.console import Console
+
+    from modsim3d import verify_report
+    from modsim3d.stored_run import open_run
+    from modsim3d.verify_run import verify_run
+
+    verified = verify_run(open_run(run), detector)
+    folder = run if out is None else out
+    verify_report.write_report(verified, folder)
+    console = Console()
+    for group, verdicts in verify_report.groups_of(verified.verification).items():
+        _print_verdicts(console, group, verdicts)
+    for note in verify_report.notes_of(verified.verification):
+        console.print(note, style="dim", highlight=False, markup=False)
+    obeys = verified.verification.obeys
+    console.print(
+        f"\n{verify_report.conclusion(verified.verification)}",
+        style="bold" if obeys else "bold red",
+        highlight=False,
+        markup=False,
+    )
+    written = f"written  {folder / 'verify.html'}, {folder / 'verify.json'}"
+    console.print(f"\n{written}", highlight=False, soft_wrap=True)
+    if not obeys:
+        raise typer.Exit(1)
+
+
 @app.command("check")
 def check_command(scene: SceneArgument) -> None:
     """Read a scene and every file that it names, and say all that is wrong.
@@ -262,6 +306,21 @@ def _print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
     for row in rows:
         table.add_row(*row)
+    console.print()
+    console.print(table)
+
+
+def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from modsim3d.verify_report import HEADER, row_of
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
+    for name in HEADER:
+        table.add_column(name, overflow="fold")
+    for verdict in verdicts:
+        table.add_row(*map(escape, row_of(verdict)), style="bold red" if verdict.fails else None)
     console.print()
     console.print(table)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,6 +98,52 @@ def occlusion_by(
     return draw(outlines, intrinsics, renderer, annotation.supersample)
 
 
+@dataclass(frozen=True, eq=False)
+class DetectorInput:
+    """What a camera's detector is given for a block.
+
+    Attributes:
+        truth: The camera's rows.
+        rows: Those of them that are annotated, shape (n,).
+        frames: The camera's frames.
+        targets: The annotated vessels.
+    """
+
+    truth: Truth
+    rows: NDArray[np.int64]
+    frames: Frames
+    targets: Targets
+
+
+def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterator[DetectorInput]:
+    """What the truth of steps first to stop − 1 gives each camera's detector, in the order of the cameras."""
+    index = {label: i for i, label in enumerate(scene.detector.labels)}
+    labels = np.array([index[vessel.label] for vessel in scene.vessels])
+    times_s = scene.times_s(first, stop)
+    for number, camera in enumerate(scene.cameras):
+        seen = truth.take(truth.camera == number)
+        rows = np.flatnonzero(seen.annotated)
+        camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
+        frames = Frames(
+            camera=camera.name,
+            steps=np.arange(first, stop),
+            times_s=times_s,
+            image_size_px=camera.intrinsics.image_size_px,
+            sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
+            previous_s=float(scene.times_s(first - 1, first)[0]) if first else -math.inf,
+        )
+        targets = Targets(
+            frame=seen.step[rows] - first,
+            vessel=seen.vessel[rows],
+            label=labels[seen.vessel[rows]],
+            boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
+            visible_fraction=seen.visible_fraction[rows],
+            depth_m=seen.depth_m[rows],
+            vessel_ids=scene.vessel_names,
+        )
+        yield DetectorInput(seen, rows, frames, targets)
+
+
 class Simulation:
     """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
 
@@ -104,37 +151,14 @@ class Simulation:
         """Set the detector up from its seed."""
         self.scene = scene
         self._detector = Detector(scene.detector, scene.detector_seed)
-        index = {label: i for i, label in enumerate(scene.detector.labels)}
-        self._labels: NDArray[np.int64] = np.array([index[vessel.label] for vessel in scene.vessels])
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
-        scene = self.scene
-        times_s = scene.times_s(first, stop)
-        parts = []
-        for index, camera in enumerate(scene.cameras):
-            seen = truth.take(truth.camera == index)
-            rows = np.flatnonzero(seen.annotated)
-            camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
-            frames = Frames(
-                camera=camera.name,
-                steps=np.arange(first, stop),
-                times_s=times_s,
-                image_size_px=camera.intrinsics.image_size_px,
-                sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
-                previous_s=float(scene.times_s(first - 1, first)[0]) if first else -math.inf,
-            )
-            targets = Targets(
-                frame=seen.step[rows] - first,
-                vessel=seen.vessel[rows],
-                label=self._labels[seen.vessel[rows]],
-                boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
-                visible_fraction=seen.visible_fraction[rows],
-                depth_m=seen.depth_m[rows],
-                vessel_ids=scene.vessel_names,
-            )
-            parts.append(CameraBlock(index, seen, rows, self._detector.detect(frames, targets)))
-        return Block(first, scene.timestamps(first, stop), tuple(parts))
+        parts = tuple(
+            CameraBlock(index, part.truth, part.rows, self._detector.detect(part.frames, part.targets))
+            for index, part in enumerate(detector_inputs(self.scene, truth, first, stop))
+        )
+        return Block(first, self.scene.timestamps(first, stop), parts)
 
 
 def block_steps(scene: Scene) -> int:
