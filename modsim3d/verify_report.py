@@ -148,9 +148,10 @@ def _page(verified: VerifiedRun) -> str:
         page.paragraph(conclusion(verification), "lead" if verification.obeys else "bad"),
         page.paragraph(
             f"{verified.run.steps} steps, {len(evidence.chances.state)} chances to detect a vessel, "
-            f"{len(evidence.hits.chance)} true detections, {len(evidence.clutter.image)} false ones. Each interval holds "
-            f"the values that its test would not have rejected; the level of all tests together is {OVERALL_ALPHA:.0%}. "
-            "“Noticed from” is the smallest change of the file that this run would have shown, with 90 % power.",
+            f"{len(evidence.hits.chance)} true detections, {len(evidence.clutter.image)} false ones. Each interval "
+            "holds the values that its test would not have rejected; the level of all tests together is "
+            f"{OVERALL_ALPHA:.0%}. “Noticed from” is the smallest change of the file that this run would have shown, "
+            "with 90 % power.",
             "soft",
         ),
         page.heading("Performance states"),
@@ -161,7 +162,7 @@ def _page(verified: VerifiedRun) -> str:
         charts.figure(
             [_run_lengths(model, evidence), _reliability(evidence)],
             "Left: how many frames in a row a vessel is missed; line: expected. Right: share of true ones among the "
-            "detections of each confidence, with 95 % intervals; a confidence that is a probability follows the dashes.",
+            "detections of each confidence, with 95 % intervals; one that is a probability follows the dashes.",
         ),
     ]
     notes = notes_of(verification)

@@ -107,7 +107,8 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
             vector = np.einsum("aij,aj->ai", np.linalg.matrix_power(marked, int(repeat)), vector)
         spectrum[first : first + len(angles)] = vector.sum(axis=1)
     law: Array = np.clip(np.fft.fft(spectrum).real / (frames + 1), 0, 1)
-    return law / law.sum()
+    law /= law.sum()
+    return law
 
 
 def _runs(values: Indices) -> tuple[Indices, Indices]:
