@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.annotate.record import Truth
-from modsim3d.detector.records import KINDS, TRUE, Detections
+from modsim3d.detector.records import KINDS, Detections
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
@@ -39,9 +39,11 @@ class CameraBlock:
         return np.where(target >= 0, self.target_rows[target], -1)
 
     def detected(self) -> NDArray[np.bool_]:
-        """Whether each truth row was detected, whatever its label came out as."""
+        """Whether each truth row was detected, whatever its label came out as, by itself or with another."""
         found = np.zeros(len(self.truth), dtype=bool)
-        found[self.target_rows[self.detections.target[self.detections.kind == TRUE]]] = True
+        drawn = self.detections
+        sources = np.concatenate([drawn.target[~drawn.false()], drawn.partner[drawn.partner >= 0]])
+        found[self.target_rows[sources]] = True
         return found
 
 
@@ -112,7 +114,7 @@ class FrameDetections:
         labels: Classes.
         confidence: Shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
-        kinds: Where each came from: `true` or `false_positive`.
+        kinds: Where each came from: one of `modsim3d.detector.KINDS`.
         vessels: ID of the vessel each came from, None for a false positive. A tracker must not read this.
         errors_px: e_x, e_y, e_w, e_h before clipping, NaN for false positives, shape (m, 4).
     """

@@ -372,6 +372,7 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
             f"{result.seconds:.1f} s in all",
         ),
     ]
+    rows += _model_rows(result)
     if result.resumed_steps:
         rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
     for row in rows:
@@ -384,6 +385,28 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
     console.print(f"\nrun directory  {result.folder}", highlight=False, soft_wrap=True)
     if sheet:
         console.print(f"contact sheet  {result.folder / 'contact_sheet.png'}", highlight=False, soft_wrap=True)
+
+
+def _model_rows(result: RunResult) -> list[tuple[str, str, str]]:
+    """What the detector's own rules did, where they did anything."""
+    counts, rows = result.counts, []
+    total = sum(state["detections"] for state in result.truncation.values())
+    redrawn = sum(state["redrawn"] * state["detections"] for state in result.truncation.values()) / max(total, 1)
+    if redrawn >= 0.005:
+        worst = max(result.truncation, key=lambda name: abs(result.truncation[name]["mean_shift"][2]))
+        state = result.truncation[worst]
+        width, height = (f"{shift:+.3g}" for shift in state["mean_shift"][2:])
+        of = "box sides" if state["unit"] == "relative" else "px"
+        rows.append(
+            ("truncation bias", f"{width}, {height} {of}", f"mean width, height error in '{worst}'; all in run.json")
+        )
+    if counts.missed_by_gate:
+        rows.append(
+            ("gated", str(counts.missed_by_gate), _share(counts.missed_by_gate, counts.missed, "of the missed"))
+        )
+    if counts.merged:
+        rows.append(("merged", str(counts.merged), "boxes around two vessels"))
+    return rows
 
 
 def _share(part: int, whole: int, of: str) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.block import Block, CameraBlock
-from modsim3d.detector.records import FALSE_POSITIVE
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
@@ -27,9 +26,11 @@ class Counts:
         detected: Of those, detected, under whatever label.
         missed: Annotated and not detected.
         mislabelled: Detected under another label.
-        false_positives: Detections of nothing.
+        missed_by_gate: Of those missed, by a hard limit and not by chance.
+        merged: Detections that are one box for two vessels.
+        false_positives: Detections of nothing, and second boxes of a vessel.
         clipped: Detections of a vessel whose box was cut at the image edge.
-        redrawn: Detections whose first box error left less than a pixel of the box.
+        redrawn: Detections of a vessel whose first box error left less than a pixel of the box.
         below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one: a matching
             evaluation counts such a one as a miss and a false detection.
     """
@@ -42,6 +43,8 @@ class Counts:
     annotated: int = 0
     detected: int = 0
     missed: int = 0
+    missed_by_gate: int = 0
+    merged: int = 0
     mislabelled: int = 0
     false_positives: int = 0
     clipped: int = 0
@@ -60,7 +63,7 @@ class Counts:
 
 def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
     truth, drawn = part.truth, part.detections
-    true = np.flatnonzero(drawn.kind != FALSE_POSITIVE)
+    true = np.flatnonzero(~drawn.false())
     rows = part.truth_row()[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
     boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
@@ -75,10 +78,12 @@ def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
         annotated=len(part.target_rows),
         detected=detected,
         missed=len(part.target_rows) - detected,
+        missed_by_gate=int(drawn.gated.sum()),
+        merged=int((drawn.partner >= 0).sum()),
         mislabelled=int((drawn.label[true] != labels[truth.vessel[rows]]).sum()),
         false_positives=len(drawn) - len(true),
         clipped=int(np.any(boxes[:, 2:] - boxes[:, :2] < asked - 1e-6, axis=1).sum()),
-        redrawn=int(drawn.redrawn.sum()),
+        redrawn=int(drawn.redrawn[true].sum()),
         below_half_iou=int((_iou(boxes, annotated) < 0.5).sum()),
     )
 

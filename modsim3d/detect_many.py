@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from modsim3d.annotate.record import Truth, concatenate
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import Detector, reference_of
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.reference import Reference
 from modsim3d.learn.evidence import Evidence, Seen
 from modsim3d.scene import Scene
 from modsim3d.simulate import DetectorInput, block_ranges, block_steps, detector_inputs, open_renderer, truth_block
@@ -36,9 +37,15 @@ class ManyDetections:
         """From the truth of a whole run, such as a stored one's."""
         return cls(scene, tuple(detector_inputs(scene, truth, 0, scene.steps)))
 
+    def reference(self, model: DetectorModel) -> Reference | None:
+        """What a detector must know of the truth before it can begin, if anything."""
+        if not model.needs_reference:
+            return None
+        return sum((reference_of(model, part.frames, part.targets) for part in self.inputs), Reference())
+
     def detect(self, model: DetectorModel, seed: int) -> Evidence:
         """What a run with this detector and seed would show."""
-        detector = Detector(model, seed)
+        detector = Detector(model, seed, self.scene.times_s, self.reference(model))
         return Evidence.of(
             [Seen(part.frames, part.targets, detector.detect(part.frames, part.targets)) for part in self.inputs]
         )

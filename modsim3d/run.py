@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from modsim3d.box_sample import BoxSample
 from modsim3d.counts import Counts
+from modsim3d.detector.reference import Reference
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.scene import Scene
 from modsim3d.simulate import block_ranges, block_steps
-from modsim3d.workers import Workers, open_workers
+from modsim3d.workers import Range, Workers, open_workers
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
@@ -30,6 +32,7 @@ class RunResult:
         seconds: Wall-clock time.
         resumed_steps: Steps whose truth was taken from an interrupted run.
         intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
+        truncation: What drawing degenerate boxes anew does to the box errors, by state; as in `run.json`.
     """
 
     folder: Path
@@ -37,6 +40,7 @@ class RunResult:
     seconds: float
     resumed_steps: int
     intersecting: tuple[tuple[str, str], ...]
+    truncation: dict[str, dict[str, Any]]
 
 
 def run_scene(
@@ -92,22 +96,42 @@ def write_run(
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
     started = time.perf_counter()
-    counts, resumed, pairs = Counts(), 0, set[tuple[int, int]]()
+    counts, boxes, resumed, pairs = Counts(), BoxSample(), 0, set[tuple[int, int]]()
     with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-        for block in made.blocks(directory.work, block_ranges(scene.steps, block_steps(scene))):
+        ranges = block_ranges(scene.steps, block_steps(scene))
+        reference = None
+        if scene.detector.needs_reference:
+            reference, resumed = _survey(made, directory.work, ranges, progress)
+        for block in made.blocks(directory.work, ranges, reference):
             directory.write(block.files)
             counts += block.counts
+            boxes += block.boxes
             pairs |= block.intersecting
-            resumed += block.steps if block.resumed else 0
-            progress(block.steps)
-        directory.finish({**settings, "counts": asdict(counts)})
+            if reference is None:
+                resumed += block.steps if block.resumed else 0
+                progress(block.steps)
+        truncation = boxes.truncation(scene)
+        directory.finish({**settings, "counts": asdict(counts), "truncation": truncation})
     seconds = time.perf_counter() - started
     (folder / LOG_FILE).write_text(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
         f"{counts.frames} frames in {seconds:.3f} s, {resumed} steps taken from an interrupted run\n"
     )
     names = scene.vessel_names
-    return RunResult(folder, counts, seconds, resumed, tuple((names[a], names[b]) for a, b in sorted(pairs)))
+    intersecting = tuple((names[a], names[b]) for a, b in sorted(pairs))
+    return RunResult(folder, counts, seconds, resumed, intersecting, truncation)
+
+
+def _survey(
+    made: Workers, folder: Path, ranges: Sequence[Range], progress: Callable[[int], None]
+) -> tuple[Reference, int]:
+    """Make and keep all truth first; what the detector must know of it, and steps of an interrupted run."""
+    reference, resumed = Reference(), 0
+    for block in made.surveys(folder, ranges):
+        reference += block.reference
+        resumed += block.steps if block.resumed else 0
+        progress(block.steps)
+    return reference, resumed
 
 
 def settings_of(scene: Scene, backend: str) -> dict[str, Any]:

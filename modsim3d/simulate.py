@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -18,8 +18,9 @@ from modsim3d.annotate.record import Occlusion, Truth, concatenate
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.chain import Detector, reference_of
 from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.scene import Scene
 
@@ -144,13 +145,24 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
         yield DetectorInput(seen, rows, frames, targets)
 
 
+def survey(scene: Scene, truth: Truth, first: int, stop: int) -> Reference:
+    """What a detector that `needs_reference` must know of a block; blocks add up."""
+    parts = detector_inputs(scene, truth, first, stop)
+    return sum((reference_of(scene.detector, part.frames, part.targets) for part in parts), Reference())
+
+
 class Simulation:
     """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
 
-    def __init__(self, scene: Scene) -> None:
-        """Set the detector up from its seed."""
+    def __init__(self, scene: Scene, reference: Reference | None = None) -> None:
+        """Set the detector up from its seed.
+
+        Args:
+            scene: The scene.
+            reference: Its targets, from `survey`, if its detector needs to know them.
+        """
         self.scene = scene
-        self._detector = Detector(scene.detector, scene.detector_seed)
+        self._detector = Detector(scene.detector, scene.detector_seed, scene.times_s, reference)
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
@@ -180,8 +192,14 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
     Yields:
         Each camera's frame at each step.
     """
-    simulation = Simulation(scene)
+    ranges = block_ranges(scene.steps, block_steps(scene))
     with open_renderer(scene) as renderer:
-        for first, stop in block_ranges(scene.steps, block_steps(scene)):
-            block = simulation.detect(truth_block(scene, first, stop, renderer), first, stop)
-            yield from frames_of(block, scene)
+        truths: Iterable[Truth] = (truth_block(scene, *steps, renderer) for steps in ranges)
+        reference = None
+        if scene.detector.needs_reference:
+            truths = list(truths)
+            surveys = (survey(scene, truth, *steps) for truth, steps in zip(truths, ranges, strict=True))
+            reference = sum(surveys, Reference())
+        simulation = Simulation(scene, reference)
+        for truth, steps in zip(truths, ranges, strict=True):
+            yield from frames_of(simulation.detect(truth, *steps), scene)

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
@@ -16,12 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from modsim3d.annotate.record import Truth
+from modsim3d.box_sample import BoxSample
 from modsim3d.counts import Counts
+from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.formats.block_files import BlockFiles, finished_truth, keep_truth
 from modsim3d.formats.table_reader import read_truth
 from modsim3d.scene import Scene
-from modsim3d.simulate import Simulation, open_renderer, truth_block
+from modsim3d.simulate import Simulation, open_renderer, survey, truth_block
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
@@ -42,6 +45,7 @@ class FinishedBlock:
         steps: Number of its steps.
         files: Rows and lines.
         counts: What happened in it.
+        boxes: Some of the boxes that were detected.
         resumed: Whether its truth was taken from an interrupted run.
         intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
     """
@@ -49,8 +53,24 @@ class FinishedBlock:
     steps: int
     files: BlockFiles
     counts: Counts
+    boxes: BoxSample
     resumed: bool
     intersecting: frozenset[tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyedBlock:
+    """A block whose truth is made and kept.
+
+    Attributes:
+        steps: Number of its steps.
+        reference: What the detector must know of it.
+        resumed: Whether its truth was taken from an interrupted run.
+    """
+
+    steps: int
+    reference: Reference
+    resumed: bool
 
 
 class BlockMaker:
@@ -67,30 +87,48 @@ class BlockMaker:
         self._scene = scene
         self._renderer = renderer
         self._truth_run = truth_run
-        self._simulation = Simulation(scene)
+        self._simulation: Simulation | None = None
         self.backend = renderer.context.description if renderer else "none"
 
-    def make(self, folder: Path, first: int, stop: int) -> FinishedBlock:
+    def survey(self, folder: Path, first: int, stop: int) -> SurveyedBlock:
+        """What the detector must know of steps first to stop − 1 before it can begin.
+
+        Args:
+            folder: Where truth is kept.
+            first: First step.
+            stop: The step after the last.
+        """
+        truth, resumed = self._truth(folder, first, stop)
+        return SurveyedBlock(stop - first, survey(self._scene, truth, first, stop), resumed)
+
+    def make(self, folder: Path, first: int, stop: int, reference: Reference | None = None) -> FinishedBlock:
         """The block of steps first to stop − 1.
 
         Args:
             folder: Where truth is kept for runs that go on.
             first: First step.
             stop: The step after the last.
+            reference: What the detector must know of the scene, the same for all blocks.
         """
-        truth, resumed = None, False
-        if self._truth_run is not None:
-            truth = read_truth(self._truth_run, self._scene, first, stop)
-        else:
-            truth = finished_truth(folder, first, stop)
-            resumed = truth is not None
-        if truth is None:
-            truth = truth_block(self._scene, first, stop, self._renderer)
-            keep_truth(folder, truth, first, stop)
+        truth, resumed = self._truth(folder, first, stop)
+        if self._simulation is None:
+            self._simulation = Simulation(self._scene, reference)
         block = self._simulation.detect(truth, first, stop)
         counts = Counts.of(block, self._scene)
+        boxes = BoxSample.of(block, self._scene)
         intersecting = frozenset((first, second) for first, second in truth.intersections[:, 2:].tolist())
-        return FinishedBlock(stop - first, BlockFiles.of(block, self._scene), counts, resumed, intersecting)
+        return FinishedBlock(stop - first, BlockFiles.of(block, self._scene), counts, boxes, resumed, intersecting)
+
+    def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, bool]:
+        """The truth of some steps, and whether an interrupted run had it already."""
+        if self._truth_run is not None:
+            return read_truth(self._truth_run, self._scene, first, stop), False
+        truth = finished_truth(folder, first, stop)
+        if truth is not None:
+            return truth, True
+        truth = truth_block(self._scene, first, stop, self._renderer)
+        keep_truth(folder, truth, first, stop)
+        return truth, False
 
 
 class Workers(Protocol):
@@ -98,7 +136,12 @@ class Workers(Protocol):
 
     backend: str
 
-    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+    def surveys(self, folder: Path, ranges: Sequence[Range]) -> Iterator[SurveyedBlock]:
+        """What the detector must know of the ranges, in their order."""
+
+    def blocks(
+        self, folder: Path, ranges: Sequence[Range], reference: Reference | None = None
+    ) -> Iterator[FinishedBlock]:
         """The blocks of the ranges, in their order."""
 
 
@@ -110,9 +153,15 @@ class ThisProcess:
         self._maker = maker
         self.backend = maker.backend
 
-    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+    def surveys(self, folder: Path, ranges: Sequence[Range]) -> Iterator[SurveyedBlock]:
+        """What the detector must know of the ranges, in their order."""
+        return (self._maker.survey(folder, *steps) for steps in ranges)
+
+    def blocks(
+        self, folder: Path, ranges: Sequence[Range], reference: Reference | None = None
+    ) -> Iterator[FinishedBlock]:
         """The blocks of the ranges, in their order."""
-        return (self._maker.make(folder, *steps) for steps in ranges)
+        return (self._maker.make(folder, *steps, reference) for steps in ranges)
 
 
 class Processes:
@@ -124,15 +173,29 @@ class Processes:
         self._ahead = count * BLOCKS_AHEAD
         self.backend = self._result(pool.submit(_backend))
 
-    def blocks(self, folder: Path, ranges: Sequence[Range]) -> Iterator[FinishedBlock]:
+    def surveys(self, folder: Path, ranges: Sequence[Range]) -> Iterator[SurveyedBlock]:
+        """What the detector must know of the ranges, in their order.
+
+        Raises:
+            ModsimError: A worker died.
+        """
+        return self._in_order(lambda steps: self._pool.submit(_survey, folder, *steps), ranges)
+
+    def blocks(
+        self, folder: Path, ranges: Sequence[Range], reference: Reference | None = None
+    ) -> Iterator[FinishedBlock]:
         """The blocks of the ranges, in their order.
 
         Raises:
             ModsimError: A worker died.
         """
-        waiting: deque[Future[FinishedBlock]] = deque()
+        return self._in_order(lambda steps: self._pool.submit(_make, folder, *steps, reference), ranges)
+
+    def _in_order(self, submit: Callable[[Range], Future[T]], ranges: Sequence[Range]) -> Iterator[T]:
+        """Results in the order of the ranges; only so many are begun that their memory is bounded."""
+        waiting: deque[Future[T]] = deque()
         for steps in ranges:
-            waiting.append(self._pool.submit(_make, folder, *steps))
+            waiting.append(submit(steps))
             if len(waiting) >= self._ahead:
                 yield self._result(waiting.popleft())
         while waiting:
@@ -220,5 +283,9 @@ def _backend() -> str:
     return _this_maker().backend
 
 
-def _make(folder: Path, first: int, stop: int) -> FinishedBlock:
-    return _this_maker().make(folder, first, stop)
+def _survey(folder: Path, first: int, stop: int) -> SurveyedBlock:
+    return _this_maker().survey(folder, first, stop)
+
+
+def _make(folder: Path, first: int, stop: int, reference: Reference | None) -> FinishedBlock:
+    return _this_maker().make(folder, first, stop, reference)

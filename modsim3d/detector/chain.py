@@ -2,17 +2,76 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.box_error import Misplaced, NormalBoxError
+from modsim3d.detector.boxes import Mask, sizes
 from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.clutter import ClutterSource
-from modsim3d.detector.confidence import NormalConfidence
-from modsim3d.detector.draws import select, target_uniforms
+from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
+from modsim3d.detector.confidence import Confidence
+from modsim3d.detector.doubles import Events, halves, union
+from modsim3d.detector.draws import normals, select, target_uniforms
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections, Frames, Targets
-from modsim3d.detector.states import StateSequence
+from modsim3d.detector.persistence import Clock, VesselNoise
+from modsim3d.detector.records import (
+    DUPLICATE,
+    FALSE_KINDS,
+    FALSE_POSITIVE,
+    FRAGMENT,
+    MERGED,
+    PERSISTENT,
+    SPLIT,
+    TRUE,
+    Array,
+    Detections,
+    Frames,
+    Indices,
+    Targets,
+)
+from modsim3d.detector.reference import Reference
+from modsim3d.detector.states import PerformanceStates
 from modsim3d.random_streams import Streams
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Detections of one origin, before they are scored: columns of `Detections`, and what the score needs.
+
+    Attributes:
+        visible_fraction: Of the vessel, NaN where there is none, shape (m,).
+        uniforms: For confidence and order, shape (m, 2).
+    """
+
+    frame: Indices
+    target: Indices
+    partner: Indices
+    kind: Indices
+    label: Indices
+    boxes_px: Array
+    errors_px: Array
+    redrawn: Mask
+    visible_fraction: Array
+    uniforms: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Vessels as the detector takes them, two that are merged as one.
+
+    Attributes:
+        targets: With the box around both where merged.
+        row: Row of the annotated target, shape (n,).
+        partner: Row of the smaller of two that are merged, else -1, shape (n,).
+        label: What each is taken for, shape (n,).
+    """
+
+    targets: Targets
+    row: Indices
+    partner: Indices
+    label: Indices
 
 
 class Detector:
@@ -22,15 +81,33 @@ class Detector:
     same detections, whatever was detected before and however a run is split into chunks.
     """
 
-    def __init__(self, model: DetectorModel, seed: int) -> None:
-        """Build the parts that the model asks for."""
+    def __init__(
+        self, model: DetectorModel, seed: int, clock: Clock | None = None, reference: Reference | None = None
+    ) -> None:
+        """Build the parts that the model asks for.
+
+        Args:
+            model: What the detector is like.
+            seed: Everything random comes from it.
+            clock: Times of the scene's steps, for noise that persists.
+            reference: The scene's targets, if `model.needs_reference`; see `reference_of`.
+
+        Raises:
+            ModsimError: The model needs a clock or a reference that is not given.
+        """
         self.model = model
         self._streams = Streams(seed)
-        self._states = StateSequence(model, self._streams)
-        self._classifier = ConfusionClassifier.from_model(model)
+        self._states = PerformanceStates(model, self._streams)
+        self._noise = VesselNoise(model.persistence, self._streams, clock)
+        self._classifier = ConfusionClassifier.from_model(model, reference)
         self._box_error = NormalBoxError.from_model(model)
-        self._clutter = ClutterSource.from_model(model)
-        self._confidence = NormalConfidence.from_model(model)
+        rates = Rates(
+            model.column("false_discovery_rate"),
+            model.column("false_positives_per_image"),
+            model.confidence_threshold,
+        )
+        self._clutter = ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), reference)
+        self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
     def detect(self, frames: Frames, targets: Targets) -> Detections:
         """What the detector puts out for a run of frames of one camera.
@@ -38,31 +115,165 @@ class Detector:
         Raises:
             ModsimError: The box error of a state leaves nothing of a box, however often it is drawn.
         """
-        streams = self._streams
         states = self._states.at(frames)
-        label = self._classifier.classify(streams, frames, states, targets)
-        rows = np.flatnonzero(label >= 0)
+        passed = self.model.gates.passed(frames, targets)
+        shown = self._shown(frames, states, targets, np.flatnonzero(passed))
+        vessels = shown.targets
+        placed = self._box_error.misplace(self._streams, frames, states, vessels, self._noise.normals(frames, vessels))
+        single = shown.partner < 0
+        events = self.model.doubles.events(self._streams, frames, vessels, placed.boxes_px, single)
+        found = [
+            self._true(frames, shown, placed, events),
+            *self._second_boxes(frames, states, shown, placed, events),
+            *self._false(frames, states, shown, events),
+        ]
+        return self._scored(states, found, passed)
+
+    def _shown(self, frames: Frames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
+        """Vessels that are neither missed nor merged into another's box."""
+        candidates = select(targets, passed)
+        label = self._classifier.classify(frames, states, candidates, self._noise.uniforms(frames, candidates))
+        detected = np.flatnonzero(label >= 0)
+        rows, label = passed[detected], label[detected]
         kept = select(targets, rows)
-        placed = self._box_error.misplace(streams, frames, states, kept)
-        clutter = self._clutter.draw(streams, frames, states, kept)
-        final = np.concatenate(
-            [
-                target_uniforms(streams, "detector.confidence", frames, kept, width=2),
-                clutter.uniforms(streams, "detector.clutter_confidence", frames, width=2),
-            ]
+        pairs = self.model.doubles.merged_pairs(self._streams, frames, kept)
+        if not len(pairs):
+            return _Shown(kept, rows, np.full(len(rows), -1), label)
+        larger, smaller = pairs.T
+        boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
+        boxes[larger], partner[larger] = union(boxes[larger], boxes[smaller]), rows[smaller]
+        rest = np.setdiff1d(np.arange(len(rows)), smaller)
+        return _Shown(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
+
+    def _true(self, frames: Frames, shown: _Shown, placed: Misplaced, events: Events) -> _Found:
+        """One detection of each vessel shown."""
+        boxes, errors = placed.boxes_px, placed.errors_px
+        kind = np.where(shown.partner >= 0, MERGED, TRUE)
+        if len(events.split):
+            boxes = boxes.copy()
+            boxes[events.split], _ = halves(boxes[events.split], events.cut)
+            kind[events.split] = SPLIT
+        errors = np.where((kind == TRUE)[:, None], errors, np.nan)
+        return _of_vessels(
+            shown, slice(None), kind, boxes, errors, placed.redrawn, self._final(frames, shown.targets, "")
         )
-        frame = np.concatenate([kept.frame, clutter.frame])
-        n_false = len(clutter.frame)
-        # A random key each shuffles the rows within a frame: their order does not tell where they come from.
-        order = np.lexsort((final[:, 1], frame))
+
+    def _second_boxes(
+        self, frames: Frames, states: Indices, shown: _Shown, placed: Misplaced, events: Events
+    ) -> Sequence[_Found]:
+        """Further boxes of vessels that have one."""
+        found = []
+        if len(events.doubled):
+            vessels = select(shown.targets, events.doubled)
+            standard = normals(target_uniforms(self._streams, "detector.duplicate", frames, vessels, width=4))
+            again = self._box_error.misplace(self._streams, frames, states, vessels, standard, "detector.duplicate")
+            final = self._final(frames, vessels, "duplicate_")
+            kind = np.full(len(vessels), DUPLICATE)
+            found.append(
+                _of_vessels(shown, events.doubled, kind, again.boxes_px, again.errors_px, again.redrawn, final)
+            )
+        if len(events.split):
+            _, smaller = halves(placed.boxes_px[events.split], events.cut)
+            kind = np.full(len(smaller), FRAGMENT)
+            final = self._final(frames, select(shown.targets, events.split), "fragment_")
+            nothing = np.full((len(smaller), 4), np.nan)
+            redrawn = np.zeros(len(smaller), dtype=bool)
+            found.append(_of_vessels(shown, events.split, kind, smaller, nothing, redrawn, final))
+        return found
+
+    def _false(self, frames: Frames, states: Indices, shown: _Shown, events: Events) -> Sequence[_Found]:
+        """Detections of nothing."""
+        vessels = shown.targets
+        n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
+        due = self.model.gates.due(frames)
+        setting = Setting(self._streams, frames, states, due, vessels, n_true, events.expected)
+        found = [self._of_clutter(frames, self._clutter.draw(setting), FALSE_POSITIVE, "detector.clutter_confidence")]
+        if self.model.clutter.persistent_share:
+            clutter = self._clutter.draw_persistent(setting)
+            found.append(self._of_clutter(frames, clutter, PERSISTENT, "detector.persistent_confidence"))
+        return found
+
+    def _of_clutter(self, frames: Frames, clutter: Clutter, kind: int, purpose: str) -> _Found:
+        count = len(clutter.frame)
+        nobody, unknown = np.full(count, -1), np.full(count, np.nan)
+        return _Found(
+            frame=clutter.frame,
+            target=nobody,
+            partner=nobody,
+            kind=np.full(count, kind),
+            label=clutter.label,
+            boxes_px=clutter.boxes_px,
+            errors_px=np.full((count, 4), np.nan),
+            redrawn=np.zeros(count, dtype=bool),
+            visible_fraction=unknown,
+            uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
+        )
+
+    def _final(self, frames: Frames, vessels: Targets, prefix: str) -> Array:
+        """Numbers for confidence and order, shape (n, 2)."""
+        return target_uniforms(self._streams, f"detector.{prefix}confidence", frames, vessels, width=2)
+
+    def _scored(self, states: Indices, found: Sequence[_Found], passed: Mask) -> Detections:
+        """All of them with their confidence; their order within a frame is random and tells nothing."""
+        every = _Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in _COLUMNS})
+        width, height = sizes(every.boxes_px).T
+        confidence = self._confidence.score(
+            states[every.frame],
+            np.isin(every.kind, FALSE_KINDS),
+            every.visible_fraction,
+            np.sqrt(width * height),
+            every.uniforms[:, 0],
+        )
+        put_out = self.model.gates.surest(every.frame, confidence, every.uniforms[:, 1])
+        order = np.lexsort((every.uniforms[:, 1], every.frame))
+        order = order[put_out[order]]
+        lost = every.target[~put_out & ~np.isin(every.kind, FALSE_KINDS)]
+        gated = ~passed
+        gated[lost] = True
+        gated[np.setdiff1d(every.partner[~put_out], [-1])] = True
         return Detections(
             states=states,
-            frame=frame[order],
-            target=np.concatenate([rows, np.full(n_false, -1)])[order],
-            kind=np.repeat([TRUE, FALSE_POSITIVE], [len(rows), n_false])[order],
-            label=np.concatenate([label[rows], clutter.label])[order],
-            confidence=self._confidence.score(states[frame], final[:, 0])[order],
-            boxes_px=np.concatenate([placed.boxes_px, clutter.boxes_px])[order],
-            errors_px=np.concatenate([placed.errors_px, np.full((n_false, 4), np.nan)])[order],
-            redrawn=np.concatenate([placed.redrawn, np.zeros(n_false, dtype=bool)])[order],
+            frame=every.frame[order],
+            target=every.target[order],
+            partner=every.partner[order],
+            kind=every.kind[order],
+            label=every.label[order],
+            confidence=confidence[order],
+            boxes_px=every.boxes_px[order],
+            errors_px=every.errors_px[order],
+            redrawn=every.redrawn[order],
+            gated=gated,
         )
+
+
+_COLUMNS = tuple(_Found.__dataclass_fields__)
+
+
+def _of_vessels(
+    shown: _Shown,
+    rows: Indices | slice,
+    kind: Indices,
+    boxes_px: Array,
+    errors_px: Array,
+    redrawn: Mask,
+    uniforms: Array,
+) -> _Found:
+    """Detections of some of the vessels shown."""
+    return _Found(
+        frame=shown.targets.frame[rows],
+        target=shown.row[rows],
+        partner=np.where(kind == MERGED, shown.partner[rows], -1),
+        kind=kind,
+        label=shown.label[rows],
+        boxes_px=boxes_px,
+        errors_px=errors_px,
+        redrawn=redrawn,
+        visible_fraction=shown.targets.visible_fraction[rows],
+        uniforms=uniforms,
+    )
+
+
+def reference_of(model: DetectorModel, frames: Frames, targets: Targets) -> Reference:
+    """What a detector that `needs_reference` must know of each part of a scene; parts add up."""
+    passed = np.flatnonzero(model.gates.passed(frames, targets))
+    return Reference.of(model.dropout, frames, select(targets, passed))

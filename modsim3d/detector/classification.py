@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.draws import choose, cumulative, target_uniforms
+from modsim3d.detector.draws import choose, cumulative
+from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Frames, Indices, Targets
-from modsim3d.random_streams import Streams
+from modsim3d.detector.reference import Reference
+from modsim3d.errors import ModsimError
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +20,56 @@ class ConfusionClassifier:
 
     Attributes:
         distributions: Distribution function over labels and background, shape (states, labels, labels + 1).
+        dropout: How misses follow what a vessel looks like.
+        intercepts: Log-odds added to all misses of a state and label, shape (states, labels).
     """
 
     distributions: Array
+    dropout: Dropout
+    intercepts: Array
 
     @classmethod
-    def from_model(cls, model: DetectorModel) -> ConfusionClassifier:
-        """The classifier of a detector model."""
-        return cls(cumulative(np.swapaxes(model.column("confusion"), 1, 2)))
+    def from_model(cls, model: DetectorModel, reference: Reference | None = None) -> ConfusionClassifier:
+        """The classifier of a detector model.
 
-    def classify(self, streams: Streams, frames: Frames, states: Indices, targets: Targets) -> Indices:
-        """What each target is taken for, shape (n,): a label, or -1 where it is missed."""
-        uniforms = target_uniforms(streams, "detector.class", frames, targets, width=1)[:, 0]
-        label = choose(self.distributions[states[targets.frame], targets.label], uniforms)
+        Raises:
+            ModsimError: A rate is to be held over the scene, and no reference says what is in it.
+        """
+        distributions = cumulative(np.swapaxes(model.column("confusion"), 1, 2))
+        misses = _miss_rates(distributions)
+        intercepts = np.zeros_like(misses)
+        if model.dropout.anchored:
+            if reference is None:
+                raise ModsimError("dropout is anchored to the scene: give the Detector a reference")
+            for state, label in np.ndindex(*misses.shape):
+                intercepts[state, label] = anchor(float(misses[state, label]), *reference.log_odds_of(label))
+        return cls(distributions, model.dropout, intercepts)
+
+    def miss_rates(self, states: Indices, targets: Targets) -> Array:
+        """Probability that each target is missed in a state each, shapes (n,)."""
+        added = self.intercepts[states, targets.label] + self.dropout.log_odds(targets)
+        return shifted_rate(_miss_rates(self.distributions)[states, targets.label], added)
+
+    def classify(self, frames: Frames, states: Indices, targets: Targets, uniforms: Array) -> Indices:
+        """What each target is taken for, from one uniform number each, shape (n,): a label, or -1 where it is missed.
+
+        A changed rate of misses leaves the shares of the labels among what is detected as they are.
+        """
+        state = states[targets.frame]
+        if self.dropout.effects:
+            seen = 1 - self.miss_rates(state, targets)
+            usual = 1 - _miss_rates(self.distributions)[state, targets.label]
+            detected = uniforms < seen
+            # Up to `seen` the number is stretched over the labels' share of the column, which it must not leave.
+            stretched = np.minimum(uniforms * (usual / np.maximum(seen, _LEAST)), np.nextafter(usual, 0))
+            uniforms = np.where(detected, stretched, 1.0)
+        label = choose(self.distributions[state, targets.label], uniforms)
         background = self.distributions.shape[1]
-        return np.where(label == background, -1, label)
+        return np.where(label >= background, -1, label)
+
+
+_LEAST = 1e-300
+
+
+def _miss_rates(distributions: Array) -> Array:
+    return 1 - distributions[..., -2]

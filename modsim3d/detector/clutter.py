@@ -3,20 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from modsim3d.detector.boxes import clip, sizes
+from modsim3d.detector.boxes import Mask, clip, sizes
+from modsim3d.detector.clutter_sizes import SceneSizes, Sizes
 from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, poisson_quantile, step_uniforms
-from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.persistent_clutter import wanderers
+from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import Array, Frames, Indices, Targets
-from modsim3d.detector.sea import uniform_places
+from modsim3d.detector.reference import Reference
+from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 
-_DRAWS = 5  # a false positive: place (3), size (1), label (1)
+_DRAWS = DRAWS + 2  # a false positive: place, size, label
 _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
+
+
+@dataclass(frozen=True, eq=False)
+class ClutterOptions:
+    """What a detector file says about false positives.
+
+    Attributes:
+        model: One of `CLUTTER_MODELS`.
+        placement: Where they are.
+        size: How large they are; None for the model's own, the sizes of vessels or the thesis's.
+        lifetime_s: Mean lifetime of those that persist.
+        drift_px_s: How fast those move along the horizon, to either side.
+        persistent_share: Which share of the false positives persists.
+    """
+
+    model: str = "calibrated"
+    placement: Placement = field(default_factory=Placement)
+    size: Sizes | None = None
+    lifetime_s: float = 1.0
+    drift_px_s: float = 0.0
+    persistent_share: float = 0.0
+
+    @property
+    def needs_reference(self) -> bool:
+        """Whether sizes come from all of the scene: an empty frame has none to offer, and a wake keeps its own."""
+        return self.size is None and (self.model == "per_image" or self.persistent_share > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,53 +76,75 @@ class Setting:
     Attributes:
         streams: Random numbers.
         frames: The frames.
+        states: State of each frame, shape (S,).
+        due: At which frames the detector runs, shape (S,).
         kept: The targets that were detected, under whichever label.
-        false_discovery_rate: Of each frame, shape (S,).
-        confidence_threshold: The detector's.
+        n_true: Detections of a vessel in each frame, shape (S,); fewer than `kept` where vessels are merged.
+        extras: Second boxes of vessels to be expected in each frame, shape (S,).
     """
 
     streams: Streams
     frames: Frames
+    states: Indices
+    due: Mask
     kept: Targets
-    false_discovery_rate: Array
-    confidence_threshold: float
+    n_true: Indices
+    extras: Array
 
-    @property
-    def n_kept(self) -> Indices:
-        """Detected targets in each frame, shape (S,)."""
-        return np.bincount(self.kept.frame, minlength=len(self.frames)).astype(np.int64)
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """How many false positives there are in each state.
+
+    Attributes:
+        false_discovery: False over all detections, shape (states,).
+        per_image: Shape (states,).
+        confidence_threshold: The detector's.
+    """
+
+    false_discovery: Array
+    per_image: Array
+    confidence_threshold: float
 
 
 class ClutterModel(Protocol):
-    """How many false positives a frame has, and how large they are."""
+    """How many false positives a frame has."""
 
-    def counts(self, setting: Setting) -> Indices:
-        """Number in each frame, shape (S,)."""
+    def counts(self, rates: Rates, setting: Setting, share: float) -> Indices:
+        """Number in each frame of the share that does not persist, shape (S,)."""
 
-    def sizes_px(self, setting: Setting, frame: Indices, uniforms: Array) -> Array:
-        """Width and height, shape (m, 2), for false positives in these frames, from one number each, (m,)."""
+    def means(self, rates: Rates, setting: Setting) -> Array:
+        """Mean number in each frame, shape (S,)."""
 
 
 class Calibrated:
-    """As many false positives as give the false discovery rate asked for, as large as the vessels seen.
+    """As many false positives as give the false discovery rate asked for.
 
-    With n true detections in a frame and a Poisson number of mean n·FDR / (1 − FDR), the share of false
-    positives among all detections, summed over frames, is FDR. The number at a step never falls when one
-    more vessel is detected.
+    With n detections of vessels in a frame and a Poisson number of mean n·FDR / (1 − FDR), the share of false
+    positives among all detections, summed over frames, is FDR. Second boxes of vessels are false as well, and as
+    many fewer others are made. The number at a step never falls when one more vessel is detected.
     """
 
-    def counts(self, setting: Setting) -> Indices:
-        """Poisson, read from one uniform number a frame."""
-        rate, camera = setting.false_discovery_rate, setting.frames.camera
-        uniforms = step_uniforms(setting.streams, "detector.clutter_count", camera, steps=setting.frames.steps)
-        return poisson_quantile(uniforms[:, 0], setting.n_kept * rate / (1 - rate))
+    def means(self, rates: Rates, setting: Setting) -> Array:
+        """In proportion to the vessels detected."""
+        rate = rates.false_discovery[setting.states]
+        return np.maximum(setting.n_true * rate / (1 - rate) - setting.extras, 0)
 
-    def sizes_px(self, setting: Setting, frame: Indices, uniforms: Array) -> Array:
-        """Size of a detected vessel's truth box in the same frame; without one the mean count is 0."""
-        n_kept = setting.n_kept
-        starts = np.cumsum(n_kept) - n_kept
-        source = starts[frame] + (uniforms * n_kept[frame]).astype(np.int64)
-        return sizes(setting.kept.boxes_px[source])
+    def counts(self, rates: Rates, setting: Setting, share: float) -> Indices:
+        """Poisson, read from one uniform number a frame."""
+        return _poisson(setting, share * self.means(rates, setting))
+
+
+class PerImage:
+    """A Poisson number in every image, whatever is in it: an empty sea has false alarms too."""
+
+    def means(self, rates: Rates, setting: Setting) -> Array:
+        """The state's rate, at frames at which the detector runs."""
+        return np.where(setting.due, rates.per_image[setting.states], 0.0)
+
+    def counts(self, rates: Rates, setting: Setting, share: float) -> Indices:
+        """Poisson, read from one uniform number a frame."""
+        return _poisson(setting, share * self.means(rates, setting))
 
 
 class Thesis:
@@ -105,21 +156,25 @@ class Thesis:
 
     side_px = 100.0
 
-    def counts(self, setting: Setting) -> Indices:
+    def means(self, rates: Rates, setting: Setting) -> Array:
+        """Trials times their probability."""
+        return self._trials(rates, setting) * rates.false_discovery[setting.states]
+
+    def counts(self, rates: Rates, setting: Setting, share: float) -> Indices:
         """Successes among the trials of each frame."""
-        rate = setting.false_discovery_rate
-        trials = np.rint(rate * setting.n_kept - setting.confidence_threshold)
-        frame, ordinal = _rows(np.maximum(trials, 0).astype(np.int64))
+        rate = rates.false_discovery[setting.states]
+        frame, ordinal = _rows(self._trials(rates, setting))
         uniforms = _ordinal_uniforms(setting.streams, "detector.clutter_trial", setting.frames, frame, ordinal, width=1)
         successes = frame[uniforms[:, 0] < rate[frame]]
         return np.bincount(successes, minlength=len(rate)).astype(np.int64)
 
-    def sizes_px(self, setting: Setting, frame: Indices, uniforms: Array) -> Array:
-        """All the same."""
-        return np.full((len(frame), 2), self.side_px)
+    @staticmethod
+    def _trials(rates: Rates, setting: Setting) -> Indices:
+        rate = rates.false_discovery[setting.states]
+        return np.maximum(np.rint(rate * setting.n_true - rates.confidence_threshold), 0).astype(np.int64)
 
 
-CLUTTER_MODELS: Mapping[str, ClutterModel] = {"calibrated": Calibrated(), "thesis": Thesis()}
+CLUTTER_MODELS: Mapping[str, ClutterModel] = {"calibrated": Calibrated(), "thesis": Thesis(), "per_image": PerImage()}
 """The models that a detector file can choose from."""
 
 
@@ -128,39 +183,91 @@ class ClutterSource:
     """Makes the false positives of a detector.
 
     Attributes:
-        model: How many and how large.
-        rates: False discovery rate of each state, shape (states,).
+        options: What the file says.
+        rates: How many there are.
         label_distributions: Distribution function over labels of each state, shape (states, labels).
-        confidence_threshold: The detector's.
+        sizes: Of the whole scene's vessels, or as asked; None for those of the vessels in the same frame.
     """
 
-    model: ClutterModel
-    rates: Array
+    options: ClutterOptions
+    rates: Rates
     label_distributions: Array
-    confidence_threshold: float
+    sizes: Sizes | None
 
     @classmethod
-    def from_model(cls, model: DetectorModel) -> ClutterSource:
-        """The false positives of a detector model."""
-        return cls(
-            CLUTTER_MODELS[model.false_positives],
-            model.column("false_discovery_rate"),
-            cumulative(model.column("false_positive_labels")),
-            model.confidence_threshold,
-        )
+    def of(
+        cls, options: ClutterOptions, rates: Rates, false_positive_labels: Array, reference: Reference | None
+    ) -> ClutterSource:
+        """The false positives of a detector.
 
-    def draw(self, streams: Streams, frames: Frames, states: Indices, kept: Targets) -> Clutter:
-        """False positives, centred on the sea in the image (on the image where it shows no sea).
+        Args:
+            options: What the file says.
+            rates: How many there are.
+            false_positive_labels: Distribution over labels of each state, shape (states, labels).
+            reference: The scene's targets, if sizes come from them.
+
+        Raises:
+            ModsimError: Sizes come from the scene, and there is no reference.
+        """
+        sizes_ = options.size
+        if options.needs_reference:
+            if reference is None:
+                raise ModsimError("false positives are as large as the scene's vessels: give the Detector a reference")
+            if not len(reference.sides.counts) and options.model == "per_image":
+                raise ModsimError("no vessel of this scene is ever annotated: give false_positives a size")
+            sizes_ = SceneSizes(reference) if len(reference.sides.counts) else None
+        return cls(options, rates, cumulative(false_positive_labels), sizes_)
+
+    def draw(self, setting: Setting) -> Clutter:
+        """False positives of one frame only, centred on the sea in the image (on the image where it shows no sea).
 
         A side is at least two pixels before clipping, so at least one after it.
         """
-        setting = Setting(streams, frames, kept, self.rates[states], self.confidence_threshold)
-        frame, ordinal = _rows(self.model.counts(setting))
-        uniforms = _ordinal_uniforms(streams, "detector.clutter", frames, frame, ordinal, _DRAWS)
-        centres = uniform_places(frames.sea_half_planes[frame], frames.image_size_px, uniforms[:, :3])
-        halves = np.maximum(self.model.sizes_px(setting, frame, uniforms[:, 3]), _LEAST_SIDE_PX) / 2
+        model, frames = CLUTTER_MODELS[self.options.model], setting.frames
+        frame, ordinal = _rows(model.counts(self.rates, setting, 1 - self.options.persistent_share))
+        uniforms = _ordinal_uniforms(setting.streams, "detector.clutter", frames, frame, ordinal, _DRAWS)
+        return self._clutter(setting, frame, ordinal, uniforms, None)
+
+    def draw_persistent(self, setting: Setting) -> Clutter:
+        """False positives that stay for a while and drift along the horizon."""
+        options, frames = self.options, setting.frames
+        means = options.persistent_share * CLUTTER_MODELS[options.model].means(self.rates, setting)
+        found = wanderers(setting.streams, frames, means, options.lifetime_s)
+        ordinal = np.arange(len(found.frame)) - np.searchsorted(found.frame, found.frame)
+        return self._clutter(
+            setting, found.frame, ordinal, found.uniforms, found.sign * options.drift_px_s * found.age_s
+        )
+
+    def _clutter(
+        self, setting: Setting, frame: Indices, ordinal: Indices, uniforms: Array, drift_px: Array | None
+    ) -> Clutter:
+        frames = setting.frames
+        centres = self.options.placement.places(
+            frames.sea_half_planes[frame], frames.image_size_px, uniforms[:, :DRAWS], drift_px
+        )
+        halves = np.maximum(self._sizes_px(setting, frame, uniforms[:, DRAWS]), _LEAST_SIDE_PX) / 2
         boxes = clip(np.concatenate([centres - halves, centres + halves], axis=1), frames.image_size_px)
-        return Clutter(frame, ordinal, boxes, choose(self.label_distributions[states[frame]], uniforms[:, 4]))
+        labels = choose(self.label_distributions[setting.states[frame]], uniforms[:, DRAWS + 1])
+        return Clutter(frame, ordinal, boxes, labels)
+
+    def _sizes_px(self, setting: Setting, frame: Indices, uniforms: Array) -> Array:
+        """Width and height, shape (m, 2)."""
+        if self.options.model == "thesis":
+            return np.full((len(frame), 2), Thesis.side_px)
+        if self.sizes is not None:
+            return self.sizes.at(uniforms)
+        # The size of a detected vessel's truth box in the same frame; without one the mean count is 0.
+        n_kept = np.bincount(setting.kept.frame, minlength=len(setting.frames)).astype(np.int64)
+        starts = np.cumsum(n_kept) - n_kept
+        source = starts[frame] + (uniforms * n_kept[frame]).astype(np.int64)
+        return sizes(setting.kept.boxes_px[source])
+
+
+def _poisson(setting: Setting, means: Array) -> Indices:
+    uniforms = step_uniforms(
+        setting.streams, "detector.clutter_count", setting.frames.camera, steps=setting.frames.steps
+    )
+    return poisson_quantile(uniforms[:, 0], means)
 
 
 def _rows(counts: Indices) -> tuple[Indices, Indices]:

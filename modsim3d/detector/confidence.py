@@ -2,34 +2,71 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.draws import normals
-from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.boxes import Mask
+from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Array, Indices
+from modsim3d.detector.scores import Scores
 
 
 @dataclass(frozen=True, eq=False)
-class NormalConfidence:
-    """Normal, moved to the nearer end of [threshold, 1] where outside (Jessen & Mohr (2023), section 7.6.2).
+class StateConfidence:
+    """The confidence of one performance state.
 
     Attributes:
-        means: Of each state, shape (states,).
-        stds: Of each state, shape (states,).
+        true: Of detections of a vessel.
+        false: Of false ones.
+        visibility_slope: By how much less sure a wholly hidden vessel is than one in plain view; in between in
+            proportion to the hidden share.
+        size_slope: By how much less sure a box is for each halving of its size below the reference.
+        size_reference_px: Side of a square as large as the box from which on size does not matter.
+    """
+
+    true: Scores
+    false: Scores
+    visibility_slope: float = 0.0
+    size_slope: float = 0.0
+    size_reference_px: float = 64.0
+
+    def score(self, uniforms: Array, false: Mask, visible_fraction: Array, size_px: Array) -> Array:
+        """Confidence before clipping, shape (n,)."""
+        score = np.where(false, self.false.at(uniforms), self.true.at(uniforms))
+        if self.visibility_slope:
+            score = score - self.visibility_slope * np.where(np.isnan(visible_fraction), 0, 1 - visible_fraction)
+        if self.size_slope:
+            halvings = -log2(np.minimum(size_px / self.size_reference_px, 1.0))
+            score = score - self.size_slope * halvings
+        return score
+
+
+@dataclass(frozen=True, eq=False)
+class Confidence:
+    """Scores by state, moved to the nearer end of [threshold, 1] where outside (Jessen & Mohr (2023), section 7.6.2).
+
+    Attributes:
+        states: In their order.
         threshold: Least confidence of a detection that is put out; it drops none.
     """
 
-    means: Array
-    stds: Array
+    states: Sequence[StateConfidence]
     threshold: float
 
-    @classmethod
-    def from_model(cls, model: DetectorModel) -> NormalConfidence:
-        """The confidence of a detector model."""
-        return cls(model.column("confidence_mean"), model.column("confidence_std"), model.confidence_threshold)
+    def score(self, state: Indices, false: Mask, visible_fraction: Array, size_px: Array, uniforms: Array) -> Array:
+        """Confidence of detections, from one uniform number each.
 
-    def score(self, state: Indices, uniforms: Array) -> Array:
-        """Confidence of detections made in these states, from one uniform number each; shapes (m,)."""
-        return np.clip(self.means[state] + self.stds[state] * normals(uniforms), self.threshold, 1.0)
+        Args:
+            state: In which they were made, shape (m,).
+            false: Whether they are false, shape (m,).
+            visible_fraction: Of the vessel; NaN where there is none or it is unknown, shape (m,).
+            size_px: Side of a square as large as the box, shape (m,).
+            uniforms: Shape (m,).
+        """
+        score = np.empty(len(state))
+        for index, confidence in enumerate(self.states):
+            rows = np.flatnonzero(state == index)
+            score[rows] = confidence.score(uniforms[rows], false[rows], visible_fraction[rows], size_px[rows])
+        return np.clip(score, self.threshold, 1.0)

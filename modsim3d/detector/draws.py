@@ -6,6 +6,7 @@ a run is split into chunks must not show in its output.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from scipy import special
 from modsim3d.detector.records import Array, Frames, Indices, Targets
 from modsim3d.random_streams import Streams
 
+_LN_2 = math.log(2)
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: stands for the 0 whose normal would be −∞
 
 
@@ -84,6 +86,12 @@ def select(targets: Targets, rows: Indices) -> Targets:
 def normals(uniforms: Array) -> Array:
     """Standard normal numbers from uniform ones in [0, 1)."""
     result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
+    return result
+
+
+def log2(values: Array) -> Array:
+    """Logarithm to base two, by SciPy's loop over elements: NumPy's own may take several at a time."""
+    result: Array = special.xlogy(1.0, values) / _LN_2
     return result
 
 

@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
+from modsim3d.detector.agreement import agreement_problems
+from modsim3d.detector.clutter import ClutterOptions
+from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
+from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.doubles import Doubles
+from modsim3d.detector.dropout import Dropout, Slope, Table
+from modsim3d.detector.gates import Gates
 from modsim3d.detector.model import DetectorModel, PerformanceState, read_only
+from modsim3d.detector.performance import Performance
+from modsim3d.detector.persistence import Persistence
+from modsim3d.detector.placement import Placement
 from modsim3d.detector.records import Array
-from modsim3d.detector.schema import DetectorFile, StateSection
+from modsim3d.detector.schema import DetectorFile, FalsePositivesSection, StateSection
+from modsim3d.detector.schema_models import (
+    ConfidenceKeys,
+    DropoutSection,
+    PerformanceSection,
+    ScoreSection,
+    SizeSection,
+)
+from modsim3d.detector.scores import NormalScores, PrecisionRecall, QuantileScores, Scores
 from modsim3d.errors import InputError
 from modsim3d.validation import describe, load_yaml
 
@@ -42,6 +62,9 @@ def parse_detector(data: Any, source: str = "detector") -> DetectorModel:
         content = DetectorFile.model_validate(dict(data), context=_names(data))
     except ValidationError as error:
         raise InputError(source, describe(error, DetectorFile)) from None
+    problems = agreement_problems(content)
+    if problems:
+        raise InputError(source, problems)
     return _model(content)
 
 
@@ -66,14 +89,22 @@ def _model(content: DetectorFile) -> DetectorModel:
         confidence_threshold=content.confidence_threshold,
         initial_state=list(content.states).index(content.initial_state),
         transition_matrix=_normalised(content.transition_matrix),
-        states=tuple(_state(name, section) for name, section in content.states.items()),
+        states=tuple(_state(name, section, content) for name, section in content.states.items()),
         transition_interval_s=content.transition_interval_s,
         false_positives=content.false_positives.model,
+        dropout=_dropout(content.dropout),
+        gates=Gates(**content.gates.model_dump()),
+        persistence=Persistence(**content.persistence.model_dump()),
+        clutter=_clutter(content.false_positives),
+        doubles=Doubles(**{field.name: getattr(content.false_positives, field.name) for field in fields(Doubles)}),
+        performance=_performance(content.performance, list(content.states)),
     )
 
 
-def _state(name: str, section: StateSection) -> PerformanceState:
+def _state(name: str, section: StateSection, content: DetectorFile) -> PerformanceState:
     covariance = np.array(section.box_error.covariance, dtype=np.float64)
+    usual = section.confidence.true or section.confidence
+    per_image = section.false_positives_per_image
     return PerformanceState(
         name=name,
         confusion=_normalised(section.confusion),
@@ -81,6 +112,64 @@ def _state(name: str, section: StateSection) -> PerformanceState:
         false_discovery_rate=section.false_discovery_rate,
         box_error_mean_px=read_only(section.box_error.mean),
         box_error_covariance_px2=read_only((covariance + covariance.T) / 2),
-        confidence_mean=section.confidence.mean,
-        confidence_std=section.confidence.std,
+        confidence_mean=math.nan if usual.mean is None else usual.mean,
+        confidence_std=math.nan if usual.std is None else usual.std,
+        confidence=_confidence(section.confidence, content.confidence_threshold),
+        box_error_unit=section.box_error.unit,
+        box_error_growth=read_only(section.box_error.growth or np.zeros(4)),
+        false_positives_per_image=(content.false_positives.rate or 0.0) if per_image is None else per_image,
     )
+
+
+def _confidence(keys: ConfidenceKeys, threshold: float) -> StateConfidence:
+    true: Scores
+    false: Scores
+    if keys.precision_recall is not None:
+        true, false = PrecisionRecall.through(keys.precision_recall).scores(threshold)
+    elif keys.true is not None and keys.false is not None:
+        true, false = _scores(keys.true), _scores(keys.false)
+    else:
+        true = false = _scores(ScoreSection(mean=keys.mean, std=keys.std))
+    return StateConfidence(true, false, keys.visibility_slope, keys.size_slope, keys.size_reference_px)
+
+
+def _scores(section: ScoreSection) -> Scores:
+    if section.mean is not None and section.std is not None:
+        return NormalScores(section.mean, section.std)
+    return QuantileScores(read_only(section.quantiles or []))
+
+
+def _dropout(section: DropoutSection) -> Dropout:
+    effects: list[Slope | Table] = []
+    for name, keys in section.effects().items():
+        if keys.edges is not None and keys.odds is not None:
+            effects.append(Table(name, tuple(keys.edges), tuple(keys.odds)))
+        elif keys.per_doubling is not None:
+            effects.append(Slope(name, keys.per_doubling, keys.reference or 1.0, doublings=True))
+        elif keys.per_unit is not None:
+            effects.append(Slope(name, keys.per_unit, keys.reference or 1.0, doublings=False))
+    return Dropout(tuple(effects), anchored=bool(effects) and section.anchor == "state_rate")
+
+
+def _clutter(section: FalsePositivesSection) -> ClutterOptions:
+    wanderers = section.persistence
+    density = None if section.density is None else read_only(section.density)
+    return ClutterOptions(
+        model=section.model,
+        placement=Placement(section.band_px, section.far_half_px, density),
+        size=None if section.size is None else _sizes(section.size),
+        lifetime_s=wanderers.lifetime_s if wanderers else 1.0,
+        drift_px_s=wanderers.drift_px_s if wanderers else 0.0,
+        persistent_share=wanderers.share if wanderers else 0.0,
+    )
+
+
+def _sizes(section: SizeSection) -> Sizes | None:
+    if section.px is None:
+        return None
+    return FixedSize(*section.px) if section.log_std is None else LognormalSize(*section.px, section.log_std)
+
+
+def _performance(section: PerformanceSection, states: list[str]) -> Performance:
+    schedule = tuple((time_s, -1 if state is None else states.index(state)) for time_s, state in section.schedule)
+    return Performance(section.scope == "per_camera", schedule)

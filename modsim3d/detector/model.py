@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from modsim3d.detector.clutter import ClutterOptions
+from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.doubles import Doubles
+from modsim3d.detector.dropout import Dropout
+from modsim3d.detector.gates import Gates
+from modsim3d.detector.performance import Performance
+from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.records import Array
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
@@ -30,10 +37,15 @@ class PerformanceState:
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
         false_discovery_rate: False positives over all detections, in [0, 1).
-        box_error_mean_px: Shape (4,), in the order of `ERROR_COMPONENTS`.
-        box_error_covariance_px2: Shape (4, 4), symmetric and positive semi-definite.
-        confidence_mean: Before clipping to [threshold, 1].
-        confidence_std: Before clipping.
+        box_error_mean_px: Shape (4,), in the order of `ERROR_COMPONENTS`; in sides of the box where relative.
+        box_error_covariance_px2: Shape (4, 4), symmetric and positive semi-definite; likewise.
+        confidence_mean: Of true detections before clipping to [threshold, 1]; NaN where it is not a normal one.
+        confidence_std: Likewise.
+        confidence: Of true and of false detections.
+        box_error_unit: `px`, `relative` or `mixed`.
+        box_error_growth: By how many pixels the standard deviations of mixed errors grow with each pixel of the
+            side along their axis, shape (4,).
+        false_positives_per_image: For the model of false positives that has such a rate.
     """
 
     name: str
@@ -44,6 +56,10 @@ class PerformanceState:
     box_error_covariance_px2: Array
     confidence_mean: float
     confidence_std: float
+    confidence: StateConfidence
+    box_error_unit: str = "px"
+    box_error_growth: Array = field(default_factory=lambda: read_only(np.zeros(4)))
+    false_positives_per_image: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +74,12 @@ class DetectorModel:
         states: In the order of the matrix's rows and columns.
         transition_interval_s: Time between transitions; None means one at each step.
         false_positives: Name of the model of false positives.
+        dropout: How misses follow what a vessel looks like.
+        gates: Hard limits.
+        persistence: How long noise stays with a vessel.
+        clutter: How false positives are made.
+        doubles: How often boxes and vessels do not match one to one.
+        performance: Who shares the chain of states, and when a state is forced.
     """
 
     labels: tuple[str, ...]
@@ -67,6 +89,17 @@ class DetectorModel:
     states: tuple[PerformanceState, ...]
     transition_interval_s: float | None = None
     false_positives: str = "calibrated"
+    dropout: Dropout = field(default_factory=Dropout)
+    gates: Gates = field(default_factory=Gates)
+    persistence: Persistence = field(default_factory=Persistence)
+    clutter: ClutterOptions = field(default_factory=ClutterOptions)
+    doubles: Doubles = field(default_factory=Doubles)
+    performance: Performance = field(default_factory=Performance)
+
+    @property
+    def needs_reference(self) -> bool:
+        """Whether the detector must know all targets of the scene before it can detect any."""
+        return self.dropout.anchored or self.clutter.needs_reference
 
     def column(self, attribute: str) -> Array:
         """One attribute of every state, stacked: shape (number of states, ...)."""

@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-TRUE, FALSE_POSITIVE = 0, 1
-KINDS = ("true", "false_positive")
-"""Where a detection came from; `Detections.kind` indexes this."""
+KINDS = ("true", "false_positive", "persistent_false_positive", "duplicate", "merged", "split", "fragment")
+"""Where a detection came from; `Detections.kind` indexes this.
+
+`merged` is one box for two vessels and counts as the larger one's; a vessel in two parts is `split`, the larger part,
+which counts as its detection, and `fragment`, the other.
+"""
+TRUE, FALSE_POSITIVE, PERSISTENT, DUPLICATE, MERGED, SPLIT, FRAGMENT = range(len(KINDS))
+FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT)
+"""What counts as false: whatever is not the one detection of a vessel, as an evaluation would have it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,24 +83,32 @@ class Detections:
         states: Index of the performance state of each frame, shape (S,).
         frame: Index into the run of frames, non-decreasing, shape (m,).
         target: Row of `Targets` that a detection came from, -1 for a false positive, shape (m,).
+        partner: Row of the smaller vessel in a merged box, else -1, shape (m,).
         kind: Index into `KINDS`, shape (m,).
         label: Index into the detector's labels, shape (m,).
         confidence: In [threshold, 1], shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, inside the image, shape (m, 4).
-        errors_px: e_x, e_y, e_w, e_h before clipping, NaN for false positives, shape (m, 4).
+        errors_px: e_x, e_y, e_w, e_h before clipping; NaN for what is not one box of one vessel, shape (m, 4).
         redrawn: Whether the first draw of the box error was degenerate and drawn anew, shape (m,).
+        gated: Whether a gate, not a draw, kept each of the n targets from being detected, shape (n,).
     """
 
     states: Indices
     frame: Indices
     target: Indices
+    partner: Indices
     kind: Indices
     label: Indices
     confidence: Array
     boxes_px: Array
     errors_px: Array
     redrawn: NDArray[np.bool_]
+    gated: NDArray[np.bool_]
 
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.frame)
+
+    def false(self) -> NDArray[np.bool_]:
+        """Which are not the one detection of a vessel, shape (m,)."""
+        return np.isin(self.kind, FALSE_KINDS)

@@ -5,11 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from modsim3d.detector import checks
 from modsim3d.detector.clutter import CLUTTER_MODELS
 from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.detector.schema_models import (
+    ClutterKeys,
+    ConfidenceSection,
+    DropoutSection,
+    GatesSection,
+    NotNegative,
+    PerformanceSection,
+    PersistenceSection,
+)
 from modsim3d.validation import Number, Positive, Probability, Strict, nearest
 
 
@@ -94,18 +103,21 @@ FalseDiscoveryRate = Annotated[Number, AfterValidator(_false_discovery_rate)]
 
 
 class BoxErrorSection(Strict):
-    """Normal box error: mean and covariance of (e_x, e_y, e_w, e_h)."""
+    """Normal box error: mean and covariance of (e_x, e_y, e_w, e_h); and how the spread grows with the box."""
 
-    unit: Literal["px"]
+    unit: Literal["px", "relative", "mixed"]
     mean: Mean
     covariance: Covariance
+    growth: Annotated[list[NotNegative], AfterValidator(_mean)] | None = None
 
-
-class ConfidenceSection(Strict):
-    """Normal confidence, before it is clipped to [threshold, 1]."""
-
-    mean: Probability
-    std: Annotated[Number, Field(ge=0)]
+    @model_validator(mode="after")
+    def _growth_fits(self) -> BoxErrorSection:
+        if (self.growth is None) != (self.unit != "mixed"):
+            raise ValueError("growth goes with unit mixed, and only there")
+        for i, (growth, name) in enumerate(zip(self.growth or [], ERROR_COMPONENTS, strict=False)):
+            if growth > 0 and self.covariance[i][i] == 0:
+                raise ValueError(f"{name} can only grow from a variance above 0 in covariance")
+        return self
 
 
 class StateSection(Strict):
@@ -116,10 +128,11 @@ class StateSection(Strict):
     false_discovery_rate: FalseDiscoveryRate
     box_error: BoxErrorSection
     confidence: ConfidenceSection
+    false_positives_per_image: NotNegative | None = None
 
 
-class FalsePositivesSection(Strict):
-    """Which model makes false positives."""
+class FalsePositivesSection(ClutterKeys):
+    """Which model makes false positives, and what they are like."""
 
     model: ClutterName
 
@@ -133,4 +146,8 @@ class DetectorFile(Strict):
     transition_matrix: Transition
     transition_interval_s: Positive | None = None
     false_positives: FalsePositivesSection = FalsePositivesSection(model="calibrated")
+    dropout: DropoutSection = DropoutSection()
+    gates: GatesSection = GatesSection()
+    persistence: PersistenceSection = PersistenceSection()
+    performance: PerformanceSection = PerformanceSection()
     states: Annotated[dict[Name, StateSection], AfterValidator(_some_states)]

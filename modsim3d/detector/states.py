@@ -1,4 +1,4 @@
-"""Which performance state the detector is in: a Markov chain, one for all cameras."""
+"""Which performance state the detector is in: a Markov chain, one for all cameras or one for each; or forced."""
 
 from __future__ import annotations
 
@@ -52,16 +52,39 @@ def stationary_distribution(transition_matrix: Array) -> Array:
     return result
 
 
-class StateSequence:
-    """The states of a run, one realisation of the chain.
+class PerformanceStates:
+    """The states that a detector's cameras are in.
 
-    Transition k uses the k-th number of one stream, so the states at a time are the same for every camera,
-    whatever was asked before. What has been worked out is kept.
+    Where the schedule forces a state, the chain goes on unseen, so that all else stays as it would have been.
     """
 
     def __init__(self, model: DetectorModel, streams: Streams) -> None:
         """Start in the model's initial state."""
-        self._streams = streams
+        self._model, self._streams = model, streams
+        self._chains: dict[tuple[str, ...], StateSequence] = {}
+
+    def at(self, frames: Frames) -> Indices:
+        """Index of the state at each frame, shape (S,).
+
+        Raises:
+            ModsimError: The transition interval is so short that the transitions cannot be worked through.
+        """
+        performance = self._model.performance
+        owner = (frames.camera,) if performance.per_camera else ()
+        chain = self._chains.setdefault(owner, StateSequence(self._model, self._streams, *owner))
+        return performance.forced(frames.times_s, chain.at(frames))
+
+
+class StateSequence:
+    """The states of a run, one realisation of the chain.
+
+    Transition k uses the k-th number of one stream, so the states at a time are the same for every camera that
+    shares it, whatever was asked before. What has been worked out is kept.
+    """
+
+    def __init__(self, model: DetectorModel, streams: Streams, *owner: str) -> None:
+        """Start in the model's initial state; `owner` is the camera that has the chain for itself, if one has."""
+        self._streams, self._owner = streams, owner
         self._interval_s = model.transition_interval_s
         self._columns = cumulative(model.transition_matrix.T).tolist()
         self._states = np.array([model.initial_state], dtype=np.int16)
@@ -93,7 +116,7 @@ class StateSequence:
         known, state = len(self._states), int(self._states[-1])
         while known <= last:
             # Transition k, from step k − 1 to step k, uses row k.
-            uniforms = self._streams.uniforms("detector.state", first=known, count=_BLOCK)[:, 0].tolist()
+            uniforms = self._streams.uniforms("detector.state", *self._owner, first=known, count=_BLOCK)[:, 0].tolist()
             block = np.empty(_BLOCK, dtype=np.int16)
             for k, uniform in enumerate(uniforms):
                 state = bisect.bisect_right(self._columns[state], uniform)

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import KINDS, Detections, Frames, Targets
+from modsim3d.detector.records import KINDS, MERGED, Detections, Frames, Targets
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.table_reader import ERRORS
 from modsim3d.frames import Array
@@ -22,7 +22,8 @@ Indices = NDArray[np.int64]
 def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets: Targets) -> Detections:
     """The detections of a camera in a finished run.
 
-    Whether a box error was drawn anew is not in the tables, and so not in the record.
+    Whether a box error was drawn anew is not in the tables, and so not in the record; nor is whether a vessel was lost
+    to a limit on the number of detections, so that `gated` has the other gates only.
 
     Args:
         folder: The run directory.
@@ -38,17 +39,44 @@ def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets:
     table = pq.read_table(path, filters=chosen)
     seen = pq.read_table(folder / "frames.parquet", columns=["step", "state"], filters=chosen)
     frame = np.searchsorted(frames.steps, table["step"].to_numpy())
+    kind = _indices(table["kind"], KINDS, path, "kind")
+    target = _targets(table, targets, frame, path)
     return Detections(
         states=_indices(seen["state"], [state.name for state in model.states], folder / "frames.parquet", "state"),
         frame=frame,
-        target=_targets(table, targets, frame, path),
-        kind=_indices(table["kind"], KINDS, path, "kind"),
+        target=target,
+        partner=_partners(folder, frames, targets, frame, target, kind),
+        kind=kind,
         label=_indices(table["label"], model.labels, path, "label"),
         confidence=_doubles(table, "confidence"),
         boxes_px=_boxes(table),
         errors_px=np.column_stack([_doubles(table, name) for name in ERRORS]),
         redrawn=np.zeros(len(table), dtype=bool),
+        gated=~model.gates.passed(frames, targets),
     )
+
+
+def _partners(
+    folder: Path, frames: Frames, targets: Targets, frame: Indices, target: Indices, kind: Indices
+) -> Indices:
+    """The second vessel of each merged box: one of its frame that was detected and has no box, else −1.
+
+    Where a frame has several merged boxes, which of them is whose is not in the tables; they are given out in order.
+    """
+    partner = np.full(len(frame), -1)
+    merged = np.flatnonzero(kind == MERGED)
+    if not len(merged):
+        return partner
+    chosen = [("camera", "=", frames.camera), ("annotated", "=", True)]
+    table = pq.read_table(folder / "truth.parquet", columns=["detected"], filters=chosen)
+    waiting = np.asarray(table["detected"].to_numpy(zero_copy_only=False), dtype=bool)
+    waiting[target[target >= 0]] = False
+    rows = np.flatnonzero(waiting)
+    for where in np.unique(frame[merged]):
+        ours, theirs = merged[frame[merged] == where], rows[targets.frame[rows] == where]
+        count = min(len(ours), len(theirs))
+        partner[ours[:count]] = theirs[:count]
+    return partner
 
 
 def _doubles(table: pa.Table, name: str) -> Array:

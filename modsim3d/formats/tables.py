@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from modsim3d.block import Block, CameraBlock
-from modsim3d.detector.records import FALSE_POSITIVE, KINDS
+from modsim3d.detector.records import KINDS
 from modsim3d.formats.thesis_json import centre_form
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
@@ -71,8 +71,8 @@ def frame_table(block: Block, scene: Scene) -> pa.Table:
                 **_keys(block, part, scene, np.arange(length)),
                 "state": _named(states, part.detections.states),
                 "n_annotated": np.bincount(part.truth.step[part.target_rows] - block.first, minlength=length),
-                "n_detected": _count(part, ~_false(part), length),
-                "n_false": _count(part, _false(part), length),
+                "n_detected": _count(part, ~part.detections.false(), length),
+                "n_false": _count(part, part.detections.false(), length),
             }
             for part in block.cameras
         ],
@@ -130,11 +130,6 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
             }
         )
     return _in_order(DETECTIONS, tables)
-
-
-def _false(part: CameraBlock) -> NDArray[np.bool_]:
-    false: NDArray[np.bool_] = part.detections.kind == FALSE_POSITIVE
-    return false
 
 
 def _count(part: CameraBlock, chosen: NDArray[np.bool_], length: int) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ import orjson
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.block import Block, CameraBlock
-from modsim3d.detector.records import FALSE_POSITIVE
+from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
@@ -47,11 +47,12 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[b
     """One line a step: timestamp → vessel ID or `false_positive_<n>` → label, confidence, box."""
     drawn, labels = part.detections, scene.detector.labels
     boxes, confidence = centre_form(drawn.boxes_px).tolist(), drawn.confidence.tolist()
-    sources = np.where(drawn.kind == FALSE_POSITIVE, -1, part.truth_row()).tolist()
+    sources, frames, label_of = part.truth_row().tolist(), drawn.frame.tolist(), drawn.label.tolist()
     names, vessels = scene.vessel_names, part.truth.vessel
     entries: list[dict[str, Any]] = [{} for _ in block.timestamps]
-    for i, (frame, row, label) in enumerate(zip(drawn.frame.tolist(), sources, drawn.label.tolist(), strict=True)):
-        entry = entries[frame]
+    second = np.isin(drawn.kind, (DUPLICATE, FRAGMENT))
+    for i in np.argsort(second, kind="stable").tolist():  # a vessel's own detection takes its name
+        entry, row, label = entries[frames[i]], sources[i], label_of[i]
         entry[_free_key(entry, names[vessels[row]] if row >= 0 else None)] = {
             "label": labels[label],
             "confidenceScore": confidence[i],

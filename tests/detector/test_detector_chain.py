@@ -104,7 +104,8 @@ def test_the_same_seed_gives_the_same_and_another_seed_other_detections() -> Non
     first = run(model, frames, targets, seed=7)
     assert all_bytes(run(model, frames, targets, seed=7)) == all_bytes(first)
     other = all_bytes(run(model, frames, targets, seed=8))
-    assert all(other[name] != value for name, value in all_bytes(first).items())
+    plain = {"partner", "gated"}  # nothing is merged or gated
+    assert all(other[name] != value for name, value in all_bytes(first).items() if name not in plain)
 
 
 def test_cameras_have_their_own_noise_and_one_state() -> None:

@@ -81,7 +81,11 @@ BAD = [
     ("states.fog.false_discovery_rate", 1, "states.fog.false_discovery_rate: is 1, must be below 1"),
     ("states.fog.false_discovery_rate", 1, "infinitely many"),
     ("states.fog.false_discovery_rate", -0.2, "states.fog.false_discovery_rate: is -0.2, must be from 0 to 0.99"),
-    ("states.fog.box_error.unit", "m", "states.fog.box_error.unit: Input should be 'px' (got 'm')"),
+    (
+        "states.fog.box_error.unit",
+        "m",
+        "states.fog.box_error.unit: Input should be 'px', 'relative' or 'mixed' (got 'm')",
+    ),
     ("states.fog.box_error.mean", [1, 2, 3], "states.fog.box_error.mean: has 3 entries, must have 4: e_x"),
     (
         "states.fog.box_error.covariance",

@@ -1,0 +1,87 @@
+"""What has to hold between the sections of a detector file, each of which is right by itself."""
+
+from __future__ import annotations
+
+from modsim3d.detector.schema import DetectorFile, StateSection
+
+RATE_TOLERANCE = 0.01
+"""How far the end of a precision-recall curve may lie from the rates that the state is run at."""
+
+
+def agreement_problems(file: DetectorFile) -> list[str]:
+    """One line for each contradiction, with its path."""
+    problems = _clutter_problems(file)
+    for name, state in file.states.items():
+        path = f"states.{name}"
+        problems += _extra_problems(path, state, file) + _curve_problems(path, state, file)
+    return problems
+
+
+def _clutter_problems(file: DetectorFile) -> list[str]:
+    keys = file.false_positives
+    problems = []
+    if keys.model == "thesis":
+        own = ("placement", "far_half_px", "size", "persistence")
+        given = [key for key in own if key in keys.model_fields_set]
+        problems += [
+            f"false_positives.{key}: model thesis has its own: choose calibrated or per_image" for key in given
+        ]
+    if keys.model == "per_image":
+        lacking = [name for name, state in file.states.items() if state.false_positives_per_image is None]
+        if keys.rate is None and lacking:
+            problems.append(
+                "false_positives.rate: model per_image needs it, or false_positives_per_image in each state (missing "
+                f"in {', '.join(lacking)})"
+            )
+    else:
+        if keys.rate is not None:
+            problems.append(f"false_positives.rate: model {keys.model} has none: choose per_image")
+        problems += [
+            f"states.{name}.false_positives_per_image: model {keys.model} has none: choose per_image"
+            for name, state in file.states.items()
+            if state.false_positives_per_image is not None
+        ]
+    if (keys.band_px is None) != (keys.placement != "horizon_band"):
+        problems.append("false_positives.band_px: goes with placement horizon_band, and only there")
+    if (keys.density is None) != (keys.placement != "density"):
+        problems.append("false_positives.density: goes with placement density, and only there")
+    if keys.placement == "density" and keys.far_half_px is not None:
+        problems.append("false_positives.far_half_px: the density map already says where they are")
+    if keys.duplicates + keys.splits > 1:
+        problems.append("false_positives: duplicates and splits together exceed 1, and no detection is both")
+    return problems
+
+
+def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
+    """Second boxes are false too: they must fit into the rate asked for."""
+    keys = file.false_positives
+    rate, extra = state.false_discovery_rate, keys.duplicates + keys.splits
+    if keys.model != "calibrated" or rate / (1 - rate) >= extra - 1e-12:
+        return []
+    return [
+        f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false detections for each true "
+        f"one, but false_positives.duplicates and splits alone may make {extra:g}: lower them, or choose per_image"
+    ]
+
+
+def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
+    """A curve ends where the state is run: at its share of vessels found, and at its share of false detections."""
+    curve = state.confidence.precision_recall
+    if curve is None:
+        return []
+    recall, precision = curve[-1]
+    found = [1 - rate for rate in state.confusion[-1]]
+    problems = []
+    if not min(found) - RATE_TOLERANCE <= recall <= max(found) + RATE_TOLERANCE:
+        problems.append(
+            f"{path}.confidence.precision_recall: ends at recall {recall:g}, but the confusion matrix detects "
+            + " to ".join(f"{rate:g}" for rate in dict.fromkeys((min(found), max(found))))
+            + " of the vessels: a curve ends at the recall that the detector has"
+        )
+    asked = 1 - state.false_discovery_rate
+    if file.false_positives.model == "calibrated" and abs(precision - asked) > RATE_TOLERANCE:
+        problems.append(
+            f"{path}.confidence.precision_recall: ends at precision {precision:g}, but false_discovery_rate "
+            f"{state.false_discovery_rate:g} makes it {asked:g}"
+        )
+    return problems

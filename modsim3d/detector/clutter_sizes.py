@@ -1,0 +1,60 @@
+"""How large false positives are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import special
+
+from modsim3d.detector.draws import normals
+from modsim3d.detector.records import Array
+from modsim3d.detector.reference import Reference
+
+_LN_2 = math.log(2)
+
+
+class Sizes(Protocol):
+    """A distribution of width and height."""
+
+    def at(self, uniforms: Array) -> Array:
+        """Width and height from one uniform number each, shape (m, 2)."""
+
+
+@dataclass(frozen=True)
+class FixedSize:
+    """All the same."""
+
+    width_px: float
+    height_px: float
+
+    def at(self, uniforms: Array) -> Array:
+        """The same whatever the number."""
+        return np.tile([self.width_px, self.height_px], (len(uniforms), 1))
+
+
+@dataclass(frozen=True)
+class LognormalSize:
+    """One shape, of a size whose logarithm is normal."""
+
+    width_px: float
+    height_px: float
+    log_std: float
+
+    def at(self, uniforms: Array) -> Array:
+        """The median box, scaled."""
+        scale: Array = special.exp2(self.log_std / _LN_2 * normals(uniforms))
+        return scale[:, None] * [self.width_px, self.height_px]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSizes:
+    """The sizes of the scene's annotated boxes, over all its steps."""
+
+    reference: Reference
+
+    def at(self, uniforms: Array) -> Array:
+        """The size of one of them."""
+        return self.reference.sizes_px(uniforms)

@@ -1,0 +1,140 @@
+"""Detections that are not one box for one vessel: vessels merged into one box, boxes doubled, boxes in two parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.boxes import Mask, sizes
+from modsim3d.detector.draws import keyed_uniforms, target_uniforms
+from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.random_streams import Streams
+
+_LEAST_CUT, _MOST_CUT = 0.3, 0.7
+_LEAST_SPLIT_PX = 4.0
+"""Narrower boxes are not split: each part is at least a pixel wide."""
+
+
+@dataclass(frozen=True)
+class Doubles:
+    """How often boxes and vessels do not match one to one.
+
+    Attributes:
+        duplicates: Probability that a detected vessel gets a second box.
+        merges: Probability that two detected vessels that overlap come out as one box.
+        merge_overlap: Least share of the smaller box that the two share.
+        splits: Probability that a long vessel comes out in two parts.
+        split_aspect: Least width over height of a long one.
+    """
+
+    duplicates: float = 0.0
+    merges: float = 0.0
+    merge_overlap: float = 0.3
+    splits: float = 0.0
+    split_aspect: float = 4.0
+
+    def merged_pairs(self, streams: Streams, frames: Frames, kept: Targets) -> Indices:
+        """Rows of the vessels that come out as one box, the larger first, shape (k, 2); each row at most once.
+
+        Of pairs that want the same vessel, those that overlap most are served first.
+        """
+        if not self.merges:
+            return np.empty((0, 2), dtype=np.int64)
+        pairs, overlap = _overlapping(kept, self.merge_overlap)
+        uniforms = _pair_uniforms(streams, frames, kept, pairs)
+        willing = np.flatnonzero(uniforms < self.merges)
+        taken: set[int] = set()
+        found = []
+        for row in willing[np.lexsort((uniforms[willing], -overlap[willing]))]:
+            pair = pairs[row].tolist()
+            if taken.isdisjoint(pair):
+                taken.update(pair)
+                found.append(pair)
+        return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
+
+    def events(self, streams: Streams, frames: Frames, shown: Targets, boxes_px: Array, single: Mask) -> Events:
+        """Which detections are doubled or split, and how many of either are to be expected.
+
+        Args:
+            streams: Random numbers.
+            frames: The frames.
+            shown: The detected vessels; n of them.
+            boxes_px: Where the detector puts them, shape (n, 4).
+            single: Whether each is a vessel of its own, not two merged, shape (n,).
+        """
+        if not self.duplicates and not self.splits:
+            nothing = np.empty(0, dtype=np.int64)
+            return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
+        uniforms = target_uniforms(streams, "detector.double", frames, shown, width=2)
+        width, height = sizes(shown.boxes_px).T
+        long = single & (width >= self.split_aspect * height) & (sizes(boxes_px)[:, 0] >= _LEAST_SPLIT_PX)
+        doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
+        split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
+        expected = self.duplicates * single + self.splits * long
+        return Events(
+            doubled,
+            split,
+            _LEAST_CUT + (_MOST_CUT - _LEAST_CUT) * uniforms[split, 1],
+            np.bincount(shown.frame, weights=expected, minlength=len(frames)).astype(np.float64),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Events:
+    """What is doubled and split.
+
+    Attributes:
+        doubled: Rows that get a second box, shape (d,).
+        split: Rows that come out in two parts, shape (k,).
+        cut: Where those are cut, as a share of their width, shape (k,).
+        expected: How many extra boxes are to be expected in each frame, given what was detected, shape (S,).
+    """
+
+    doubled: Indices
+    split: Indices
+    cut: Array
+    expected: Array
+
+
+def union(first_px: Array, second_px: Array) -> Array:
+    """The least box around two, shape (k, 4)."""
+    low, high = np.minimum(first_px, second_px), np.maximum(first_px, second_px)
+    return np.concatenate([low[:, :2], high[:, 2:]], axis=1)
+
+
+def halves(boxes_px: Array, cut: Array) -> tuple[Array, Array]:
+    """The larger and the smaller part of boxes cut at these shares of their width, shapes (k, 4)."""
+    middle = boxes_px[:, 0] + cut * (boxes_px[:, 2] - boxes_px[:, 0])
+    left, right = boxes_px.copy(), boxes_px.copy()
+    left[:, 2] = right[:, 0] = middle
+    larger = np.where((cut >= 0.5)[:, None], left, right)
+    return larger, np.where((cut >= 0.5)[:, None], right, left)
+
+
+def _overlapping(kept: Targets, least: float) -> tuple[Indices, Array]:
+    """Pairs of rows of one frame that share enough of the smaller box, the larger first; and which share."""
+    box = kept.boxes_px
+    area = sizes(box).prod(axis=1)
+    pairs = [np.empty((0, 2), dtype=np.int64)]
+    most = int(np.bincount(kept.frame).max(initial=0))
+    for apart in range(1, most):
+        first = np.flatnonzero(kept.frame[apart:] == kept.frame[:-apart])
+        pairs.append(np.stack([first, first + apart], axis=1))
+    both = np.concatenate(pairs)
+    a, b = both.T
+    common = np.minimum(box[a, 2:], box[b, 2:]) - np.maximum(box[a, :2], box[b, :2])
+    share = np.clip(common, 0, None).prod(axis=1) / np.maximum(np.minimum(area[a], area[b]), 1e-9)
+    swapped = area[b] > area[a]
+    both = np.where(swapped[:, None], both[:, ::-1], both)
+    near = np.flatnonzero((share >= least) & (share > 0))
+    return both[near], share[near]
+
+
+def _pair_uniforms(streams: Streams, frames: Frames, kept: Targets, pairs: Indices) -> Array:
+    """A number that belongs to two vessels, whichever is larger at the moment, at a step; shape (k,)."""
+    owners: dict[str, int] = {}
+    ids = [kept.vessel_ids[vessel] for vessel in kept.vessel.tolist()]
+    names = ["\n".join(sorted((ids[a], ids[b]))) for a, b in pairs.tolist()]
+    owner = np.array([owners.setdefault(name, len(owners)) for name in names], dtype=np.int64)
+    return keyed_uniforms(streams, "detector.merge", frames, kept.frame[pairs[:, 0]], owner, list(owners), 1)[:, 0]

@@ -1,0 +1,127 @@
+"""Misses that depend on what a vessel looks like: log-odds that are added to those of its state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from modsim3d.detector.boxes import sizes
+from modsim3d.detector.draws import log2
+from modsim3d.detector.records import Array, Targets
+
+MOST_LOG_ODDS = 30.0
+"""Beyond this a rate differs from 0 or 1 by less than 1e-13."""
+_LEAST_DISTANCE_M = 1.0
+
+
+def visible_fraction(targets: Targets) -> Array:
+    """Seen share of the silhouette, NaN where unknown, shape (n,)."""
+    return targets.visible_fraction
+
+
+def size_px(targets: Targets) -> Array:
+    """Side of a square as large as the annotated box, at least a pixel, shape (n,)."""
+    sides = np.maximum(sizes(targets.boxes_px), 0)
+    side: Array = np.maximum(np.sqrt(sides[:, 0] * sides[:, 1]), 1.0)
+    return side
+
+
+def distance_m(targets: Targets) -> Array:
+    """Depth before the camera, at least a metre, shape (n,)."""
+    return np.maximum(targets.depth_m, _LEAST_DISTANCE_M)
+
+
+ATTRIBUTES = {"visible_fraction": visible_fraction, "size_px": size_px, "distance_m": distance_m}
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Log-odds in proportion to an attribute, or to its logarithm.
+
+    Attributes:
+        attribute: One of `ATTRIBUTES`.
+        log_odds: Change of the log-odds of a miss for each unit, or for each doubling.
+        reference: Where the change is zero.
+        doublings: Whether it is for each doubling.
+    """
+
+    attribute: str
+    log_odds: float
+    reference: float
+    doublings: bool
+
+    def of(self, targets: Targets) -> Array:
+        """Log-odds added for each target, shape (n,); none where the attribute is unknown."""
+        values = ATTRIBUTES[self.attribute](targets)
+        known = np.where(np.isnan(values), self.reference, values)
+        return self.log_odds * (log2(known / self.reference) if self.doublings else known - self.reference)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Odds by ranges of an attribute.
+
+    Attributes:
+        attribute: One of `ATTRIBUTES`.
+        edges: Ascending; a value at an edge is in the range above it.
+        odds: What the odds of a miss are multiplied by in each range, one more than edges.
+    """
+
+    attribute: str
+    edges: tuple[float, ...]
+    odds: tuple[float, ...]
+
+    def of(self, targets: Targets) -> Array:
+        """Log-odds added for each target, shape (n,); none where the attribute is unknown."""
+        values = ATTRIBUTES[self.attribute](targets)
+        added = np.array([float(np.log(odds)) for odds in self.odds])
+        return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right") % len(added)])
+
+
+@dataclass(frozen=True)
+class Dropout:
+    """How the rate of misses follows what a vessel looks like.
+
+    Attributes:
+        effects: Their log-odds are summed.
+        anchored: Whether each state's rate is held as the average over the scene.
+    """
+
+    effects: tuple[Slope | Table, ...] = ()
+    anchored: bool = False
+
+    def log_odds(self, targets: Targets) -> Array:
+        """Log-odds added for each target, shape (n,)."""
+        total = np.zeros(len(targets))
+        for effect in self.effects:
+            total = total + effect.of(targets)
+        return np.clip(total, -MOST_LOG_ODDS, MOST_LOG_ODDS)
+
+
+def shifted_rate(rate: Array, log_odds: Array) -> Array:
+    """A rate whose log-odds are changed; 0 and 1 stay what they are."""
+    shifted: Array = special.expit(special.logit(rate) + log_odds)
+    return shifted
+
+
+def anchor(rate: float, log_odds: Array, weights: Array) -> float:
+    """What has to be added to all log-odds so that the weighted mean of the changed rates is the rate.
+
+    Args:
+        rate: In [0, 1].
+        log_odds: Of a sample, shape (n,).
+        weights: How often each occurs, shape (n,).
+
+    Returns:
+        Found by bisection to 1e-12; 0 if there is no sample or nothing can be changed.
+    """
+    if not len(weights) or rate in (0.0, 1.0):
+        return 0.0
+    low, high = -2 * MOST_LOG_ODDS, 2 * MOST_LOG_ODDS
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        mean = float(np.sum(weights * shifted_rate(np.array(rate), log_odds + middle)) / np.sum(weights))
+        low, high = (middle, high) if mean < rate else (low, middle)
+    return (low + high) / 2

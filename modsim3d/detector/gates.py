@@ -1,0 +1,72 @@
+"""Hard limits of a detector: what it never sees, when it runs, how much it puts out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.boxes import Mask, sizes
+from modsim3d.detector.records import Array, Frames, Indices, Targets
+
+_EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the frame at 0.6 s is due
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Rules before and after the draws; each is off unless given.
+
+    Attributes:
+        max_range_m: Vessels at a greater depth are never seen.
+        min_box_px: Vessels whose box is narrower or lower are never seen.
+        max_occlusion: Vessels of which a larger share is hidden are never seen; unknown shares pass.
+        update_interval_s: The detector runs at the first frame at or after each multiple of this.
+        max_detections: It puts out the surest that many of a frame.
+    """
+
+    max_range_m: float | None = None
+    min_box_px: float | None = None
+    max_occlusion: float | None = None
+    update_interval_s: float | None = None
+    max_detections: int | None = None
+
+    def due(self, frames: Frames) -> Mask:
+        """At which frames the detector runs, shape (S,)."""
+        if self.update_interval_s is None:
+            return np.ones(len(frames), dtype=bool)
+        before = -1.0 if math.isinf(frames.previous_s) else frames.previous_s
+        times = np.concatenate([[before], frames.times_s])
+        intervals = np.floor(times / self.update_interval_s + _EARLY)
+        if math.isinf(frames.previous_s):
+            intervals[0] = -np.inf
+        due: Mask = np.diff(intervals) > 0
+        return due
+
+    def passed(self, frames: Frames, targets: Targets) -> Mask:
+        """Which targets can be detected at all, shape (n,)."""
+        passed = self.due(frames)[targets.frame]
+        if self.max_range_m is not None:
+            passed &= targets.depth_m <= self.max_range_m
+        if self.min_box_px is not None:
+            passed &= np.all(sizes(targets.boxes_px) >= self.min_box_px, axis=1)
+        if self.max_occlusion is not None:
+            passed &= ~(1 - targets.visible_fraction > self.max_occlusion)
+        return passed
+
+    def surest(self, frame: Indices, confidence: Array, key: Array) -> Mask:
+        """Which detections are put out.
+
+        Args:
+            frame: Of each detection, shape (m,).
+            confidence: Shape (m,).
+            key: Decides between equals, shape (m,).
+        """
+        if self.max_detections is None:
+            return np.ones(len(frame), dtype=bool)
+        order = np.lexsort((key, -confidence, frame))
+        ordered = frame[order]
+        rank = np.arange(len(frame)) - np.searchsorted(ordered, ordered)
+        kept = np.empty(len(frame), dtype=bool)
+        kept[order] = rank < self.max_detections
+        return kept

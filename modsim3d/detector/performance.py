@@ -1,0 +1,31 @@
+"""Who shares a chain of performance states, and when a state is forced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.records import Array, Indices
+
+_EARLY_S = 1e-9  # a time read from text and one worked out may differ by rounding
+
+
+@dataclass(frozen=True)
+class Performance:
+    """How states are shared and forced.
+
+    Attributes:
+        per_camera: Whether each camera has a chain of its own.
+        schedule: Times in seconds, ascending, and the state that holds from each on; −1 where the chain does.
+    """
+
+    per_camera: bool = False
+    schedule: tuple[tuple[float, int], ...] = ()
+
+    def forced(self, times_s: Array, states: Indices) -> Indices:
+        """The states at these times, given the chain's, shape (S,)."""
+        starts = [time_s for time_s, _ in self.schedule]
+        entry = np.searchsorted(starts, times_s + _EARLY_S, side="right")
+        schedule = np.array([-1, *(state for _, state in self.schedule)])[entry]
+        return np.where(schedule >= 0, schedule, states)

@@ -1,0 +1,179 @@
+"""Noise that stays with a vessel for a while.
+
+Both kinds run forward over all steps of the scene from its first, whatever a camera saw and whoever asks: a vessel
+that was hidden comes back with the noise that it would have had. Fresh numbers are those that a detector without
+persistence would use, so that a vanishing correlation time gives its output.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from modsim3d.detector.draws import normals, target_uniforms
+from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.errors import ModsimError
+from modsim3d.random_streams import Streams
+
+Clock = Callable[[int, int], Array]
+"""Times of steps first to stop − 1 since the scene's first."""
+_STEPS_AT_ONCE = 512
+
+
+@dataclass(frozen=True)
+class Persistence:
+    """Correlation times; 0 means independent draws.
+
+    Attributes:
+        class_s: Of misses and confusions.
+        box_s: Of box errors.
+    """
+
+    class_s: float = 0.0
+    box_s: float = 0.0
+
+
+class Process(Protocol):
+    """A stationary process of each vessel, step by step."""
+
+    @property
+    def correlation_s(self) -> float:
+        """Time in which the correlation falls to 1/e."""
+
+    @property
+    def width(self) -> int:
+        """Numbers a vessel and step."""
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """What steps are made from, shape (count, width + what else is needed)."""
+
+    def advance(self, values: Array, fresh: Array, decay: float) -> Array:
+        """The next values from the last ones, which have kept the share `decay`; shapes (vessels, ...)."""
+
+
+@dataclass(frozen=True)
+class KeptUniform:
+    """A uniform number that is kept with probability e^(−Δt/τ), and otherwise drawn anew.
+
+    It is uniform at every step; read through whatever distribution holds at the moment, it gives that distribution
+    exactly, whatever τ. Two of them Δt apart are the same number with probability e^(−Δt/τ), else independent.
+    """
+
+    correlation_s: float
+    width: int = 1
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """A new number, and one that decides whether it is taken."""
+        new = streams.uniforms("detector.class", camera, vessel, first=first, count=count)
+        decides = streams.uniforms("detector.class_kept", camera, vessel, first=first, count=count)
+        return np.concatenate([new, decides], axis=1)
+
+    def advance(self, values: Array, fresh: Array, decay: float) -> Array:
+        """Keep or take the new one."""
+        return np.where(fresh[:, 1:] < decay, values, fresh[:, :1])
+
+
+@dataclass(frozen=True)
+class Autoregressive:
+    """Four standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process.
+
+    z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ), which is exact for steps of any length (an Ornstein–Uhlenbeck process,
+    Gillespie (1996), "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9).
+    """
+
+    correlation_s: float
+    width: int = 4
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """Independent standard normal numbers."""
+        return normals(streams.uniforms("detector.box_error", camera, vessel, first=first, count=count, width=4))
+
+    def advance(self, values: Array, fresh: Array, decay: float) -> Array:
+        """Mix old and new."""
+        return decay * values + math.sqrt(1 - decay * decay) * fresh
+
+
+class Walk:
+    """The values of one process of all vessels of a camera, worked out step by step from the first."""
+
+    def __init__(self, process: Process, streams: Streams, clock: Clock, camera: str, vessels: tuple[str, ...]) -> None:
+        """Stand before the first step."""
+        self._process, self._streams, self._clock = process, streams, clock
+        self._camera, self._vessels = camera, vessels
+        self._next = 0
+        self._values = np.empty((len(vessels), process.width))
+
+    def at(self, steps: Indices, vessel: Indices) -> Array:
+        """Values of a vessel each at a step each, shape (n, width)."""
+        result = np.empty((len(steps), self._process.width))
+        if not len(steps):
+            return result
+        if steps.min() < self._next:
+            self._next = 0
+        stop = int(steps.max()) + 1
+        while self._next < stop:
+            first = self._next
+            values = self._piece(min(first + _STEPS_AT_ONCE, stop))
+            ours = np.flatnonzero((steps >= first) & (steps < self._next))
+            result[ours] = values[steps[ours] - first, vessel[ours]]
+        return result
+
+    def _piece(self, stop: int) -> Array:
+        """Go on to a step, shape (steps gone, vessels, width)."""
+        first, process = self._next, self._process
+        times = self._clock(max(first - 1, 0), stop).tolist()
+        # One exponential at a time: how a run is split must not show in how an array of them is rounded.
+        decays = [math.exp(-(b - a) / process.correlation_s) for a, b in itertools.pairwise(times)]
+        decays = decays if first else [0.0, *decays]  # nothing is kept from before the first step
+        fresh = np.stack(
+            [process.fresh(self._streams, self._camera, vessel, first, stop - first) for vessel in self._vessels],
+            axis=1,
+        )
+        piece = np.empty((stop - first, *self._values.shape))
+        values = np.zeros_like(self._values) if first == 0 else self._values
+        for k, decay in enumerate(decays):
+            piece[k] = values = process.advance(values, fresh[k], decay)
+        self._values, self._next = values, stop
+        return piece
+
+
+def _no_clock(first: int, stop: int) -> Array:
+    raise ModsimError("persistence needs the times of all steps of the scene: give the Detector a clock")
+
+
+class VesselNoise:
+    """The noise of each target: drawn for each step, or kept for a while."""
+
+    def __init__(self, persistence: Persistence, streams: Streams, clock: Clock | None) -> None:
+        """Use a clock, which persistence needs.
+
+        Raises:
+            ModsimError: There is none.
+        """
+        self._persistence, self._streams, self._clock = persistence, streams, clock or _no_clock
+        if persistence.class_s or persistence.box_s:
+            self._clock(0, 0)
+        self._walks: dict[tuple[type[Process], str, tuple[str, ...]], Walk] = {}
+
+    def uniforms(self, frames: Frames, targets: Targets) -> Array:
+        """What class and dropout are read from, shape (n,)."""
+        if not self._persistence.class_s:
+            return target_uniforms(self._streams, "detector.class", frames, targets, width=1)[:, 0]
+        return self._walked(KeptUniform(self._persistence.class_s), frames, targets)[:, 0]
+
+    def normals(self, frames: Frames, targets: Targets) -> Array:
+        """What box errors are made from, shape (n, 4)."""
+        if not self._persistence.box_s:
+            return normals(target_uniforms(self._streams, "detector.box_error", frames, targets, width=4))
+        return self._walked(Autoregressive(self._persistence.box_s), frames, targets)
+
+    def _walked(self, process: Process, frames: Frames, targets: Targets) -> Array:
+        key = (type(process), frames.camera, targets.vessel_ids)
+        if key not in self._walks:
+            self._walks[key] = Walk(process, self._streams, self._clock, frames.camera, targets.vessel_ids)
+        return self._walks[key].at(frames.steps[targets.frame], targets.vessel)

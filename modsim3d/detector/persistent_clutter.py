@@ -1,0 +1,97 @@
+"""False positives that stay for a while: wakes, glints, buoys.
+
+An endless supply of them is kept, in layers. In each layer they are born at random, one in each mean lifetime on
+average, and die after an exponential one, so that one is there at a time on average; each has a random height within
+its layer. Of those that are there, a frame shows the ones that lie below its rate: their number is Poisson with that
+rate, exactly, however the rate changes from frame to frame, and each lives as long as it would have anyway.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from modsim3d.detector.draws import poisson_quantile
+from modsim3d.detector.records import Array, Frames, Indices
+from modsim3d.random_streams import Streams
+
+_LOOK_BACK = 38
+"""Lifetimes that the oldest can have lived: −ln of the least positive uniform number, 2⁻⁵³, is below 37."""
+_WIDTH = 8  # birth, lifetime, height, place (3), size, label
+
+
+@dataclass(frozen=True, eq=False)
+class Wanderers:
+    """What is there, a row for each frame that shows one.
+
+    Attributes:
+        frame: Non-decreasing, shape (m,).
+        age_s: Since birth, shape (m,).
+        uniforms: Place (3), size and label: the same as long as it lives, shape (m, 5).
+        sign: Which way it drifts, 1 or −1, shape (m,).
+    """
+
+    frame: Indices
+    age_s: Array
+    uniforms: Array
+    sign: Array
+
+
+def wanderers(streams: Streams, frames: Frames, rates: Array, lifetime_s: float) -> Wanderers:
+    """What a camera's frames show.
+
+    Args:
+        streams: Random numbers.
+        frames: The frames.
+        rates: How many each frame shows on average, shape (S,).
+        lifetime_s: Mean lifetime.
+    """
+    layers = [
+        _layer(streams, frames, rates - layer, lifetime_s, layer)
+        for layer in range(int(np.ceil(rates.max(initial=0.0))))
+    ]
+    if not layers:
+        nothing, none = np.empty(0), np.empty(0, dtype=np.int64)
+        return Wanderers(none, nothing, np.empty((0, 5)), nothing)
+    frame, age, draws = (np.concatenate(columns) for columns in zip(*layers, strict=True))
+    order = np.argsort(frame, kind="stable")
+    frame, draws = frame[order], draws[order]
+    # The last binary digit of the birth, which nothing else can tell, says which way.
+    odd = (draws[:, 0] * 2.0**53).astype(np.int64) % 2 == 1
+    return Wanderers(frame, age[order], draws[:, 3:], np.where(odd, 1.0, -1.0))
+
+
+def _layer(
+    streams: Streams, frames: Frames, rates: Array, lifetime_s: float, layer: int
+) -> tuple[Indices, Array, Array]:
+    """Frame, age and draws of what a layer shows at rates above its bottom."""
+    wanted = np.flatnonzero(rates > 0)
+    if not len(wanted):
+        return np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, _WIDTH))
+    times = frames.times_s[wanted]
+    first = int(times[0] // lifetime_s) - _LOOK_BACK
+    count = int(times[-1] // lifetime_s) + 1 - first
+    cells, draws = _births(streams, frames.camera, str(layer), first, count)
+    born = (cells + draws[:, 0]) * lifetime_s
+    lived = -special.log1p(-draws[:, 1]) * lifetime_s
+    age = times[:, None] - born[None]
+    there = (age >= 0) & (age < lived) & (draws[:, 2] < rates[wanted, None])
+    row, one = np.nonzero(there)
+    return wanted[row], age[row, one], draws[one]
+
+
+def _births(streams: Streams, camera: str, layer: str, first: int, count: int) -> tuple[Indices, Array]:
+    """Cell of time and draws of each birth in `count` cells; a cell is a mean lifetime long."""
+    index = first + _LOOK_BACK  # the first cells lie before the scene's first step
+    numbers = streams.uniforms("detector.wanderer_births", camera, layer, first=index, count=count)[:, 0]
+    births = poisson_quantile(numbers, np.ones(count))
+    cells, draws = [np.empty(0, dtype=np.int64)], [np.empty((0, _WIDTH))]
+    for k in range(int(births.max(initial=0))):
+        some = streams.uniforms("detector.wanderer", camera, layer, str(k), first=index, count=count, width=_WIDTH)
+        ours = np.flatnonzero(births > k)
+        cells.append(first + ours)
+        draws.append(some[ours])
+    order = np.argsort(np.concatenate(cells), kind="stable")
+    return np.concatenate(cells)[order], np.concatenate(draws)[order]

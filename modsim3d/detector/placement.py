@@ -1,0 +1,152 @@
+"""Where false positives appear: on the sea in the image, near the horizon, or by a map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from modsim3d.detector.boxes import Mask
+from modsim3d.detector.draws import choose, cumulative
+from modsim3d.detector.records import Array
+from modsim3d.detector.sea import sea_polygons, uniform_places
+
+_NODES = 129
+DRAWS = 3
+"""Uniform numbers a place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """How densely false positives lie in the image.
+
+    Attributes:
+        band_px: Only this far below the horizon; without limit if None.
+        far_half_px: The density halves every so many pixels below the horizon; it is level if None.
+        density: Weights of the cells of a grid over the whole image, shape (rows, columns); whatever the horizon.
+    """
+
+    band_px: float | None = None
+    far_half_px: float | None = None
+    density: Array | None = None
+
+    def places(
+        self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None = None
+    ) -> Array:
+        """Points in the image.
+
+        Args:
+            half_planes: Sea side of the horizon for each point, shape (m, 3).
+            image_size_px: Width and height.
+            uniforms: Shape (m, 3).
+            drift_px: How far each has moved along the horizon since, shape (m,); None for points of one moment.
+
+        Returns:
+            x and y in pixels, inside the image, shape (m, 2).
+        """
+        if self.density is not None:
+            return _on_map(self.density, image_size_px, uniforms, drift_px)
+        if self.band_px is None and self.far_half_px is None and drift_px is None:
+            return uniform_places(half_planes, image_size_px, uniforms)
+        return self._below_the_horizon(half_planes, image_size_px, uniforms, drift_px)
+
+    def _weights(self, below_px: Array) -> Array:
+        if self.far_half_px is None:
+            return np.ones_like(below_px)
+        weights: Array = special.exp2(-below_px / self.far_half_px)
+        return weights
+
+    def _below_the_horizon(
+        self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None
+    ) -> Array:
+        """A depth below the horizon by its share of the weight, then a place along that level.
+
+        A place follows the horizon smoothly as it moves, which one chosen by area does not.
+        """
+        polygons = sea_polygons(half_planes, image_size_px)
+        down, along = _axes(half_planes)
+        offset = half_planes[:, 2] / _length(half_planes)
+        depth = (polygons * down[:, None]).sum(axis=2) + offset[:, None]  # below the horizon, (m, 8)
+        across = (polygons * along[:, None]).sum(axis=2)
+        level = _inverse(self._level_weights(depth, across), self._levels(depth), uniforms[:, 0])
+        low, high = _slice(depth, across, level)
+        width = np.maximum(high - low, 1e-9)
+        place = low + _reflected(uniforms[:, 1] * width + (0 if drift_px is None else drift_px), width)
+        points = (level - offset)[:, None] * down + place[:, None] * along
+        inside: Array = np.clip(points, 0, image_size_px)
+        return inside
+
+    def _level_weights(self, depth: Array, across: Array) -> Array:
+        """Weight of levels evenly spaced over each polygon's depths, shape (m, nodes)."""
+        nodes = self._levels(depth)
+        lengths = np.stack([np.subtract(*_slice(depth, across, nodes[:, k])[::-1]) for k in range(_NODES)], axis=1)
+        weights: Array = self._weights(np.maximum(nodes, 0)) * lengths
+        weights[weights.sum(axis=1) <= 0] = 1.0  # sea along one edge or at one corner only
+        return weights
+
+    def _levels(self, depth: Array) -> Array:
+        """Depths below the horizon that share out the sea in the band, closer together near the horizon.
+
+        Where the band is not in the image, they share out all the sea in it. Shape (m, nodes).
+        """
+        least, most = depth.min(axis=1), depth.max(axis=1)
+        if self.band_px is not None:
+            most = np.where(least < self.band_px, np.minimum(most, self.band_px), most)
+        levels = least[:, None] + (most - least)[:, None] * np.linspace(0, 1, _NODES) ** 2
+        inside: Array = np.minimum(levels, most[:, None])
+        return inside
+
+
+def _length(half_planes: Array) -> Array:
+    length = np.sqrt(half_planes[:, 0] ** 2 + half_planes[:, 1] ** 2)
+    return np.where(length > 0, length, 1.0)
+
+
+def _axes(half_planes: Array) -> tuple[Array, Array]:
+    """Unit vectors away from the horizon and along it, to the right in a level image; shapes (m, 2)."""
+    down = half_planes[:, :2] / _length(half_planes)[:, None]
+    down = np.where(np.any(down != 0, axis=1)[:, None], down, [0.0, 1.0])  # no horizon: the whole image is sea
+    return down, np.stack([down[:, 1], -down[:, 0]], axis=1)
+
+
+def _slice(depth: Array, across: Array, level: Array) -> tuple[Array, Array]:
+    """Where a level enters and leaves each convex polygon, shapes (m,)."""
+    next_depth, next_across = np.roll(depth, -1, axis=1), np.roll(across, -1, axis=1)
+    rise = next_depth - depth
+    share = (level[:, None] - depth) / np.where(rise == 0, 1.0, rise)
+    met: Mask = (share >= 0) & (share <= 1) & (rise != 0)
+    crossing = across + share * (next_across - across)
+    low = np.where(met, crossing, np.inf).min(axis=1)
+    high = np.where(met, crossing, -np.inf).max(axis=1)
+    some = met.any(axis=1)
+    return np.where(some, low, across.min(axis=1)), np.where(some, high, across.max(axis=1))
+
+
+def _inverse(weights: Array, nodes: Array, uniforms: Array) -> Array:
+    """Levels at these shares of the weight, which is taken for constant between two nodes; shape (m,)."""
+    middles = (weights[:, 1:] + weights[:, :-1]) / 2 * np.diff(nodes, axis=1)
+    middles[middles.sum(axis=1) <= 0] = 1.0
+    distribution = cumulative(middles)
+    cell = choose(distribution, uniforms)
+    rows = np.arange(len(cell))
+    below = np.where(cell > 0, distribution[rows, cell - 1], 0.0)
+    share = (uniforms - below) / np.maximum(distribution[rows, cell] - below, 1e-300)
+    return nodes[rows, cell] + share * (nodes[rows, cell + 1] - nodes[rows, cell])
+
+
+def _reflected(place: Array, width: Array) -> Array:
+    """A place that has moved, thrown back at both ends of [0, width]."""
+    turned = np.mod(place, 2 * width)
+    return np.minimum(turned, 2 * width - turned)
+
+
+def _on_map(density: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None) -> Array:
+    """A cell by its weight, a place in it."""
+    rows, columns = density.shape
+    cell = np.searchsorted(cumulative(density.ravel()), uniforms[:, 0], side="right")
+    place = np.stack([cell % columns + uniforms[:, 1], cell // columns + uniforms[:, 2]], axis=1)
+    points = place / [columns, rows] * image_size_px
+    if drift_px is not None:
+        points[:, 0] = _reflected(points[:, 0] + drift_px, np.full(len(points), float(image_size_px[0])))
+    return np.clip(points, 0, image_size_px)
