@@ -1,14 +1,25 @@
-"""Box errors: mean, standard deviations and correlations of each state, and whether they persist."""
+"""Box errors: mean, standard deviations and correlations of each state, and how long they persist."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.detector.boxes import clip, move
-from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
-from modsim3d.detector.records import Array, Indices
-from modsim3d.learn.class_checks import lag_correlation
-from modsim3d.learn.error_fit import PAIRS, ErrorFit, ErrorSample, MomentTable, NormalLaw, fit_step, fitted_law
+from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
+from modsim3d.detector.records import TRUE, Array, Indices
+from modsim3d.learn.error_fit import (
+    PAIRS,
+    ErrorFit,
+    ErrorSample,
+    MomentTable,
+    NormalLaw,
+    fit_step,
+    fitted_law,
+    statistics,
+)
+from modsim3d.learn.error_replay import REPLAYS, latent_paths, products, replayed_errors
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.measures import Estimate, Exact
 from modsim3d.learn.parameters import Parameter
@@ -16,63 +27,103 @@ from modsim3d.learn.parameters import Parameter
 GROUP = "box error"
 LEAST_DETECTIONS = 150
 """True detections in a state, below which its box errors are not tested."""
+LEAST_PAIRS = 100
 _ROUNDING_PX = 1e-6
+_REPLAYS_AT_ONCE = 50
+_CONDITION = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A state's box errors.
+
+    Attributes:
+        law: Asked for.
+        found: Fitted.
+        fit: The step between them.
+        sample: Of what.
+        hits: Rows of the true detections, shape (n,).
+    """
+
+    law: NormalLaw
+    found: NormalLaw
+    fit: ErrorFit
+    sample: ErrorSample
+    hits: Indices
 
 
 def box_error_checks(model: DetectorModel, evidence: Evidence, table: MomentTable) -> list[Parameter]:
-    """Fourteen parameters for each state; the boxes themselves; correlation from frame to frame."""
-    chances, hits = evidence.chances, evidence.hits
-    state_of_hits = chances.state[hits.chance]
-    residuals, variances = np.zeros((len(hits.chance), 4)), np.zeros((len(hits.chance), 4))
-    parameters = []
+    """The parameters of each state; the boxes themselves; correlation from frame to frame."""
+    hits = evidence.hits
+    single = hits.kind == TRUE
+    state_of_hits = evidence.chances.state[hits.chance]
+    laws: dict[int, tuple[NormalLaw, Fitted | None]] = {}
+    parameters: dict[int, list[Parameter]] = {}
     for s, state in enumerate(model.states):
-        rows = np.flatnonzero(state_of_hits == s)
-        covariance = np.array(state.box_error_covariance_px2)
-        free = np.diag(covariance) > 0
-        if not free.all() or np.linalg.cond(covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)) > 1e8:
-            parameters += _exact_checks(state.name, state.box_error_mean_px, free, hits.errors_px[rows])
-            continue
-        law = NormalLaw.of(state.box_error_mean_px, covariance)
-        fit = None
-        if len(rows) >= LEAST_DETECTIONS:
-            fit = _fit(law, evidence, rows, table)
-        if fit is not None:
-            residuals[rows], variances[rows] = fit[0].residuals, fit[0].variances
-        parameters += _law_checks(state.name, law, fit, len(rows))
-    return [*parameters, _box_check(evidence), *_persistence_checks(evidence, residuals, variances)]
+        rows = np.flatnonzero((state_of_hits == s) & single)
+        if _is_singular(state):
+            parameters[s] = _exact_checks(state, evidence, rows)
+        else:
+            laws[s] = NormalLaw.of(state), _fit(NormalLaw.of(state), evidence, rows, table)
+    fits = [fitted for _, fitted in laws.values() if fitted is not None]
+    replayed = _replay(model, evidence, fits) if model.persistence.box_s > 0 else None
+    for s, (law, fitted) in laws.items():
+        errors = None if replayed is None or fitted is None else replayed.errors[fits.index(fitted)]
+        parameters[s] = _law_checks(model.states[s], law, fitted, errors)
+    persistence = _persistence(evidence, fits, model, replayed)
+    note = "" if persistence is None else "as the correlation from one frame to the next"
+    return [
+        *(parameter for s in range(len(model.states)) for parameter in parameters[s]),
+        _box_check(evidence),
+        Parameter("persistence.box_s", GROUP, persistence, note=note),
+    ]
 
 
-def _fit(law: NormalLaw, evidence: Evidence, rows: Indices, table: MomentTable) -> tuple[ErrorFit, NormalLaw] | None:
+def _is_singular(state: PerformanceState) -> bool:
+    covariance = np.array(state.box_error_covariance_px2)
+    std = np.sqrt(np.diag(covariance))
+    return bool((std <= 0).any() or np.linalg.cond(covariance / np.outer(std, std)) > _CONDITION)
+
+
+def _fit(law: NormalLaw, evidence: Evidence, rows: Indices, table: MomentTable) -> Fitted | None:
+    if len(rows) < LEAST_DETECTIONS:
+        return None
     hits, chances = evidence.hits, evidence.chances
     sample = ErrorSample(hits.errors_px[rows], hits.chance[rows], chances.boxes_px, chances.image_px)
     fit = fit_step(law, sample, table)
-    return None if fit is None else (fit, fitted_law(law, fit, sample))
+    return None if fit is None else Fitted(law, fitted_law(law, fit, sample), fit, sample, rows)
 
 
-def _law_checks(name: str, law: NormalLaw, fit: tuple[ErrorFit, NormalLaw] | None, count: int) -> list[Parameter]:
+def _names(law: NormalLaw) -> list[str]:
     names = [f"mean[{c}]" for c in ERROR_COMPONENTS] + [f"std[{c}]" for c in ERROR_COMPONENTS]
     names += [f"correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in PAIRS]
-    asked = law.numbers()
-    units = np.concatenate([law.std, law.std, np.ones(6)])
+    return names + [f"growth[{ERROR_COMPONENTS[k]}]" for k in law.growing]
+
+
+def _law_checks(
+    state: PerformanceState, law: NormalLaw, fitted: Fitted | None, replayed: Array | None
+) -> list[Parameter]:
+    asked, units = law.numbers(), law.units()
     parameters = []
-    for k, entry in enumerate(names):
+    for k, entry in enumerate(_names(law)):
         measure = None
-        if fit is not None:
-            step, found = fit
-            error = np.sqrt(step.covariance[k, k])
+        if fitted is not None:
+            fit = fitted.fit
+            error = fit.errors[k] if replayed is None else replayed[k]
+            wider = error / fit.errors[k]
             measure = Estimate(
-                measured=float(found.numbers()[k]),
+                measured=float(fitted.found.numbers()[k]),
                 asked=float(asked[k]),
                 error=float(error * units[k]),
-                count=count,
-                skewness=float(step.skewness[k]),
-                statistic=float(step.step[k] / error),
+                count=len(fitted.hits) / wider**2,
+                skewness=float(fit.skewness[k] * wider),
+                statistic=float(fit.step[k] / error),
                 grows=4 <= k < 8,
             )
-        path = f"states.{name}.box_error.{entry}"
-        note = _truncation_note(fit[0]) if fit is not None and k == 0 else ""
-        unit = "px" if k < 8 else ""
-        parameters.append(Parameter(path, GROUP, measure, float(asked[k]), unit, name, note=note))
+        path = f"states.{state.name}.box_error.{entry}"
+        note = _truncation_note(fitted.fit) if fitted is not None and k == 0 else ""
+        unit = ("" if 8 <= k < 14 or k >= 14 else "sides") if law.relative else "px" if k < 8 else ""
+        parameters.append(Parameter(path, GROUP, measure, float(asked[k]), unit, state.name, note=note))
     return parameters
 
 
@@ -81,44 +132,112 @@ def _truncation_note(fit: ErrorFit) -> str:
     return f"{share:.0%} of first draws leave no box and are drawn anew: taken out" if share >= 0.005 else ""
 
 
-def _exact_checks(name: str, mean: Array, free: np.ndarray, errors_px: Array) -> list[Parameter]:
+def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
     """Of a covariance without an inverse: errors that have no spread are their mean."""
+    law = NormalLaw(np.array(state.box_error_mean_px), np.zeros(4), np.eye(4), state.box_error_unit == "relative")
+    means, _ = law.at(evidence.chances.boxes_px[evidence.hits.chance[rows]])
+    off = np.abs(evidence.hits.errors_px[rows] - means) > _ROUNDING_PX
+    still = (np.diag(state.box_error_covariance_px2) <= 0) & (np.array(state.box_error_growth) <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):
-        path = f"states.{name}.box_error.std[{entry}]"
-        wrong = int((np.abs(errors_px[:, k] - mean[k]) > _ROUNDING_PX).sum())
-        measure = None if free[k] or not len(errors_px) else Exact(wrong, len(errors_px))
-        note = "" if measure else "the covariance is singular: only errors without any spread are looked at"
-        parameters.append(Parameter(path, GROUP, measure, 0.0, "px", name, note=note))
+        path = f"states.{state.name}.box_error.std[{entry}]"
+        measure = Exact(int(off[:, k].sum()), len(rows)) if still[k] and len(rows) else None
+        note = "" if still[k] else "the covariance is singular: only errors without any spread are looked at"
+        parameters.append(Parameter(path, GROUP, measure, 0.0, "px", state.name, note=note))
     return parameters
 
 
 def _box_check(evidence: Evidence) -> Parameter:
     """Whether every box is its truth moved by its error and clipped to the image."""
+    single = np.flatnonzero(evidence.hits.kind == TRUE)
     hits, chances = evidence.hits, evidence.chances
-    truth, images = chances.boxes_px[hits.chance], chances.image_px[hits.chance]
+    rows = hits.chance[single]
     wrong = 0
-    for image in np.unique(images, axis=0):
-        rows = np.flatnonzero((images == image).all(axis=1))
-        width, height = (int(side) for side in image)
-        expected = clip(move(truth[rows], hits.errors_px[rows]), (width, height))
-        wrong += int((np.abs(hits.boxes_px[rows] - expected).max(axis=1) > _ROUNDING_PX).sum())
-    return Parameter("boxes are truth and error, clipped", GROUP, Exact(wrong, len(truth)), in_file=False)
+    for camera, seen in enumerate(evidence.cameras):
+        ours = np.flatnonzero(chances.camera[rows] == camera)
+        moved = move(chances.boxes_px[rows[ours]], hits.errors_px[single[ours]])
+        off = np.abs(hits.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
+        wrong += int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
+    return Parameter("boxes are truth and error, clipped", GROUP, Exact(wrong, len(single)), in_file=False)
 
 
-def _persistence_checks(evidence: Evidence, residuals: Array, variances: Array) -> list[Parameter]:
-    chances = evidence.hits.chance
-    hit_of = np.full(len(evidence.chances.state), -1)
-    hit_of[chances] = np.arange(len(chances))
-    before = evidence.chances.before[chances]
-    before = np.where(before >= 0, hit_of[before], -1)
-    return [
-        Parameter(
-            f"{name}, correlation from frame to frame",
-            GROUP,
-            lag_correlation(residuals[:, k], np.maximum(variances[:, k], 0), before),
-            0.0,
-            in_file=False,
-        )
-        for k, name in enumerate(ERROR_COMPONENTS)
-    ]
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What replays of errors that persist show.
+
+    Attributes:
+        errors: Standard errors of each state's step, shapes (p,).
+        products: Mean products with the frame before, of each replay, shape (replays,).
+    """
+
+    errors: list[Array]
+    products: Array
+
+
+def _frame_pairs(evidence: Evidence, fits: list[Fitted]) -> tuple[Indices, Indices]:
+    """Places, in the fits' rows one after the other, of detections of one vessel in two frames that follow."""
+    rows = np.concatenate([fitted.hits for fitted in fits])
+    chance = evidence.hits.chance[rows]
+    place = np.full(len(evidence.chances.state), -1)
+    place[chance] = np.arange(len(rows))
+    before = evidence.chances.before[chance]
+    before = np.where(before >= 0, place[before], -1)
+    now = np.flatnonzero(before >= 0)
+    return now, before[now]
+
+
+def _replay(model: DetectorModel, evidence: Evidence, fits: list[Fitted]) -> Replayed | None:
+    if not fits:
+        return None
+    rng = np.random.default_rng(0)
+    chances = evidence.chances
+    chance = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
+    tracks = np.stack([chances.camera[chance], chances.vessel[chance]], axis=1)
+    now, before = _frame_pairs(evidence, fits)
+    ends = np.cumsum([0, *(len(fitted.hits) for fitted in fits)])
+    steps: list[list[Array]] = [[] for _ in fits]
+    found = []
+    for _ in range(0, REPLAYS, _REPLAYS_AT_ONCE):
+        latent = latent_paths(tracks, chances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE)
+        whitened = np.empty((_REPLAYS_AT_ONCE, len(chance), 4))
+        for k, fitted in enumerate(fits):
+            ours = slice(ends[k], ends[k + 1])
+            standard = replayed_errors(fitted.law, fitted.sample, latent[:, ours], rng)
+            steps[k].append(fitted.fit.step_of(statistics(standard)))
+            residual = standard - fitted.fit.expected[:, :4]
+            whitened[:, ours] = np.einsum("nij,cnj->cni", fitted.fit.roots, residual, optimize=True)
+        found.append(products(whitened, now, before))
+    return Replayed([np.concatenate(step).std(axis=0) for step in steps], np.concatenate(found))
+
+
+def _persistence(
+    evidence: Evidence, fits: list[Fitted], model: DetectorModel, replayed: Replayed | None
+) -> Estimate | None:
+    """Correlation of errors with those of the same vessel one frame before."""
+    if not fits:
+        return None
+    now, before = _frame_pairs(evidence, fits)
+    if len(now) < LEAST_PAIRS:
+        return None
+    # Means and spreads that are off would look like a correlation: they are taken out as they were found.
+    whitened = np.concatenate([_own_scale(fitted.fit.whitened) for fitted in fits])
+    measured = float(products(whitened, now, before))
+    if replayed is None:
+        return Estimate(measured, 0.0, (4 * len(now)) ** -0.5, len(now))
+    chances = evidence.chances
+    rows = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
+    apart = chances.time_s[rows[now]] - chances.time_s[rows[before]]
+    asked = float(np.exp(-apart / model.persistence.box_s).mean())
+    # Truncation breaks part of the correlation; what is left of the asked one is what replays show.
+    left = float(replayed.products.mean())
+    error = float(replayed.products.std())
+    scale = asked / left if abs(left) > 3 * error else 1.0
+    return Estimate(
+        asked + (measured - left) * scale, asked, error * abs(scale), len(now), statistic=(measured - left) / error
+    )
+
+
+def _own_scale(whitened: Array) -> Array:
+    """With mean zero and variance one as found."""
+    scaled: Array = (whitened - whitened.mean(axis=0)) / np.maximum(whitened.std(axis=0), 1e-12)
+    return scaled

@@ -1,107 +1,119 @@
-"""Confidence: mean and standard deviation before clipping, from clipped numbers."""
+"""Confidence: mean, standard deviation and slopes of normal ones before clipping, the whole law of others."""
 
 from __future__ import annotations
 
-import numpy as np
-from scipy import special
+from dataclasses import dataclass
 
+import numpy as np
+
+from modsim3d.detector.boxes import sizes
+from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array
+from modsim3d.detector.scores import NormalScores, QuantileScores, Scores
+from modsim3d.learn.clipped_normal import Clipped
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.measures import Estimate, Exact, Measure
+from modsim3d.learn.limits import limit_note
+from modsim3d.learn.measures import Exact, Law, Measure
 from modsim3d.learn.parameters import Parameter
 
 GROUP = "confidence"
 LEAST_DETECTIONS = 50
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(400)
-_REACH = 9.0  # standard deviations that the integrals go to
-_FAR, _STEPS = 3.0, 8  # an estimate farther off than this is refined by so many Newton steps
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Detections of a state with what their confidence may depend on; shapes (n,).
+
+    Attributes:
+        scores: Their confidence.
+        hidden: Share of the vessel that is hidden, 0 where there is none.
+        halvings: Of the box's size below the reference.
+    """
+
+    scores: Array
+    hidden: Array
+    halvings: Array
+
+    def __add__(self, other: Scored) -> Scored:
+        """Both together."""
+        columns = ("scores", "hidden", "halvings")
+        return Scored(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in columns))
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    """Mean and standard deviation of every state, true and false detections together."""
-    state_of_hits = evidence.chances.state[evidence.hits.chance]
+    """Of every state, true and false detections together where the file does not tell them apart."""
+    note = limit_note(model, evidence)
+    threshold = model.confidence_threshold
     parameters = []
-    outside = 0
     for s, state in enumerate(model.states):
-        scores = np.concatenate(
-            [evidence.hits.confidence[state_of_hits == s], evidence.clutter.confidence[evidence.clutter.state == s]]
+        law = state.confidence
+        true, false = _scored(evidence, s, law)
+        groups = (
+            [("", law.true, true + false)]
+            if law.true is law.false
+            else [(".true", law.true, true), (".false", law.false, false)]
         )
-        outside += int(((scores < model.confidence_threshold) | (scores > 1)).sum())
-        asked = (state.confidence_mean, state.confidence_std)
-        measures = clipped_normal(scores, *asked, model.confidence_threshold)
-        for name, value, measure in zip(("mean", "std"), asked, measures, strict=True):
-            parameters.append(
-                Parameter(f"states.{state.name}.confidence.{name}", GROUP, measure, value, state=state.name)
-            )
-    count = len(evidence.hits.confidence) + len(evidence.clutter.confidence)
-    return [*parameters, Parameter("confidence_threshold", GROUP, Exact(outside, count))]
+        for name, scores, found in groups:
+            path = f"states.{state.name}.confidence{name}"
+            parameters += [
+                Parameter(f"{path}.{entry}", GROUP, None if note else measure, asked, state=state.name, note=note)
+                for entry, asked, measure in _measures(law, scores, found, threshold)
+            ]
+    every = np.concatenate([evidence.hits.confidence, evidence.clutter.confidence])
+    outside = int(((every < threshold) | (every > 1)).sum())
+    return [*parameters, Parameter("confidence_threshold", GROUP, Exact(outside, len(every)))]
 
 
-def clipped_normal(scores: Array, mean: float, std: float, threshold: float) -> tuple[Measure | None, Measure | None]:
-    """Mean and standard deviation of normal numbers of which those outside [threshold, 1] were moved to its ends.
-
-    One step from the asked values towards the largest likelihood, which also is the test (the score test of each with
-    the other free); of an estimate that is far off, as many steps as it takes.
-    """
-    if len(scores) < LEAST_DETECTIONS:
-        return None, None
-    if std == 0:
-        wrong = int((np.abs(scores - np.clip(mean, threshold, 1)) > 1e-12).sum())
-        return Exact(wrong, len(scores), asked=0.0), None
-    information, third = clipped_information(mean, std, threshold)
-    if np.linalg.cond(information) > 1e10:  # all of them at one end: nothing to be learned
-        return None, None
-    covariance = np.linalg.inv(information) / len(scores)
-    step = covariance @ clipped_score(scores, mean, std, threshold).sum(axis=0)
-    errors = np.sqrt(np.diag(covariance))
-    z = step / errors
-    # Of the sum of n influences the third cumulant is n times that of one.
-    skewness = third / len(scores) ** 2 / errors**3
-    value = _fitted(scores, mean, std, threshold) if np.abs(z).max() > _FAR else np.array([mean, std]) + step
-    count = len(scores)
-    return (
-        Estimate(value[0], mean, errors[0], count, skewness[0], z[0]),
-        Estimate(value[1], std, errors[1], count, skewness[1], z[1], grows=True),
-    )
+def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
+    """True and false detections of a state."""
+    hits, clutter, chances = evidence.hits, evidence.clutter, evidence.chances
+    true, false = np.flatnonzero(chances.state[hits.chance] == s), np.flatnonzero(clutter.state == s)
+    seen = np.append(chances.visible_fraction, np.nan)  # the last for chance −1: no vessel
+    parts = []
+    for scores, chance, boxes in (
+        (hits.confidence[true], hits.chance[true], hits.boxes_px[true]),
+        (clutter.confidence[false], clutter.chance[false], clutter.boxes_px[false]),
+    ):
+        visible = seen[chance]
+        width, height = sizes(boxes).T
+        smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
+        parts.append(Scored(scores, np.where(np.isnan(visible), 0, 1 - visible), -np.log2(smaller)))
+    return parts[0], parts[1]
 
 
-def _fitted(scores: Array, mean: float, std: float, threshold: float) -> Array:
-    value = np.array([mean, std])
-    for _ in range(_STEPS):
-        information, _ = clipped_information(value[0], value[1], threshold)
-        step = np.linalg.solve(information, clipped_score(scores, value[0], value[1], threshold).mean(axis=0))
-        value = np.array([value[0] + np.clip(step[0], -value[1], value[1]), value[1] * np.exp(step[1] / value[1])])
-    return value
+def _measures(
+    law: StateConfidence, scores: Scores, found: Scored, threshold: float
+) -> list[tuple[str, float, Measure | None]]:
+    """Name, asked value and measure of each number of a law."""
+    slopes = [
+        (name, slope, -amount)
+        for name, slope, amount in (
+            ("visibility_slope", law.visibility_slope, found.hidden),
+            ("size_slope", law.size_slope, found.halvings),
+        )
+        if slope
+    ]
+    if isinstance(scores, NormalScores):
+        return _normal(scores, slopes, found, threshold)
+    if slopes or not isinstance(scores, QuantileScores) or len(found.scores) < LEAST_DETECTIONS:
+        return [("law", 0.0, None)]
+    inside = scores.quantiles.clip(threshold, 1)
+    return [("law", 0.0, Law.of(found.scores, inside))]
 
 
-def clipped_score(scores: Array, mean: float, std: float, threshold: float) -> Array:
-    """Derivatives of the log-likelihood by mean and standard deviation, shape (n, 2) (Tobin (1958))."""
-    z = (scores - mean) / std
-    low, high = (threshold - mean) / std, (1 - mean) / std
-    inner = np.stack([z, z**2 - 1], axis=-1)
-    below = -_hazard(-low) * np.array([1.0, low])
-    above = _hazard(high) * np.array([1.0, high])
-    result: Array = np.where((scores <= threshold)[:, None], below, np.where((scores >= 1)[:, None], above, inner))
-    return result / std
-
-
-def _hazard(z: float) -> float:
-    """Normal density over the tail above z."""
-    return float(np.exp(-(z**2) / 2 - special.log_ndtr(-z)) / np.sqrt(2 * np.pi))
-
-
-def clipped_information(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
-    """Fisher information of one number, shape (2, 2), and the third cumulants of both influences, shape (2,)."""
-    low, high = max((threshold - mean) / std, -_REACH), min((1 - mean) / std, _REACH)
-    nodes, weights = np.zeros(0), np.zeros(0)
-    if high > low:
-        nodes = (low + high) / 2 + (high - low) / 2 * _NODES
-        weights = (high - low) / 2 * _WEIGHTS * np.exp(-(nodes**2) / 2) / np.sqrt(2 * np.pi)
-    places = np.concatenate([[threshold], np.clip(mean + std * nodes, threshold + 1e-15, 1 - 1e-15), [1.0]])
-    chances = np.concatenate([[special.ndtr((threshold - mean) / std)], weights, [special.ndtr(-(1 - mean) / std)]])
-    score = clipped_score(places, mean, std, threshold)
-    score = np.where((chances > 0)[:, None], score, 0)
-    information = np.einsum("n,ni,nj->ij", chances, score, score)
-    influence = score @ np.linalg.pinv(information)
-    return information, chances @ influence**3
+def _normal(
+    scores: NormalScores, slopes: list[tuple[str, float, Array]], found: Scored, threshold: float
+) -> list[tuple[str, float, Measure | None]]:
+    shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(len(found.scores)))
+    names = ["mean", "std", *(name for name, _, _ in slopes)]
+    asked = [scores.mean, scores.std, *(slope for _, slope, _ in slopes)]
+    if len(found.scores) < LEAST_DETECTIONS:
+        return [(name, value, None) for name, value in zip(names, asked, strict=True)]
+    if scores.std == 0:
+        expected = np.clip(scores.mean + shift, threshold, 1)
+        wrong = int((np.abs(found.scores - expected) > 1e-12).sum())
+        return [("std", 0.0, Exact(wrong, len(found.scores)))]
+    clipped = Clipped(found.scores, np.column_stack([np.ones(len(shift)), *(a for _, _, a in slopes)]), threshold)
+    fitted = clipped.measures(np.array([scores.mean, *(slope for _, slope, _ in slopes)]), scores.std)
+    return [(name, value, measure) for name, value, measure in zip(names, asked, fitted, strict=True)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.detector.boxes import at_least_a_pixel
-from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Array, Detections, Frames, Indices, Targets
+from modsim3d.detector.records import Array, Detections, Frames, Indices, Targets
 
 Columns = dict[str, NDArray[Any]]
 
@@ -35,7 +35,8 @@ class Chances:
         vessel: Index of the vessel, shape (n,).
         state: Shape (n,).
         label: True label, shape (n,).
-        outcome: The label that it was detected under, −1 where it was missed, shape (n,).
+        outcome: The label that it was detected under; −1 where it was missed, −2 where it was detected in another's box
+            and nobody knows as what, shape (n,).
         before: Row of the same vessel in the camera's frame before, −1 if it was not annotated there, shape (n,).
         boxes_px: The boxes that errors are added to, shape (n, 4).
         image_px: Width and height of the camera's image, shape (n, 2).
@@ -59,16 +60,18 @@ class Chances:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """True detections, m rows.
+    """True detections, m rows: one of each vessel that is seen, two of them in one box where they are merged.
 
     Attributes:
         chance: Row of `Chances` that each came from, shape (m,).
-        errors_px: e_x, e_y, e_w, e_h before clipping, shape (m, 4).
+        kind: Index into `KINDS`, shape (m,).
+        errors_px: e_x, e_y, e_w, e_h before clipping, NaN where it is not one box of one vessel, shape (m, 4).
         confidence: Shape (m,).
         boxes_px: As put out, shape (m, 4).
     """
 
     chance: Indices
+    kind: Indices
     errors_px: Array
     confidence: Array
     boxes_px: Array
@@ -76,21 +79,25 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Clutter:
-    """False positives, m rows.
+    """False positives, m rows; second boxes of vessels among them.
 
     Attributes:
         image: Index into `Images`, shape (m,).
+        chance: Row of `Chances` of a second box, −1 for all others, shape (m,).
         state: Shape (m,).
         label: Shape (m,).
         confidence: Shape (m,).
         kind: Index into `KINDS`, shape (m,).
+        boxes_px: As put out, shape (m, 4).
     """
 
     image: Indices
+    chance: Indices
     state: Indices
     label: Indices
     confidence: Array
     kind: Indices
+    boxes_px: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +109,7 @@ class Images:
         time_s: Shape (s,).
         step: Shape (s,).
         state: Shape (s,).
-        n_kept: Vessels detected, shape (s,).
+        n_kept: True detections, shape (s,).
         n_false: False positives, shape (s,).
     """
 
@@ -116,8 +123,17 @@ class Images:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A whole run, all cameras."""
+    """A whole run, all cameras.
 
+    Attributes:
+        cameras: What each camera's detector was given and put out.
+        images: Their frames.
+        chances: Every annotated box.
+        hits: True detections.
+        clutter: False ones.
+    """
+
+    cameras: tuple[Seen, ...]
     images: Images
     chances: Chances
     hits: Hits
@@ -133,10 +149,11 @@ class Evidence:
         hits = [part[2] for part in parts]
         clutter = [part[3] for part in parts]
         return cls(
+            tuple(cameras),
             Images(**_joined([part[0] for part in parts])),
             Chances(**_joined(chances, {"before": first_row})),
             Hits(**_joined(hits, {"chance": first_row})),
-            Clutter(**_joined(clutter, {"image": first_image})),
+            Clutter(**_joined(clutter, {"image": first_image, "chance": first_row})),
         )
 
 
@@ -155,8 +172,10 @@ def _joined(parts: Sequence[Columns], offsets: dict[str, Indices] | None = None)
 
 def _camera(index: int, seen: Seen) -> tuple[Columns, Columns, Columns, Columns]:
     frames, targets, found = seen.frames, seen.targets, seen.detections
-    true, false = found.kind == TRUE, found.kind >= FALSE_POSITIVE
+    false = found.false()
+    true = ~false
     outcome = np.full(len(targets), -1)
+    outcome[found.partner[found.partner >= 0]] = -2
     outcome[found.target[true]] = found.label[true]
     length, state = len(frames), found.states
     images = {
@@ -183,16 +202,19 @@ def _camera(index: int, seen: Seen) -> tuple[Columns, Columns, Columns, Columns]
     }
     hits = {
         "chance": found.target[true],
+        "kind": found.kind[true],
         "errors_px": found.errors_px[true],
         "confidence": found.confidence[true],
         "boxes_px": found.boxes_px[true],
     }
     clutter = {
         "image": found.frame[false],
+        "chance": found.target[false],
         "state": state[found.frame[false]],
         "label": found.label[false],
         "confidence": found.confidence[false],
         "kind": found.kind[false],
+        "boxes_px": found.boxes_px[false],
     }
     return images, chances, hits, clutter
 

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 from scipy import special
+from scipy.stats import kstwo
 
 from modsim3d.detector.records import Array
 from modsim3d.learn.tails import (
@@ -198,6 +199,61 @@ class DiscoveryRate:
 
 
 @dataclass(frozen=True)
+class ImageRate:
+    """False positives for each image, a Poisson number.
+
+    Attributes:
+        false: Number of false positives.
+        images: In how many images.
+        asked: The rate asked for.
+        inflation: Variance of the number over that of a Poisson number.
+    """
+
+    false: float
+    images: float
+    asked: float
+    inflation: float = 1.0
+
+    @property
+    def measured(self) -> float:
+        """The rate found."""
+        return self.false / self.images
+
+    @property
+    def count(self) -> float:
+        """Images that are worth as much."""
+        return self.images / self.inflation
+
+    def _as_share(self) -> DiscoveryRate:
+        """The same number as a share of itself and of as many true ones as there are images."""
+        return DiscoveryRate(self.false, self.images, self.asked * self.images, self.inflation)
+
+    def p_value(self) -> float:
+        """From the Poisson tails."""
+        return self._as_share().p_value()
+
+    def strength(self) -> float:
+        """Root of the deviance."""
+        return self._as_share().strength()
+
+    def interval(self, alpha: float) -> Interval:
+        """Garwood's."""
+        low, high = self._as_share().interval(alpha)
+        return low / (1 - low), high / (1 - high)
+
+    def noticed(self, alpha: float) -> Noticed:
+        """From the share's."""
+        share = self._as_share()
+        below, above = share.noticed(alpha)
+        less = None if below is None else share.asked - below
+        more = None if above is None else share.asked + above
+        return (
+            None if less is None else self.asked - less / (1 - less),
+            None if more is None else more / (1 - more) - self.asked,
+        )
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A number with a standard error, nearly normal.
 
@@ -306,6 +362,63 @@ class Occupancy:
     def noticed(self, alpha: float) -> Noticed:
         """None: it follows from the transitions, which notice more."""
         return None, None
+
+
+@dataclass(frozen=True)
+class Law:
+    """Greatest distance between an empirical distribution function and the one asked for (Kolmogorov (1933)).
+
+    Attributes:
+        measured: The distance.
+        count: Numbers.
+        asked: None.
+    """
+
+    measured: float
+    count: float
+    asked: float = 0.0
+
+    @classmethod
+    def of(cls, values: Array, quantiles: Array) -> Law:
+        """Against a law that is straight between evenly spaced quantiles; where it has steps the test is cautious."""
+        share = np.linspace(0, 1, len(quantiles))
+        ordered = np.sort(values)
+        below = np.interp(ordered, *_last(quantiles, share))
+        above = np.interp(ordered, *_first_of(quantiles, share))
+        rank = np.arange(len(ordered))
+        # A step of the law takes in every rank within it.
+        high = np.searchsorted(ordered, ordered, side="right") / len(ordered) - below
+        low = above - np.searchsorted(ordered, ordered, side="left") / len(ordered)
+        return cls(float(max(high.max(initial=0), low.max(initial=0), 0.0)), len(rank))
+
+    def p_value(self) -> float:
+        """Of the two-sided test."""
+        return float(kstwo.sf(self.measured, int(self.count)))
+
+    def strength(self) -> float:
+        """The normal deviate of as small a p-value."""
+        return float(-special.ndtri(max(self.p_value() / 2, 1e-300)))
+
+    def interval(self, alpha: float) -> Interval:
+        """Distances that are no farther from this one than chance may bring it."""
+        reach = float(kstwo.isf(alpha, int(self.count)))
+        return max(self.measured - reach, 0.0), min(self.measured + reach, 1.0)
+
+    def noticed(self, alpha: float) -> Noticed:
+        """A distance that the test does not miss: what chance may bring, from both sides."""
+        return None, float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
+
+
+def _last(values: Array, share: Array) -> tuple[Array, Array]:
+    """Distribution function from above: at equal values the last."""
+    place = np.append(np.flatnonzero(np.diff(values) > 0), len(values) - 1)
+    return values[place], share[place]
+
+
+def _first_of(values: Array, share: Array) -> tuple[Array, Array]:
+    """Distribution function from below: at equal values the first."""
+    place = np.append(0, np.flatnonzero(np.diff(values) > 0) + 1)
+    return values[place], share[place]
 
 
 @dataclass(frozen=True)

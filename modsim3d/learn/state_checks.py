@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Indices
@@ -15,23 +18,69 @@ _EARLY = 1e-6  # of an interval, as in the detector: 0.6 / 0.2 is a hair below 3
 _ANGLES_AT_ONCE = 1 << 16
 
 
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A chain of states as it was seen.
+
+    Attributes:
+        name: Appended to what is said of it, empty if it is the only one.
+        steps: Of its frames, shape (s,).
+        times_s: Shape (s,).
+        states: Shape (s,).
+        forced: Whether the schedule, and not the chain, decided, shape (s,).
+    """
+
+    name: str
+    steps: Indices
+    times_s: Array
+    states: Indices
+    forced: NDArray[np.bool_]
+
+
 def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """Initial state, every entry of the transition matrix, and the share of frames of each state."""
+    chains = _chains(model, evidence)
+    parameters = _shared_check(model, evidence)
+    for chain in chains:
+        if model.performance.schedule:
+            asked = model.performance.forced(chain.times_s, chain.states)
+            wrong = Exact(int((chain.states != asked).sum()), int(chain.forced.sum()))
+            parameters.append(Parameter(f"performance.schedule{chain.name}", GROUP, wrong))
+        if len(chain.steps) and chain.steps[0] == 0 and not chain.forced[0]:
+            wrong = Exact(int(chain.states[0] != model.initial_state), 1)
+            parameters.append(Parameter(f"initial_state{chain.name}", GROUP, wrong))
+    parameters += _transition_checks(model, chains)
+    for chain in chains:
+        if not model.performance.schedule:
+            parameters += _occupancy_checks(model, chain)
+    return parameters
+
+
+def _shared_check(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    if model.performance.per_camera:
+        return []
     images = evidence.images
     steps, first = np.unique(images.step, return_index=True)
-    states, times_s = images.state[first], images.time_s[first]
-    apart = int((images.state != states[np.searchsorted(steps, images.step)]).sum())
-    parameters = [
-        Parameter("states shared by all cameras", GROUP, Exact(apart, len(images.step)), in_file=False),
-    ]
-    if steps[0] == 0:
-        wrong = Exact(int(states[0] != model.initial_state), 1)
-        parameters.append(Parameter("initial_state", GROUP, wrong))
-    transitions = transition_counts(model, steps, times_s)
+    apart = int((images.state != images.state[first][np.searchsorted(steps, images.step)]).sum())
+    return [Parameter("states shared by all cameras", GROUP, Exact(apart, len(images.step)), in_file=False)]
+
+
+def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
+    images, cameras = evidence.images, evidence.cameras
+    if model.performance.per_camera:
+        groups = [(f", {seen.frames.camera}", np.flatnonzero(images.camera == i)) for i, seen in enumerate(cameras)]
+    else:
+        groups = [("", np.unique(images.step, return_index=True)[1])]
     return [
-        *parameters,
-        *_transition_checks(model, states, transitions),
-        *_occupancy_checks(model, states, transitions),
+        Chain(
+            name,
+            images.step[rows],
+            images.time_s[rows],
+            images.state[rows],
+            # What the schedule decides is the same whatever the chain does.
+            model.performance.forced(images.time_s[rows], np.full(len(rows), -1)) >= 0,
+        )
+        for name, rows in groups
     ]
 
 
@@ -43,36 +92,51 @@ def transition_counts(model: DetectorModel, steps: Indices, times_s: Array) -> I
     return np.asarray(np.diff(due), dtype=np.int64)
 
 
-def _transition_checks(model: DetectorModel, states: Indices, transitions: Indices) -> list[Parameter]:
-    """From the pairs of frames with the usual number of transitions between them."""
+def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parameter]:
+    """From the pairs of frames with the usual number of transitions between them, of all chains."""
+    before, after, transitions = (
+        np.concatenate(columns)
+        for columns in zip(
+            *(
+                (
+                    chain.states[:-1][ours],
+                    chain.states[1:][ours],
+                    transition_counts(model, chain.steps, chain.times_s)[ours],
+                )
+                for chain in chains
+                for ours in [~(chain.forced[1:] | chain.forced[:-1])]
+            ),
+            strict=True,
+        )
+    )
     moved = transitions > 0
-    held = Exact(int((states[1:] != states[:-1])[~moved].sum()), int((~moved).sum()))
     parameters = []
     if not moved.all():
+        held = Exact(int((after != before)[~moved].sum()), int((~moved).sum()))
         parameters.append(Parameter("state holds between transitions", GROUP, held, in_file=False))
     usual = int(np.bincount(transitions[moved]).argmax()) if moved.any() else 1
     matrix = np.linalg.matrix_power(model.transition_matrix, usual)
-    pairs = np.flatnonzero(transitions == usual)
-    size = len(model.states)
-    counts = np.zeros((size, size), dtype=np.int64)
-    np.add.at(counts, (states[pairs + 1], states[pairs]), 1)
+    pairs = transitions == usual
+    counts = np.zeros((len(model.states), len(model.states)), dtype=np.int64)
+    np.add.at(counts, (after[pairs], before[pairs]), 1)
     note = f"over {usual} transitions, as many as there are from frame to frame" if usual > 1 else ""
-    for column, before in enumerate(model.states):
-        for row, after in enumerate(model.states):
+    for column, earlier in enumerate(model.states):
+        for row, later in enumerate(model.states):
             visits = int(counts[:, column].sum())
             asked = float(np.clip(matrix[row, column], 0, 1))
             measure = Rate(int(counts[row, column]), visits, asked) if visits else None
-            name = f"transition_matrix[{after.name}][{before.name}]"
-            parameters.append(Parameter(name, GROUP, measure, asked, state=before.name, note=note))
+            name = f"transition_matrix[{later.name}][{earlier.name}]"
+            parameters.append(Parameter(name, GROUP, measure, asked, state=earlier.name, note=note))
     return parameters
 
 
-def _occupancy_checks(model: DetectorModel, states: Indices, transitions: Indices) -> list[Parameter]:
+def _occupancy_checks(model: DetectorModel, chain: Chain) -> list[Parameter]:
+    transitions = transition_counts(model, chain.steps, chain.times_s)
     return [
         Parameter(
-            f"share of frames in {state.name}",
+            f"share of frames in {state.name}{chain.name}",
             GROUP,
-            Occupancy(int((states == s).sum()), occupancy_law(model, s, transitions, int(states[0]))),
+            Occupancy(int((chain.states == s).sum()), occupancy_law(model, s, transitions, int(chain.states[0]))),
             state=state.name,
             in_file=False,
         )
