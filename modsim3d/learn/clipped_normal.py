@@ -15,7 +15,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _REACH = 9.0  # standard deviations that the integrals go to
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
-_LEVELS = 400
+_LEVELS = 100
 """Means that the integrals are made for; those between are interpolated."""
 
 
