@@ -136,7 +136,7 @@ def run_command(
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
 
-        draw_contact_sheet(loaded, folder)
+        draw_contact_sheet(loaded, folder, result.reference)
     _summarise(loaded, result, sheet)
 
 

@@ -11,6 +11,7 @@ from modsim3d.annotate.outlines import triangles_of
 from modsim3d.block import frames_of
 from modsim3d.camera import Camera
 from modsim3d.compare import Case
+from modsim3d.detector.reference import Reference
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.scene import Scene
@@ -52,13 +53,18 @@ def describe_case(scene: Scene, case: Case) -> str:
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"
 
 
-def draw_contact_sheet(scene: Scene, folder: Path) -> Path:
+def draw_contact_sheet(scene: Scene, folder: Path, reference: Reference | None = None) -> Path:
     """Draw a finished run's contact sheet into its folder.
+
+    Args:
+        scene: What was run.
+        folder: The run directory.
+        reference: What the run's detector had to know of the whole scene, from `RunResult`.
 
     Returns:
         The PNG's path.
     """
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, reference)
     names = [camera.name for camera in scene.cameras]
     with open_renderer(scene) as renderer:
 

@@ -32,6 +32,7 @@ class RunResult:
         seconds: Wall-clock time.
         resumed_steps: Steps whose truth was taken from an interrupted run.
         intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
+        reference: What the detector had to know of the whole scene; None if nothing.
         truncation: What drawing degenerate boxes anew does to the box errors, by state; as in `run.json`.
     """
 
@@ -40,6 +41,7 @@ class RunResult:
     seconds: float
     resumed_steps: int
     intersecting: tuple[tuple[str, str], ...]
+    reference: Reference | None
     truncation: dict[str, dict[str, Any]]
 
 
@@ -119,7 +121,7 @@ def write_run(
     )
     names = scene.vessel_names
     intersecting = tuple((names[a], names[b]) for a, b in sorted(pairs))
-    return RunResult(folder, counts, seconds, resumed, intersecting, truncation)
+    return RunResult(folder, counts, seconds, resumed, intersecting, reference, truncation)
 
 
 def _survey(

@@ -131,7 +131,7 @@ class Detector:
 
     def _shown(self, frames: Frames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
         """Vessels that are neither missed nor merged into another's box."""
-        candidates = select(targets, passed)
+        candidates = targets if len(passed) == len(targets) else select(targets, passed)
         label = self._classifier.classify(frames, states, candidates, self._noise.uniforms(frames, candidates))
         detected = np.flatnonzero(label >= 0)
         rows, label = passed[detected], label[detected]
@@ -153,7 +153,8 @@ class Detector:
             boxes = boxes.copy()
             boxes[events.split], _ = halves(boxes[events.split], events.cut)
             kind[events.split] = SPLIT
-        errors = np.where((kind == TRUE)[:, None], errors, np.nan)
+        if np.any(kind != TRUE):
+            errors = np.where((kind == TRUE)[:, None], errors, np.nan)
         return _of_vessels(
             shown, slice(None), kind, boxes, errors, placed.redrawn, self._final(frames, shown.targets, "")
         )
@@ -217,20 +218,21 @@ class Detector:
         """All of them with their confidence; their order within a frame is random and tells nothing."""
         every = _Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in _COLUMNS})
         width, height = sizes(every.boxes_px).T
+        false = np.isin(every.kind, FALSE_KINDS)
         confidence = self._confidence.score(
             states[every.frame],
-            np.isin(every.kind, FALSE_KINDS),
+            false,
             every.visible_fraction,
             np.sqrt(width * height),
             every.uniforms[:, 0],
         )
         put_out = self.model.gates.surest(every.frame, confidence, every.uniforms[:, 1])
         order = np.lexsort((every.uniforms[:, 1], every.frame))
-        order = order[put_out[order]]
-        lost = every.target[~put_out & ~np.isin(every.kind, FALSE_KINDS)]
         gated = ~passed
-        gated[lost] = True
-        gated[np.setdiff1d(every.partner[~put_out], [-1])] = True
+        if not put_out.all():
+            order = order[put_out[order]]
+            gated[every.target[~put_out & ~false]] = True
+            gated[np.setdiff1d(every.partner[~put_out], [-1])] = True
         return Detections(
             states=states,
             frame=every.frame[order],

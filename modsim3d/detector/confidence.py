@@ -34,7 +34,9 @@ class StateConfidence:
 
     def score(self, uniforms: Array, false: Mask, visible_fraction: Array, size_px: Array) -> Array:
         """Confidence before clipping, shape (n,)."""
-        score = np.where(false, self.false.at(uniforms), self.true.at(uniforms))
+        score = self.true.at(uniforms)
+        if self.false is not self.true:
+            score[false] = self.false.at(uniforms[false])
         if self.visibility_slope:
             score = score - self.visibility_slope * np.where(np.isnan(visible_fraction), 0, 1 - visible_fraction)
         if self.size_slope:

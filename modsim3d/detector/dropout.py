@@ -77,7 +77,7 @@ class Table:
         """Log-odds added for each target, shape (n,); none where the attribute is unknown."""
         values = ATTRIBUTES[self.attribute](targets)
         added = np.array([float(np.log(odds)) for odds in self.odds])
-        return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right") % len(added)])
+        return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right")])
 
 
 @dataclass(frozen=True)

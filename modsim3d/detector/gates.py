@@ -35,11 +35,10 @@ class Gates:
         """At which frames the detector runs, shape (S,)."""
         if self.update_interval_s is None:
             return np.ones(len(frames), dtype=bool)
-        before = -1.0 if math.isinf(frames.previous_s) else frames.previous_s
-        times = np.concatenate([[before], frames.times_s])
-        intervals = np.floor(times / self.update_interval_s + _EARLY)
+        previous_s = 0.0 if math.isinf(frames.previous_s) else frames.previous_s
+        intervals = np.floor(np.concatenate([[previous_s], frames.times_s]) / self.update_interval_s + _EARLY)
         if math.isinf(frames.previous_s):
-            intervals[0] = -np.inf
+            intervals[0] = -1  # a camera's first frame is always due
         due: Mask = np.diff(intervals) > 0
         return due
 

@@ -144,10 +144,9 @@ def _dropout(section: DropoutSection) -> Dropout:
     for name, keys in section.effects().items():
         if keys.edges is not None and keys.odds is not None:
             effects.append(Table(name, tuple(keys.edges), tuple(keys.odds)))
-        elif keys.per_doubling is not None:
-            effects.append(Slope(name, keys.per_doubling, keys.reference or 1.0, doublings=True))
-        elif keys.per_unit is not None:
-            effects.append(Slope(name, keys.per_unit, keys.reference or 1.0, doublings=False))
+        elif keys.reference is not None:
+            slope = keys.per_unit if keys.per_doubling is None else keys.per_doubling
+            effects.append(Slope(name, slope or 0.0, keys.reference, doublings=keys.per_doubling is not None))
     return Dropout(tuple(effects), anchored=bool(effects) and section.anchor == "state_rate")
 
 

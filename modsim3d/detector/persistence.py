@@ -22,7 +22,7 @@ from modsim3d.random_streams import Streams
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 since the scene's first."""
-_STEPS_AT_ONCE = 512
+_MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Walk:
         """Stand before the first step."""
         self._process, self._streams, self._clock = process, streams, clock
         self._camera, self._vessels = camera, vessels
-        self._next = 0
+        self._next, self._stride = 0, max(1, min(_MOST_STEPS, _VESSEL_STEPS // max(len(vessels), 1)))
         self._values = np.empty((len(vessels), process.width))
 
     def at(self, steps: Indices, vessel: Indices) -> Array:
@@ -118,7 +118,7 @@ class Walk:
         stop = int(steps.max()) + 1
         while self._next < stop:
             first = self._next
-            values = self._piece(min(first + _STEPS_AT_ONCE, stop))
+            values = self._piece(min(first + self._stride, stop))
             ours = np.flatnonzero((steps >= first) & (steps < self._next))
             result[ours] = values[steps[ours] - first, vessel[ours]]
         return result

@@ -76,10 +76,13 @@ def _layer(
     cells, draws = _births(streams, frames.camera, str(layer), first, count)
     born = (cells + draws[:, 0]) * lifetime_s
     lived = -special.log1p(-draws[:, 1]) * lifetime_s
-    age = times[:, None] - born[None]
-    there = (age >= 0) & (age < lived) & (draws[:, 2] < rates[wanted, None])
-    row, one = np.nonzero(there)
-    return wanted[row], age[row, one], draws[one]
+    begin, end = np.searchsorted(times, born), np.searchsorted(times, born + lived)
+    seen = end - begin
+    one = np.repeat(np.arange(len(born)), seen)
+    row = np.arange(len(one)) - np.repeat(np.cumsum(seen) - seen - begin, seen)
+    low = draws[one, 2] < rates[wanted[row]]
+    row, one = row[low], one[low]
+    return wanted[row], times[row] - born[one], draws[one]
 
 
 def _births(streams: Streams, camera: str, layer: str, first: int, count: int) -> tuple[Indices, Array]:

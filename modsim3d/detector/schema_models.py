@@ -32,7 +32,7 @@ class EffectSection(Strict):
 
     per_unit: Number | None = None
     per_doubling: Number | None = None
-    reference: Positive | None = None
+    reference: NotNegative | None = None
     edges: Edges | None = None
     odds: list[Positive] | None = None
 
@@ -48,6 +48,8 @@ class EffectSection(Strict):
                 )
         elif sum(value is not None for value in slopes) != 1 or self.reference is None:
             raise ValueError("give exactly one of per_unit and per_doubling, and a reference at which nothing changes")
+        elif self.per_doubling is not None and self.reference == 0:
+            raise ValueError("reference is 0, which nothing doubles from: it must be above 0 with per_doubling")
         return self
 
 

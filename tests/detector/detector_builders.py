@@ -138,7 +138,9 @@ def detect_in_chunks(detector: Detector, frames: Frames, targets: Targets, borde
         for name, values in columns.items():
             values.append(getattr(found, name))
         columns["frame"][-1] = found.frame + start
-        columns["target"][-1] = np.where(found.target < 0, -1, found.target + first)
+        for name in ("target", "partner"):
+            rows = getattr(found, name)
+            columns[name][-1] = np.where(rows < 0, -1, rows + first)
     return Detections(**{name: np.concatenate(values) for name, values in columns.items()})
 
 

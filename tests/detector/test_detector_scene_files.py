@@ -32,7 +32,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_script_writes_every_detector_file(written: Path) -> None:
     assert sorted(path.stem for path in written.iterdir()) == NAMES
-    assert sorted(path.stem for path in DETECTORS.glob("*.yaml")) == NAMES
+    by_hand = {"rich"}
+    assert {path.stem for path in DETECTORS.glob("*.yaml")} - by_hand == set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
