@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import orjson
 
+from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.boxes import sizes
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
+from modsim3d.detector.records import TRUE
 from modsim3d.frames import Array
 from modsim3d.learn.class_checks import miss_probabilities
 from modsim3d.learn.error_fit import PAIRS
@@ -39,9 +42,11 @@ def row_of(verdict: Verdict) -> tuple[str, ...]:
     if verdict.measured is None or verdict.interval is None:
         return verdict.parameter.name, _number(verdict.asked) + unit, "–", "–", "–", verdict.verdict
     low, high = verdict.interval
+    promised = verdict.parameter.promised
+    asked = _number(verdict.asked) if promised is None else f"{_number(promised)}, by rule {_number(verdict.asked)}"
     return (
         verdict.parameter.name,
-        _number(verdict.asked) + unit,
+        asked + unit,
         _number(verdict.measured),
         f"{_number(low)} … {_number(high)}" if high > low else "exact",
         _noticed(verdict),
@@ -185,14 +190,17 @@ def _timeline(model: DetectorModel, evidence: Evidence) -> str:
 def _scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[str]:
     found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
     state_of_hits = evidence.chances.state[evidence.hits.chance]
-    figures = []
+    scale, figures = NormalBoxError.from_model(model), []
     for index, state in enumerate(model.states):
-        errors = evidence.hits.errors_px[state_of_hits == index]
-        if not len(errors):
+        rows = np.flatnonzero((state_of_hits == index) & (evidence.hits.kind == TRUE))
+        if not len(rows):
             continue
+        boxes = evidence.chances.boxes_px[evidence.hits.chance[rows]]
+        errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.hits.errors_px[rows])
         path = f"states.{state.name}.box_error"
         laws = [_law(found, path, measured) for measured in (False, True)]
-        drawings = [_scatter(errors, pair, laws, state.name) for pair in ((0, 1), (2, 3))]
+        unit = "sides" if state.box_error_unit == "relative" else "px"
+        drawings = [_scatter(errors, pair, laws, state.name, unit) for pair in ((0, 1), (2, 3))]
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "
             "fitted (solid), both before truncation: boxes cut the errors down, which the fit takes out."
@@ -218,7 +226,7 @@ def _law(found: dict[str, Verdict], path: str, measured: bool) -> Law:
     return numbers[:4], correlation * np.outer(numbers[4:8], numbers[4:8])
 
 
-def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str) -> str:
+def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str, unit: str) -> str:
     i, j = pair
     shown = errors[:: max(1, len(errors) // _MOST_DOTS)]
     outlines = [None if law is None else charts.ellipse(law[0][[i, j]], law[1][np.ix_(pair, pair)]) for law in laws]
@@ -230,7 +238,7 @@ def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str) -
         if outline is not None:
             content += charts.line(axes, *outline, colour, dashed)
     first, second = ERROR_COMPONENTS[i], ERROR_COMPONENTS[j]
-    return axes.drawing(content, f"{name}: {first} and {second}", f"{first}, px", f"{second}, px")
+    return axes.drawing(content, f"{name}: {first} and {second}", f"{first}, {unit}", f"{second}, {unit}")
 
 
 def _range(values: Array) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from modsim3d.detector.boxes import clip, move
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.records import TRUE, Array, Indices
+from modsim3d.learn.class_checks import correlation_note
 from modsim3d.learn.error_fit import (
     PAIRS,
     ErrorFit,
@@ -71,11 +72,10 @@ def box_error_checks(model: DetectorModel, evidence: Evidence, table: MomentTabl
         errors = None if replayed is None or fitted is None else replayed.errors[fits.index(fitted)]
         parameters[s] = _law_checks(model.states[s], law, fitted, errors)
     persistence = _persistence(evidence, fits, model, replayed)
-    note = "" if persistence is None else "as the correlation from one frame to the next"
     return [
         *(parameter for s in range(len(model.states)) for parameter in parameters[s]),
         _box_check(evidence),
-        Parameter("persistence.box_s", GROUP, persistence, note=note),
+        Parameter("persistence.box_s", GROUP, persistence, note=correlation_note(persistence)),
     ]
 
 

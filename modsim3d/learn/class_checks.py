@@ -148,13 +148,13 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, asked: Asked, note
     return [
         Parameter("dropout, all states", GROUP, overall, in_file=False, note=note),
         *([] if note else dropout_checks(model, evidence, asked.passed, asked.missed, GROUP)),
-        Parameter("persistence.class_s", GROUP, persistence, note=_correlation_note(persistence)),
+        Parameter("persistence.class_s", GROUP, persistence, note=correlation_note(persistence)),
     ]
 
 
-def _correlation_note(measure: Estimate | None) -> str:
+def correlation_note(measure: Estimate | None) -> str:
     """What the numbers beside a correlation time are."""
-    return "" if measure is None else "as the correlation from one frame to the next"
+    return "as the correlation from one frame to the next" if measure is not None and measure.asked else ""
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Estimate | None:

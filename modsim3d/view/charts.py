@@ -96,7 +96,7 @@ def dots(axes: Axes, x: Array, y: Array, colour: str) -> str:
     px, py = axes.place(x, y)
     marks = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(px.tolist(), py.tolist(), strict=True))
     return (
-        f'<path d="{marks}" stroke="{colour}" stroke-width="2.4" stroke-linecap="round" stroke-opacity="0.35" '
+        f'<path d="{marks}" stroke="{colour}" stroke-width="2.4" stroke-linecap="round" stroke-opacity="0.55" '
         'fill="none"/>'
     )
 
