@@ -18,7 +18,7 @@ from modsim3d.learn.class_checks import miss_probabilities
 from modsim3d.learn.error_fit import PAIRS
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.parameters import FALLS_SHORT, OVERALL_ALPHA, UNTESTED, Verdict, Verification
-from modsim3d.learn.run_lengths import expected_run_lengths, run_lengths
+from modsim3d.learn.run_lengths import expected_run_lengths, missed_again, run_lengths
 from modsim3d.verify_run import VerifiedRun
 from modsim3d.view import charts, page
 
@@ -250,7 +250,9 @@ def _range(values: Array) -> tuple[float, float]:
 def _run_lengths(model: DetectorModel, evidence: Evidence) -> str:
     found = run_lengths(evidence)
     most = max(len(found) - 1, 4)
-    expected = expected_run_lengths(miss_probabilities(model, evidence), evidence.chances.before, most)
+    missed = miss_probabilities(model, evidence)
+    again = missed_again(model, evidence, missed)
+    expected = expected_run_lengths(missed, again, evidence.chances.before, most)
     counts = np.zeros(most)
     counts[: len(found) - 1] = found[1:]
     lengths = np.arange(1.0, most + 1)

@@ -196,9 +196,17 @@ def test_inflation_of_a_rate_that_persists_is_that_of_a_kept_uniform():
     assert np.var(counts) == pytest.approx(frames * 0.21 * factor, rel=5 * np.sqrt(2 / 2000))
 
 
-def test_run_lengths_expected_add_up_to_the_misses_expected():
+@pytest.mark.parametrize("keep", [0.0, 0.6])
+def test_run_lengths_expected_are_those_of_every_outcome(keep):
     before = np.array([-1, 0, 1, 2, -1, 4])
-    chance = np.array([0.2, 0.5, 0.3, 0.9, 0.4, 0.1])
-    expected = expected_run_lengths(chance, before, 6)
-    assert (np.arange(1, 7) * expected).sum() == pytest.approx(chance.sum())
-    assert expected[3] == pytest.approx(0.2 * 0.5 * 0.3 * 0.9)
+    chance = np.array([0.3, 0.3, 0.3, 0.3, 0.4, 0.4])
+    again = np.where(before >= 0, keep + (1 - keep) * chance, chance)
+    spared = np.where(before >= 0, (1 - keep) * chance, chance)  # a miss where the frame before was none
+    expected = np.zeros(7)
+    for missed in itertools.product((0, 1), repeat=6):
+        rates = [again[i] if i not in (0, 4) and missed[i - 1] else spared[i] for i in range(6)]
+        weight = np.prod([rate if miss else 1 - rate for miss, rate in zip(missed, rates, strict=True)])
+        for track in ("".join(map(str, missed[:4])), "".join(map(str, missed[4:]))):
+            for run in track.split("0"):
+                expected[len(run)] += weight
+    np.testing.assert_allclose(expected_run_lengths(chance, again, before, 6), expected[1:], atol=1e-12)
