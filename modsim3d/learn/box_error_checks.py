@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,14 +54,25 @@ class Fitted:
     hits: Indices
 
 
-def box_error_checks(model: DetectorModel, evidence: Evidence, table: MomentTable) -> list[Parameter]:
-    """The parameters of each state; the boxes themselves; correlation from frame to frame."""
+def box_error_checks(
+    model: DetectorModel, evidence: Evidence, table: MomentTable, states: Collection[str] | None = None
+) -> list[Parameter]:
+    """The parameters of each state; the boxes themselves; correlation from frame to frame.
+
+    Args:
+        model: What was asked for.
+        evidence: What the run shows.
+        table: Expectations that are known already.
+        states: Only these; all if None.
+    """
     hits = evidence.hits
     single = hits.kind == TRUE
     state_of_hits = evidence.chances.state[hits.chance]
     laws: dict[int, tuple[NormalLaw, Fitted | None]] = {}
     parameters: dict[int, list[Parameter]] = {}
-    for s, state in enumerate(model.states):
+    chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
+    for s in chosen:
+        state = model.states[s]
         rows = np.flatnonzero((state_of_hits == s) & single)
         if _is_singular(state):
             parameters[s] = _exact_checks(state, evidence, rows)
@@ -73,7 +85,7 @@ def box_error_checks(model: DetectorModel, evidence: Evidence, table: MomentTabl
         parameters[s] = _law_checks(model.states[s], law, fitted, errors)
     persistence = _persistence(evidence, fits, model, replayed)
     return [
-        *(parameter for s in range(len(model.states)) for parameter in parameters[s]),
+        *(parameter for s in chosen for parameter in parameters[s]),
         _box_check(evidence),
         Parameter("persistence.box_s", GROUP, persistence, note=correlation_note(persistence)),
     ]
