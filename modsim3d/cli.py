@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from modsim3d.scene import Scene
 
 BAD_INPUT, INTERRUPTED = 2, 130
+WIDE = 150  # columns of a table that goes into a file
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -195,6 +196,8 @@ def verify_command(
     folder = run if out is None else out
     verify_report.write_report(verified, folder)
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDE)
     for group, verdicts in verify_report.groups_of(verified.verification).items():
         _print_verdicts(console, group, verdicts)
     for note in verify_report.notes_of(verified.verification):
@@ -316,11 +319,15 @@ def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -
 
     from modsim3d.verify_report import HEADER, row_of
 
+    # Numbers that wrap cannot be read: a narrow terminal gets fewer of them, the files have all.
+    left_out = {name for name, least in (("interval", 120), ("noticed from", 100)) if console.width < least}
+    shown = [i for i, name in enumerate(HEADER) if name not in left_out]
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
-    for name in HEADER:
-        table.add_column(name, overflow="fold")
+    for i in shown:
+        table.add_column(HEADER[i], no_wrap=HEADER[i] == "parameter", overflow="fold")
     for verdict in verdicts:
-        table.add_row(*map(escape, row_of(verdict)), style="bold red" if verdict.fails else None)
+        cells = row_of(verdict)
+        table.add_row(*(escape(cells[i]) for i in shown), style="bold red" if verdict.fails else None)
     console.print()
     console.print(table)
 

@@ -57,9 +57,9 @@ CASES = [(name, box) for name in LAWS for box in range(5) if (name, box) != ("mi
 def test_truncated_moments_are_those_of_draws_that_count(name, box):
     law, boxes = LAWS[name], BOXES_PX[[box] * 40]  # many shifts of the points, one box
     first, _, acceptance = MomentTable().of(law, boxes, np.tile(np.array(IMAGE_PX, float), (40, 1)), np.arange(40))
-    draws = sampled(law, BOXES_PX[box], 200_000)
-    share = len(draws) / 200_000
-    assert acceptance.mean() == pytest.approx(share, abs=5 * np.sqrt(share / 200_000) + 0.003)
+    draws = sampled(law, BOXES_PX[box], 100_000)
+    share = len(draws) / 100_000
+    assert acceptance.mean() == pytest.approx(share, abs=5 * np.sqrt(share / 100_000) + 0.003)
     values = statistics(draws)
     tolerance = 5 * values.std(axis=0) / np.sqrt(len(draws)) + 5 * first.std(axis=0) / np.sqrt(40)
     np.testing.assert_array_less(np.abs(first.mean(axis=0) - values.mean(axis=0)), tolerance + 1e-3)
@@ -82,19 +82,28 @@ def test_ordered_root_is_a_root_also_of_a_singular_covariance():
     np.testing.assert_allclose(root @ root.T, covariance[order[:, None], order], atol=1e-9)
 
 
-def sample_of(law: NormalLaw, copies: int, seed: int) -> ErrorSample:
+def samples_of(law: NormalLaw, copies: int, count: int) -> list[ErrorSample]:
+    """Errors of four boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES_PX[:4], copies, axis=0)
     images = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1))
     means, stds = law.at(boxes)
-    draws = [sampled(law, box, 250 * copies, seed * 10 + i)[:copies] for i, box in enumerate(BOXES_PX[:4])]
-    return ErrorSample(means + stds * np.concatenate(draws), np.arange(len(boxes)), boxes, images)
+    pools = [sampled(law, box, 250 * copies * count, seed) for seed, box in enumerate(BOXES_PX[:4])]
+    return [
+        ErrorSample(
+            means + stds * np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
+            np.arange(len(boxes)),
+            boxes,
+            images,
+        )
+        for k in range(count)
+    ]
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error(name):
     law, table, z = LAWS[name], MomentTable(), []
-    for seed in range(40):
-        fit = fit_step(law, sample_of(law, 50, seed), table)
+    for sample in samples_of(law, 30, 40):
+        fit = fit_step(law, sample, table)
         z.append(fit.step / fit.errors)
     z = np.array(z)
     assert np.abs(z.mean(axis=0)).max() < 4.2 / np.sqrt(40)
@@ -104,7 +113,7 @@ def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error(name):
 def test_the_fit_finds_a_law_that_is_another_than_the_one_asked_for():
     law = law_of()
     true = law_of(mean=law.mean + 0.4 * law.std, std=law.std * [1.5, 1, 1, 1])
-    sample = sample_of(true, 400, 3)
+    (sample,) = samples_of(true, 400, 1)
     fit = fit_step(law, sample, MomentTable())
     found = fitted_law(law, fit, sample)
     errors = fit.errors[:4] * law.std
@@ -144,12 +153,12 @@ def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error
     rng, z = np.random.default_rng(4), []
     hidden = rng.random(300)
     design = np.column_stack([np.ones(300), -hidden])
-    for _ in range(80):
+    for _ in range(40):
         scores = np.clip(0.85 - 0.4 * hidden + 0.25 * rng.standard_normal(300), 0.2, 1)
         z.append([measure.z for measure in Clipped(scores, design, 0.2).measures(np.array([0.85, 0.4]), 0.25)])
     z = np.array(z)
-    assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(80)
-    assert np.abs(z.std(axis=0) - 1).max() < 4 / np.sqrt(160)
+    assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(40)
+    assert np.abs(z.std(axis=0) - 1).max() < 4 / np.sqrt(80)
 
 
 def test_occupancy_law_is_that_of_every_path():

@@ -48,7 +48,8 @@ def test_an_honest_run_obeys_and_says_so(finished, monkeypatch, capsys):
     assert command(monkeypatch, "verify", finished) == 0
     said = capsys.readouterr().out
     assert "obeys its detector file" in said
-    assert "dropout, all states" in said and "noticed" in said
+    assert "states.excellent.confusion[background][Vessel]" in said
+    assert "dropout, all states" in said and "noticed from" in said
     report = json.loads((finished / "verify.json").read_text())
     assert report["obeys"] and report["cause"] is None
     page = (finished / "verify.html").read_text()
