@@ -4,12 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from modsim3d.detector.box_error import acceptable
 from modsim3d.detector.boxes import move
 from modsim3d.detector.loader import parse_detector
 from modsim3d.learn.clipped_normal import Clipped, clipped_score
-from modsim3d.learn.error_fit import ErrorSample, MomentTable, NormalLaw, fit_step, fitted_law, statistics
+from modsim3d.learn.error_fit import ErrorSample, MomentTable, NormalLaw, directions, fit_step, fitted_law, statistics
 from modsim3d.learn.error_replay import latent_paths, replayed_errors
 from modsim3d.learn.pairs import inflation, lag_pairs
 from modsim3d.learn.run_lengths import expected_run_lengths
@@ -82,6 +83,22 @@ def test_ordered_root_is_a_root_also_of_a_singular_covariance():
     np.testing.assert_allclose(root @ root.T, covariance[order[:, None], order], atol=1e-9)
 
 
+@pytest.mark.parametrize("parameter", range(14))
+def test_directions_are_derivatives_of_the_normal_density(parameter):
+    law, h = LAWS["px"], 1e-5
+    x = np.random.default_rng(8).standard_normal((20, 4))
+    step = np.zeros(14)
+    step[parameter] = h
+
+    def log_density(moved: NormalLaw) -> np.ndarray:
+        mean, std = (moved.mean - law.mean) / law.std, moved.std / law.std
+        return stats.multivariate_normal(mean, moved.correlation * np.outer(std, std)).logpdf(x)
+
+    slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
+    found = statistics(x) @ directions(law.correlation)[parameter]
+    np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
+
+
 def samples_of(law: NormalLaw, copies: int, count: int) -> list[ErrorSample]:
     """Errors of four boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES_PX[:4], copies, axis=0)
@@ -136,17 +153,19 @@ def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
 
 
 def test_clipped_scores_are_derivatives_of_the_likelihood():
-    from scipy import stats
-
     def likelihood(mean: float, std: float) -> np.ndarray:
         low, high = stats.norm.logcdf((0.2 - mean) / std), stats.norm.logsf((1 - mean) / std)
         inner = stats.norm.logpdf(scores, mean, std)
         return np.where(scores <= 0.2, low, np.where(scores >= 1, high, inner))
 
     scores, h = np.array([0.2, 0.5, 0.9, 1.0]), 1e-6
-    found = clipped_score(scores, 0.7, 0.3, 0.2)
-    np.testing.assert_allclose(found[:, 0], (likelihood(0.7 + h, 0.3) - likelihood(0.7 - h, 0.3)) / (2 * h), rtol=1e-5)
-    np.testing.assert_allclose(found[:, 1], (likelihood(0.7, 0.3 + h) - likelihood(0.7, 0.3 - h)) / (2 * h), rtol=1e-5)
+    found = clipped_score(scores, 0.65, 0.3, 0.2)
+    np.testing.assert_allclose(
+        found[:, 0], (likelihood(0.65 + h, 0.3) - likelihood(0.65 - h, 0.3)) / (2 * h), rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        found[:, 1], (likelihood(0.65, 0.3 + h) - likelihood(0.65, 0.3 - h)) / (2 * h), rtol=1e-5
+    )
 
 
 def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error():
