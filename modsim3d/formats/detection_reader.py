@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, Detections, Frames, Targets
 from modsim3d.errors import RunDirectoryError
-from modsim3d.formats.table_reader import ERRORS
+from modsim3d.formats.table_reader import ERRORS, read_where
 from modsim3d.frames import Array
 
 Indices = NDArray[np.int64]
@@ -34,10 +33,10 @@ def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets:
     Raises:
         RunDirectoryError: The tables name a state, label, kind or vessel that is not known.
     """
-    chosen = [("camera", "=", frames.camera)]
+    chosen: list[tuple[str, str, Any]] = [("camera", "=", frames.camera)]
     path = folder / "detections.parquet"
-    table = pq.read_table(path, filters=chosen)
-    seen = pq.read_table(folder / "frames.parquet", columns=["step", "state"], filters=chosen)
+    table = read_where(path, chosen)
+    seen = read_where(folder / "frames.parquet", chosen, ["step", "state"])
     frame = np.searchsorted(frames.steps, table["step"].to_numpy())
     kind = _indices(table["kind"], KINDS, path, "kind")
     target = _targets(table, targets, frame, path)
@@ -67,8 +66,8 @@ def _partners(
     merged = np.flatnonzero(kind == MERGED)
     if not len(merged):
         return partner
-    chosen = [("camera", "=", frames.camera), ("annotated", "=", True)]
-    table = pq.read_table(folder / "truth.parquet", columns=["detected"], filters=chosen)
+    chosen: list[tuple[str, str, Any]] = [("camera", "=", frames.camera), ("annotated", "=", True)]
+    table = read_where(folder / "truth.parquet", chosen, ["detected"])
     waiting = np.asarray(table["detected"].to_numpy(zero_copy_only=False), dtype=bool)
     waiting[target[target >= 0]] = False
     rows = np.flatnonzero(waiting)

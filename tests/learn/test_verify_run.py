@@ -1,6 +1,7 @@
 """`verify` on whole runs: honest ones obey, changed files are caught and named, the thesis's rule falls short."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -150,6 +151,14 @@ def test_another_detector_with_other_states_cannot_have_made_a_run(finished, mon
 def test_a_folder_that_is_no_run_is_bad_input(tmp_path, monkeypatch, capsys):
     assert command(monkeypatch, "verify", tmp_path) == 2
     assert "run.json" in capsys.readouterr().err
+
+
+def test_a_table_that_is_broken_is_bad_input(finished, tmp_path, monkeypatch, capsys):
+    broken = tmp_path / "broken"
+    shutil.copytree(finished, broken)
+    (broken / "detections.parquet").write_bytes(b"not a table")
+    assert command(monkeypatch, "verify", broken) == 2
+    assert "is not what a run has written" in capsys.readouterr().err
 
 
 def test_an_interrupted_run_is_refused(tmp_path):
