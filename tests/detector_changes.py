@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState, read_only
+from modsim3d.detector.scores import NormalScores
 
 PART, SIGMAS, CORRELATION = 0.2, 0.2, 0.1
 """Of a rate or standard deviation; of a mean in standard deviations; of a correlation."""
@@ -111,16 +112,22 @@ def _state_changes(model: DetectorModel, index: int, state: PerformanceState) ->
         f"{path}.confidence.mean",
         mean,
         SIGMAS * std,
-        lambda value: with_state(model, index, confidence_mean=value),
+        lambda value: _with_confidence(model, index, value, std),
     )
     yield _pair(
         "confidence standard deviation",
         f"{path}.confidence.std",
         std,
         PART * std,
-        lambda value: with_state(model, index, confidence_std=value),
+        lambda value: _with_confidence(model, index, mean, value),
     )
     yield from _box_changes(model, index, state)
+
+
+def _with_confidence(model: DetectorModel, index: int, mean: float, std: float) -> DetectorModel:
+    scores = NormalScores(mean, std)
+    confidence = replace(model.states[index].confidence, true=scores, false=scores)
+    return with_state(model, index, confidence_mean=mean, confidence_std=std, confidence=confidence)
 
 
 def _box_changes(model: DetectorModel, index: int, state: PerformanceState) -> Iterator[Pair]:
