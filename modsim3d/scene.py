@@ -116,8 +116,10 @@ class Scene:
     Attributes:
         name: The file's name without its ending.
         path: The scene file.
-        sha256: Of the scene file and every file that it names.
+        sha256: Of what is in `copy`.
         seed: Everything random comes from it.
+        detector_seed: What is random in the detector comes from it; the same unless the scene file says otherwise.
+        truth_has_seed: Whether what the cameras see depends on the seed.
         steps: Number of time steps; of a live scene the most that are taken.
         vessels: In the order of the vessels file.
         poses: Where they are.
@@ -135,6 +137,8 @@ class Scene:
     path: Path
     sha256: str
     seed: int
+    detector_seed: int
+    truth_has_seed: bool
     steps: int
     vessels: tuple[Vessel, ...]
     poses: PoseSource

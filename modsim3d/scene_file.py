@@ -11,6 +11,8 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from modsim3d.validation import MAX_COORDINATE_M, Metres, Number, Probability, Strict, shown
 from modsim3d.waves import GRAVITY_M_S2, STEEPEST
 
+SEEDLESS_POSES = {"file", "tracks", "stream"}
+"""Sources in which nothing is drawn; of a plug-in's it is not known."""
 MAX_PX = 1e9  # far beyond any scene, and near enough that no square or product of them overflows
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
@@ -198,6 +200,7 @@ class SceneKeys(Strict):
     steps: Steps | None = None
     time_step_s: Interval | None = None
     seed: Seed = 0
+    detector_seed: Seed | None = None
     vessels: str | dict[str, object]
     poses: dict[str, object]
     cameras: dict[str, CameraKeys]
@@ -206,6 +209,12 @@ class SceneKeys(Strict):
     imu: ImuKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
+
+    @property
+    def truth_has_seed(self) -> bool:
+        """Whether what the cameras see depends on the seed: poses that are drawn, and waves."""
+        drawn = not SEEDLESS_POSES & self.poses.keys()
+        return drawn or (self.waves is not None and self.waves.level != "none")
 
     @field_validator("vessels", mode="before")
     @classmethod

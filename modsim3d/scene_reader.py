@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from modsim3d.annotate.modes import Annotation
 from modsim3d.camera import Camera, Intrinsics, Mount
@@ -26,7 +25,7 @@ from modsim3d.plugins import Plugin
 from modsim3d.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import MAX_STEPS, CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import MAX_STEPS, AnnotationKeys, CameraKeys, SceneKeys, WavesKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
@@ -47,6 +46,8 @@ OVERRIDES = {
     "source": ("annotation", "source"),
     "supersample": ("annotation", "supersample"),
     "render": ("annotation", "render"),
+    "detector": ("detector",),
+    "detector_seed": ("detector_seed",),
 }
 """What a caller may change in a scene file without editing it, and where it stands."""
 
@@ -93,6 +94,8 @@ def load_scene(
     source: str | None = None,
     supersample: int | None = None,
     render: str | None = None,
+    detector: Path | None = None,
+    detector_seed: int | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -104,6 +107,8 @@ def load_scene(
         source: In place of the file's annotation source.
         supersample: In place of the file's.
         render: In place of the file's, `regions` or `full`.
+        detector: A detector file, in place of the scene file's.
+        detector_seed: In place of the file's.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -112,7 +117,16 @@ def load_scene(
     data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
     if not isinstance(data, dict):
         raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
-    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
+    given = {
+        "seed": seed,
+        "steps": steps,
+        "mode": mode,
+        "source": source,
+        "supersample": supersample,
+        "render": render,
+        "detector": None if detector is None else str(detector.resolve()),  # a scene's paths are relative to it
+        "detector_seed": detector_seed,
+    }
     for name, value in given.items():
         if value is not None:
             _override(data, OVERRIDES[name], value)
@@ -165,8 +179,10 @@ class _Reader:
         scene = Scene(
             name=self.path.stem,
             path=self.path,
-            sha256=self._sha256(keys, source.keys.files if source else ()),
+            sha256=copy.sha256(),
             seed=keys.seed,
+            detector_seed=keys.seed if keys.detector_seed is None else keys.detector_seed,
+            truth_has_seed=keys.truth_has_seed,
             steps=keys.steps or (MAX_STEPS if isinstance(poses, LivePoses) else len(poses.timestamps)),
             vessels=vessels,
             poses=poses,
@@ -362,7 +378,12 @@ class _Reader:
             name = "poses" + "".join(Path(recorded).suffixes[-2:])
             files[name] = self.folder / recorded
             document["poses"] = {"file": name}
-        return SceneCopy(self.path.stem, document, files)
+        if document.get("detector_seed") == keys.seed:
+            del document["detector_seed"]  # says nothing
+        # In one order, whether the caller or the file set a key; vessels and cameras keep theirs, which has a meaning.
+        if isinstance(document.get("annotation"), dict):
+            document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
+        return SceneCopy(self.path.stem, _ordered(document, SceneKeys), files)
 
     def _copied(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
         """Vessels or obstacles with their meshes under the names that these have in the copy."""
@@ -371,13 +392,10 @@ class _Reader:
             for name, entry in entries.items()
         }
 
-    def _sha256(self, keys: SceneKeys, pose_files: tuple[str, ...]) -> str:
-        named = [keys.vessels if isinstance(keys.vessels, str) else None, *pose_files, keys.detector]
-        digest = hashlib.sha256()
-        given = [self.folder / name for name in named if name is not None]
-        for path in [self.path, *given, *self.meshes.files.values()]:
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return digest.hexdigest()
+
+def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """A section with its keys in the order of its model."""
+    return {name: keys[name] for name in model.model_fields if name in keys}
 
 
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:

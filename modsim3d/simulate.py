@@ -159,14 +159,14 @@ class Simulation:
     """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
 
     def __init__(self, scene: Scene, reference: Reference | None = None) -> None:
-        """Set the detector up from the scene's seed.
+        """Set the detector up from its seed.
 
         Args:
             scene: The scene.
             reference: Its targets, from `survey`, if its detector needs to know them.
         """
         self.scene = scene
-        self._detector = Detector(scene.detector, scene.seed, scene.times_s, reference)
+        self._detector = Detector(scene.detector, scene.detector_seed, scene.times_s, reference)
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
