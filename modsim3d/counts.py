@@ -58,10 +58,10 @@ class Counts:
     @classmethod
     def of(cls, block: Block, scene: Scene) -> Counts:
         """Count a block."""
-        return sum((_count(block, part, scene) for part in block.cameras), cls())
+        return sum((_count(part, scene) for part in block.cameras), cls())
 
 
-def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
+def _count(part: CameraBlock, scene: Scene) -> Counts:
     truth, drawn = part.truth, part.detections
     true = np.flatnonzero(~drawn.false())
     rows = part.truth_row()[true]
@@ -70,7 +70,7 @@ def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
     asked = annotated[:, 2:] - annotated[:, :2] + drawn.errors_px[true, 2:]
     detected = int(part.detected().sum())
     return Counts(
-        frames=len(block.timestamps),
+        frames=len(part.steps),
         vessel_frames=len(truth),
         seen=int((truth.visible_px > 0).sum()),
         partly_hidden=int(((truth.visible_px > 0) & (truth.visible_px < truth.silhouette_px)).sum()),

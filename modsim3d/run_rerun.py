@@ -138,7 +138,7 @@ class _Recorder:
         names = self.scene.vessel_names
         for step, camera, truth, drawn in _frames(rows, steps):
             self._at(step)
-            self._state(camera, int(rows.frame_state[step * len(self.scene.cameras) + camera]))
+            self._state(camera, int(rows.states_of(np.array([step * len(self.scene.cameras) + camera]))[0]))
             name = self.scene.cameras[camera].name
             path = ["world", "cameras", name, "image"]
             vessels = rows.truth_vessel[truth]
@@ -174,10 +174,9 @@ class _Recorder:
 
 
 def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, slice]]:
-    """Step and camera of each frame at some steps, and its rows of the truth and of the detections."""
+    """Step and camera of each frame taken at some steps, and its rows of the truth and of the detections."""
     cameras = len(rows.scene.cameras)
-    for step in steps.tolist():
-        for camera in range(cameras):
-            frame = (step * cameras + camera, step * cameras + camera + 1)
-            truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.drawn_frame))
-            yield step, camera, slice(*truth), slice(*drawn)
+    for number in rows.frames[np.isin(rows.frames // cameras, steps)].tolist():
+        frame = (number, number + 1)
+        truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.drawn_frame))
+        yield number // cameras, number % cameras, slice(*truth), slice(*drawn)

@@ -16,6 +16,7 @@ from modsim3d.bodies import Bodies, vessel_bodies
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
+from modsim3d.frame_timing import takes_frame
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.kinematics import velocities
@@ -171,6 +172,30 @@ class Scene:
         start = float(self.poses.timestamps[0])
         return np.array([float(text) for text in self.timestamps(first, stop)]) - start
 
+    def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
+        """The steps first to stop − 1 at which a camera takes a frame, ascending; where a run is split changes nothing.
+
+        Args:
+            camera: One of the scene's.
+            first: First step.
+            stop: The step after the last.
+        """
+        if camera.frame_rate_hz is None and not camera.start_offset_s:
+            return np.arange(first, stop)
+        begin = max(first - 1, 0)
+        taken = takes_frame(self.times_s(begin, stop), camera.frame_rate_hz, camera.start_offset_s)
+        return first + np.flatnonzero(taken[first - begin :])
+
+    def last_frame(self, camera: Camera, stop: int) -> int | None:
+        """The last step before `stop` at which a camera takes a frame; None if there is none."""
+        looked_at = 16
+        while stop > 0:
+            first = max(stop - looked_at, 0)
+            if len(steps := self.frame_steps(camera, first, stop)):
+                return int(steps[-1])
+            stop, looked_at = first, 4 * looked_at
+        return None
+
     def sight(self, camera: Camera, steps: Indices) -> Sight:
         """What a camera has before it at some steps, and from where.
 
@@ -232,6 +257,8 @@ class Scene:
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
         """The side of the horizon on which the sea lies in a camera's images at some steps, shape (S, 3)."""
+        if not len(steps):
+            return np.empty((0, 3))
         return camera.intrinsics.sea_half_plane(self.sight(camera, steps).camera_poses.camera_R_world)
 
     def _poses_at(self, steps: Indices) -> Poses:
