@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
-from modsim3d.scene import Scene, Sight
+from modsim3d.scene import AtSea, Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette
 
@@ -96,18 +96,19 @@ class _Recorder:
 
     def space(self, steps: Indices) -> None:
         """Where cameras and vessels are at some steps."""
+        sea = self.scene.at_sea(steps)
         sights = [self.scene.sight(camera, steps) for camera in self.scene.cameras]
         for camera, sight in zip(self.scene.cameras, sights, strict=True):
             poses = sight.camera_poses
             world_R_camera = np.swapaxes(poses.camera_R_world, -1, -2)
             self._move(["world", "cameras", camera.name], steps, poses.positions_m, world_R_camera)
         for index in range(len(self.scene.vessels)):
-            self._vessel(index, steps, sights[0])
+            self._vessel(index, steps, sea)
 
-    def _vessel(self, index: int, steps: Indices, sight: Sight) -> None:
-        vessel, present = self.scene.vessels[index], sight.poses.present[:, index]
+    def _vessel(self, index: int, steps: Indices, sea: AtSea) -> None:
+        vessel, present = self.scene.vessels[index], sea.poses.present[:, index]
         path = ["world", "vessels", vessel.name]
-        self._move(path, steps[present], sight.poses.positions_m[present, index], sight.world_R_vessel[present, index])
+        self._move(path, steps[present], sea.poses.positions_m[present, index], sea.world_R_vessel[present, index])
         before = np.concatenate([self.there[index : index + 1], present[:-1]])
         for i in np.flatnonzero(before != present):
             self._at(int(steps[i]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.bodies import Bodies, vessel_bodies
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
 from modsim3d.detector.model import DetectorModel
+from modsim3d.earth import lowered
 from modsim3d.errors import InputError
 from modsim3d.frame_timing import takes_frame
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
@@ -66,12 +67,13 @@ class Sight:
 
     Attributes:
         steps: Shape (S,).
-        poses: Of all V vessels.
+        poses: Of all V vessels, as the camera sees them: others lower where the sea is curved.
         world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
         others: Vessels that are there and do not carry the camera, shape (S, V).
         carriers: The vessel that carries the camera, shape (S, V).
         camera_poses: Of the camera.
         obstacles: Of the scene.
+        curved: Whether the sea is.
     """
 
     steps: Indices
@@ -81,6 +83,7 @@ class Sight:
     carriers: NDArray[np.bool_]
     camera_poses: CameraPoses
     obstacles: tuple[Obstacle, ...] = ()
+    curved: bool = False
 
     def outlines(self, intrinsics: Intrinsics, vessels: Sequence[Vessel], *, as_shoeboxes: bool = False) -> Outlines:
         """What is before the camera: the other vessels, the obstacles, and the hull that carries it if that has a mesh.
@@ -94,7 +97,7 @@ class Sight:
         if not as_shoeboxes:
             with_mesh = np.array([vessel.has_mesh for vessel in vessels])
             bodies += self._bodies(vessels, self.carriers & with_mesh, boxed=False)
-        bodies += obstacle_bodies(self.obstacles, len(vessels), len(self.steps))
+        bodies += self._obstacle_bodies(vessels)
         return outline(intrinsics, self.camera_poses, bodies)
 
     def _bodies(
@@ -104,9 +107,13 @@ class Sight:
             vessels, present, self.poses.positions_m, self.world_R_vessel, as_shoeboxes=as_shoeboxes, boxed=boxed
         )
 
+    def _obstacle_bodies(self, vessels: Sequence[Vessel]) -> list[Bodies]:
+        cameras_m = self.camera_poses.positions_m if self.curved else None
+        return obstacle_bodies(self.obstacles, len(vessels), len(self.steps), cameras_m)
+
     def body_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
         """The first step (as an index) and occluder that the camera is inside of, or None."""
-        bodies = self._bodies(vessels, self.others) + obstacle_bodies(self.obstacles, len(vessels), len(self.steps))
+        bodies = self._bodies(vessels, self.others) + self._obstacle_bodies(vessels)
         return first_body_around(self.camera_poses.positions_m, bodies)
 
 
@@ -127,6 +134,7 @@ class Scene:
         detector: The statistical detector's parameters.
         copy: What it was read from.
         waves: How vessels move in waves, if they do.
+        sea: `flat`, or `curved` as the Earth is.
         obstacles: What stands still and hides vessels.
         imu: The inertial unit on board of each vessel that carries a camera.
         plugins: What other packages brought to it.
@@ -144,6 +152,7 @@ class Scene:
     detector: DetectorModel
     copy: SceneCopy
     waves: Waves | None = None
+    sea: str = "flat"
     obstacles: tuple[Obstacle, ...] = ()
     imu: Imu = PERFECT_IMU
     plugins: tuple[Plugin, ...] = ()
@@ -207,15 +216,20 @@ class Scene:
             InputError: The vessel that carries the camera is not there at a step.
         """
         sea = self.at_sea(steps)
+        camera_poses, poses = self._camera_poses(camera, sea, steps), sea.poses
         carrier = np.array(self.vessel_names) == camera.mount.vessel
+        if self.sea == "curved":
+            lower = lowered(poses.positions_m, camera_poses.positions_m[:, None])
+            poses = replace(poses, positions_m=np.where(carrier[:, None], poses.positions_m, lower))
         return Sight(
             steps,
-            sea.poses,
+            poses,
             sea.world_R_vessel,
-            others=sea.poses.present & ~carrier,
-            carriers=sea.poses.present & carrier,
-            camera_poses=self._camera_poses(camera, sea, steps),
+            others=poses.present & ~carrier,
+            carriers=poses.present & carrier,
+            camera_poses=camera_poses,
             obstacles=self.obstacles,
+            curved=self.sea == "curved",
         )
 
     def at_sea(self, steps: Indices) -> AtSea:

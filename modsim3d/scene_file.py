@@ -204,6 +204,7 @@ class SceneKeys(Strict):
     poses: dict[str, object]
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
+    sea: Literal["flat", "curved"] = "flat"
     obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
     imu: ImuKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()

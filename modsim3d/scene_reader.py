@@ -172,6 +172,7 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             copy=copy,
+            sea=keys.sea,
             obstacles=obstacles,
             waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
             imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,

@@ -76,9 +76,9 @@ def test_each_frame_is_taken_at_the_first_step_that_is_not_too_early(step, rate,
     assert found.tolist() == due_by_hand(step, 400, rate, offset)
 
 
-def test_three_hundred_milliseconds_at_ten_hertz_is_no_frame_late():
-    # 0.3 / 0.1 is 2.9999999999999996 in binary; 3 frames of 0.1 s have passed all the same.
-    assert takes_frame(np.array([0.0, 0.1, 0.2, 0.3, 0.1 * 3]), 10.0, 0.0).tolist() == [True] * 4 + [False]
+def test_no_frame_is_late_by_rounding_and_no_step_gives_two():
+    # (0.3 − 0.1) · 10 is 1.9999999999999998 in binary; two frames have passed all the same.
+    assert takes_frame(np.array([0.0, 0.1, 0.2, 0.3, 0.1 * 3]), 10.0, 0.1).tolist() == [False, *[True] * 3, False]
     assert takes_frame(np.arange(5) * 0.1, None, 0.2).tolist() == [False, False, True, True, True]
 
 
