@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shapely import LineString, distance, points
 
-from modsim3d.annotate.outlines import triangles_of
+from modsim3d.annotate.triangles import triangles_of
 from modsim3d.render.id_pass import Region
 from modsim3d.render.plain_ids import PlainIds
 from tests.scenes import INTRINSICS, outlines_of, random_places
