@@ -492,6 +492,14 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
     for pair in result.intersecting:
         message = f"{' and '.join(pair)} intersect: what is seen of them is left open; only the rendered source decides"
         console.print(message, highlight=False, soft_wrap=True, style="yellow")
+    if counts.off_by_curvature:
+        console.print(
+            f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
+            f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved",
+            highlight=False,
+            soft_wrap=True,
+            style="yellow",
+        )
     console.print(f"\nrun directory  {result.folder}", highlight=False, soft_wrap=True)
     if sheet:
         console.print(f"contact sheet  {result.folder / 'contact_sheet.png'}", highlight=False, soft_wrap=True)
