@@ -1,0 +1,192 @@
+"""A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
+
+For looking at. Which pixel shows which vessel is as in the ID buffer of the same size; light, fog and night are
+illustration, and nothing in the simulation knows of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from modsim3d.camera import Intrinsics, clip_triangles, near_plane
+from modsim3d.frames import Array
+from modsim3d.render.id_pass import SUBPIXELS, Region
+from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
+from modsim3d.view import palette
+from modsim3d.view.look import Look
+from modsim3d.view.pen import Pen, font, text_size
+from modsim3d.view.plain import owner_colour
+from modsim3d.view.sea_and_sky import Backdrop, Rays, backdrop, fogged
+from modsim3d.view.solids import SUN, Solids
+from modsim3d.view.window import Window
+
+SAMPLES = 2
+"""Solids are drawn this much larger and shrunk, so that their edges have no steps."""
+REFLECTION = 0.8
+"""Share of a vessel's light that a calm sea would show."""
+SMEAR = 6
+"""Pixels, at a width of 1280, by which ripples move a reflection."""
+OVERHEAD = np.array([0.2, -0.3, 1.0])
+"""Where the brightest part of the sky is that is not the sun."""
+
+
+class ShadedPainter:
+    """Draws shaded pictures in one look; keeps what all pictures of a camera share."""
+
+    def __init__(self, renderer: ShadedRenderer, look: Look) -> None:
+        """Take the renderer, which lives as long as its context."""
+        self.look = look
+        self._renderer = renderer
+        self._rays: dict[tuple[Intrinsics, Window], Rays] = {}
+
+    def picture(self, solids: Solids, window: Window, samples: int = SAMPLES) -> Image.Image:
+        """A shaded picture.
+
+        Args:
+            solids: What stands before the camera.
+            window: What of its image to show, and how large.
+            samples: Buffer pixels for each pixel of the window and axis; 1 blends no edge.
+        """
+        poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
+        rotation, place = poses.camera_R_world[0], poses.positions_m[0]
+        rays = self._rays_of(intrinsics, window)
+        behind = backdrop(rays, rotation, place, intrinsics.focal_px[0] * window.scale, self.look)
+        canvas = behind.colour
+        faces = lit_faces(solids)
+        if len(faces.colours):
+            self._reflect(canvas, behind, faces, solids, window)
+            self._stand(canvas, rays, faces, solids, window, samples)
+        canvas[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
+        picture = Image.fromarray((np.clip(canvas, 0, 1) * 255 + 0.5).astype(np.uint8))
+        if self.look.caption:
+            _write(picture, self.look.caption)
+        return picture
+
+    def _rays_of(self, intrinsics: Intrinsics, window: Window) -> Rays:
+        if (intrinsics, window) not in self._rays:
+            self._rays[intrinsics, window] = Rays.of(intrinsics, window)
+        return self._rays[intrinsics, window]
+
+    def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
+        """Faces in a region of a window."""
+        to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
+        to_picture[:2, 2] = -samples * np.array(
+            [window.x * window.scale + region.x, window.y * window.scale + region.y]
+        )
+        lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.look)
+        size = (region.width * samples, region.height * samples)
+        pixels = to_picture @ solids.intrinsics.matrix
+        return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
+
+    def _stand(
+        self, canvas: NDArray[np.float32], rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int
+    ) -> None:
+        """The solids themselves."""
+        region = _region(faces, solids, window)
+        if not region.width or not region.height:
+            return
+        lit = self._lit(faces, solids, window, region, samples)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        colour = lit.colour.astype(np.float32) / 255
+        if self.look.extinction_per_m:
+            along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
+            colour = fogged(colour, np.where(lit.drawn, lit.depth_m, 0) / along, self.look)
+        share = lit.drawn.astype(np.float32)
+        blocks = (region.height, samples, region.width, samples)
+        cover = share.reshape(blocks).mean(axis=(1, 3))[..., None]
+        mean = (colour * share[..., None]).reshape(*blocks, 3).mean(axis=(1, 3))
+        canvas[here] = canvas[here] * (1 - cover) + mean
+
+    def _reflect(
+        self, canvas: NDArray[np.float32], behind: Backdrop, faces: LitFaces, solids: Solids, window: Window
+    ) -> None:
+        """What the sea shows of the solids upside down, moved by ripples."""
+        mirrored = _mirrored(faces, solids)
+        if not len(mirrored.colours):
+            return
+        region = _region(mirrored, solids, window, margin_px=2 * SMEAR)
+        if not region.width or not region.height:
+            return
+        lit = self._lit(mirrored, solids, window, region, 1)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        rows, columns = np.indices(lit.depth_m.shape, sparse=True)
+        unit = SMEAR * window.size[0] / 1280
+        from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
+        drawn = lit.drawn[from_row, columns] & behind.sea[here]
+        share = (drawn * behind.mirror[here] * REFLECTION)[..., None]
+        seen = lit.colour[from_row, columns].astype(np.float32) / 255
+        if self.look.extinction_per_m:
+            depth = np.where(drawn, lit.depth_m[from_row, columns], 0)
+            seen = fogged(seen, depth, self.look)
+            share = share * np.exp(-self.look.extinction_per_m * depth)[..., None]
+        canvas[here] = canvas[here] * (1 - share) + seen * share
+
+
+def lit_faces(solids: Solids) -> LitFaces:
+    """The solids' triangles as the image of a pinhole shows them: of a lens that distorts, as it bends them."""
+    triangles, intrinsics = solids.triangles, solids.intrinsics
+    snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
+    depth = intrinsics.near_clip_m / triangles.inverse_depth
+    flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
+    vessels = len(solids.extents_m)
+    colours = np.array([owner_colour(owner, vessels) for owner in solids.owners.tolist()]).reshape(-1, 3)
+    return LitFaces(flat * depth[..., None], solids.normals_camera(), colours[triangles.row] / 255)
+
+
+def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
+    """What is above the sea, turned over about it and cut at the near plane."""
+    poses = solids.sight.camera_poses
+    rotation, place = poses.camera_R_world[0], poses.positions_m[0]
+    world = faces.corners_camera @ rotation + place
+    sea = np.array([[0.0, 0.0, 1.0, 0.0]])
+    parts, normals, colours = [], [], []
+    above = (world[..., 2] >= 0).all(axis=1)
+    cut = np.flatnonzero(~above & (world[..., 2] > 0).any(axis=1))
+    kept = [(world[above], np.flatnonzero(above))]
+    kept += [(piece, np.full(len(piece), i)) for i in cut.tolist() for piece in [clip_triangles(world[[i]], sea)]]
+    for corners, source in kept:
+        turned = (corners * (1.0, 1.0, -1.0) - place) @ rotation.T
+        in_front = (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
+        parts.append(turned[in_front])
+        flipped = faces.normals_camera[source[in_front]] @ rotation * (1.0, 1.0, -1.0)
+        normals.append(flipped @ rotation.T)
+        colours.append(faces.colours[source[in_front]])
+    return LitFaces(np.concatenate(parts), np.concatenate(normals), np.concatenate(colours))
+
+
+def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:
+    """The pixels of a window that faces may touch."""
+    flat = faces.corners_camera @ solids.intrinsics.matrix.T
+    pixels = window.to_picture(flat[..., :2] / flat[..., 2:]).reshape(-1, 2)
+    return Region.around(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), window.size, margin_px)
+
+
+def _lamps(camera_R_world: Array, look: Look) -> tuple[list[Lamp], tuple[float, float, float]]:
+    """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
+
+    def turned(world: Iterable[float]) -> tuple[float, float, float]:
+        x, y, z = (camera_R_world @ np.array(list(world))).tolist()
+        return x, y, z
+
+    if look.night:
+        moon = Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.10)
+        return [moon], (0.010, 0.012, 0.02)
+    sun = Lamp(turned(SUN), (1.0, 0.96, 0.88), 2.3)
+    sky = Lamp(turned(OVERHEAD), (0.75, 0.87, 1.0), 0.7)
+    fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
+    return [sun, sky, fill], (0.20, 0.22, 0.25)
+
+
+def _write(picture: Image.Image, text: str) -> None:
+    """A small line at the bottom left."""
+    pen = Pen(picture)
+    size = max(10, round(0.8 * pen.text_px))
+    left, top, right, bottom = text_size(text, size)
+    pad = size // 3
+    y = picture.height - (bottom - top) - 2 * pad
+    pen.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
+    pen.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))
