@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from PIL import Image
@@ -20,8 +20,11 @@ from modsim3d.simulate import open_renderer
 from modsim3d.view.film_files import MOST_RATE, encoded, open_film
 from modsim3d.view.gif import film_palette
 from modsim3d.view.ids_picture import ids_picture
+from modsim3d.view.look import Look
+from modsim3d.view.map_picture import map_picture
 from modsim3d.view.painter import Subject, paint
 from modsim3d.view.scene_picture import scene_picture
+from modsim3d.view.shaded_picture import ShadedPainter
 from modsim3d.view.timetable import Timetable
 from modsim3d.view.window import Window
 
@@ -35,24 +38,36 @@ Piece = list[list[Frame]]
 class Draughtsman:
     """Draws the pictures of a film one by one."""
 
-    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer) -> None:
-        """Take what all pictures share."""
+    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer, painter: ShadedPainter | None = None) -> None:
+        """Take what all pictures share.
+
+        Args:
+            scene: The scene.
+            plan: What every picture shows.
+            drawer: Draws ID buffers.
+            painter: Draws the scene in light and shade, where the plan asks for it.
+        """
         self._scene = scene
         self._plan = plan
         self._drawer = drawer
+        self._painter = painter
         self._layout = plan.layout(scene)
+        self._birds_eye = plan.birds_eye(scene)
 
     def draw(self, frames: list[Frame]) -> Image.Image:
         """The picture of a step, from its frames, one for each camera of the plan."""
         subjects = [Subject.of(self._scene, frame) for frame in frames]
         sizes = self._layout.panel_sizes
         panels = [
-            self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
+            map_picture(self._birds_eye, frames[0].step, size)
+            if kind == "map"
+            else self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
             for (place, kind), size in zip(self._plan.panels(), sizes, strict=True)
         ]
         titles = [
             " · ".join(
-                ([frames[place].camera] if len(frames) > 1 else []) + ([kind] if len(self._plan.kinds) > 1 else [])
+                ([frames[place].camera] if len(frames) > 1 and kind != "map" else [])
+                + ([kind] if len(self._plan.kinds) > 1 else [])
             )
             for place, kind in self._plan.panels()
         ]
@@ -62,9 +77,13 @@ class Draughtsman:
         nominal = self._layout.nominal_width
         if kind == "ids":
             return ids_picture(subject.solids, window, self._drawer, nominal)
-        if kind == "scene" and self._plan.layers is None:
+        layers, ground = self._plan.layers_of(kind), None
+        if self._painter is not None and (kind == "scene" or (kind == "detections" and self._plan.boxes_on_scene)):
+            ground = self._painter.picture(subject.solids, window, self._scene.vessels)
+            layers = replace(layers, horizon=False, silhouettes=False)
+        elif kind == "scene" and self._plan.layers is None:
             return scene_picture(self._scene, subject.solids.camera, subject.frame.step, window, self._drawer)
-        return paint(subject, window, self._plan.layers_of(kind), self._drawer, nominal_width_px=nominal)
+        return paint(subject, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
 
     def _head(self, frames: list[Frame]) -> str:
         first = frames[0]
@@ -83,6 +102,32 @@ def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
         except RendererError:
             renderer = None  # a picture of a run that was made elsewhere
         yield renderer or PlainIds()
+
+
+@contextmanager
+def open_draughtsman(scene: Scene, plan: FilmPlan) -> Iterator[Draughtsman]:
+    """A draughtsman with what he needs: ID buffers, and pyrender in the same context for shaded pictures.
+
+    Raises:
+        RendererError: Shaded pictures are asked for and there is no OpenGL library.
+    """
+    with open_drawer(scene) as drawer, ExitStack() as stack:
+        painter = stack.enter_context(open_painter(plan.look)) if plan.look.shaded else None
+        yield Draughtsman(scene, plan, drawer, painter)
+
+
+@contextmanager
+def open_painter(look: Look) -> Iterator[ShadedPainter]:
+    """What draws shaded pictures.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    from modsim3d.render.context import open_context
+    from modsim3d.render.shaded_pass import ShadedRenderer
+
+    with open_context() as context:
+        yield ShadedPainter(ShadedRenderer(context), look)
 
 
 @dataclass(frozen=True)
@@ -105,8 +150,8 @@ class DrawnFilm:
 def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
     scene = selection.run.scene
-    with open_drawer(scene) as drawer:
-        picture = Draughtsman(scene, plan, drawer).draw(next(selection.frames()))
+    with open_draughtsman(scene, plan) as draughtsman:
+        picture = draughtsman.draw(next(selection.frames()))
     partial = path.with_name(f".{path.name}.partial")
     picture.save(partial, format="PNG")
     partial.replace(path)
@@ -207,8 +252,7 @@ Draw = Callable[[Iterable[_Job]], Iterator[list[_Drawn]]]
 def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Draw]:
     """Somebody who draws: this process for one worker, or that many others."""
     if workers == 1:
-        with open_drawer(scene) as drawer:
-            draughtsman = Draughtsman(scene, plan, drawer)
+        with open_draughtsman(scene, plan) as draughtsman:
             yield lambda jobs: (_draw_job(draughtsman, job) for job in jobs)
         return
     with open_pool(workers, _start, scene, plan) as pool:
@@ -227,7 +271,7 @@ _open = ExitStack()
 def _start(scene: Scene, plan: FilmPlan) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _draughtsman
-    _draughtsman = Draughtsman(scene, plan, _open.enter_context(open_drawer(scene)))
+    _draughtsman = _open.enter_context(open_draughtsman(scene, plan))
 
 
 def _work(job: _Job) -> list[_Drawn]:

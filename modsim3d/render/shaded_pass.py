@@ -125,11 +125,12 @@ class ShadedRenderer:
             return Lit(colour, np.float32(near_m) / inverse)
 
     def _mesh(self, faces: LitFaces) -> Any:
-        linear = faces.colours**GAMMA
+        nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # what is behind is then not shaded
+        linear = np.column_stack([faces.colours**GAMMA, np.ones(len(faces.colours))])
         primitive = self._pyrender.Primitive(
-            positions=faces.corners_camera.reshape(-1, 3),
-            normals=np.repeat(faces.normals_camera, 3, axis=0),
-            color_0=np.repeat(np.column_stack([linear, np.ones(len(linear))]), 3, axis=0),
+            positions=faces.corners_camera[nearest_first].reshape(-1, 3),
+            normals=np.repeat(faces.normals_camera[nearest_first], 3, axis=0),
+            color_0=np.repeat(linear[nearest_first], 3, axis=0),
             material=self._material,
             mode=self._pyrender.GLTF.TRIANGLES,
         )
@@ -137,7 +138,7 @@ class ShadedRenderer:
 
 
 def _clip(pixels: Array, near_m: float, size: tuple[int, int]) -> Array:
-    """From CCF to clip coordinates: row 0 is OpenGL's lowest, and depth is near / c3, as in the ID pass, shape (4, 4)."""
+    """CCF to clip coordinates, shape (4, 4): row 0 is OpenGL's lowest, depth is near / c3, as in the ID pass."""
     clip = np.zeros((4, 4))
     for axis in (0, 1):
         clip[axis, :3] = 2.0 / size[axis] * pixels[axis] - pixels[2]
@@ -180,7 +181,7 @@ def _renderer_type(context: GLContext) -> Any:
 
         def _configure_main_framebuffer(self) -> None:
             size = (self.viewport_width, self.viewport_height)
-            if self._main_fb_dims == size:
+            if self._main_fb_dims == size:  # type: ignore[has-type]
                 return
             self._delete_main_framebuffer()
             self._main_fb = self._main_fb_ms = gl.glGenFramebuffers(1)
@@ -209,7 +210,7 @@ def _renderer_type(context: GLContext) -> Any:
             gl.glClearDepth(0.0)
             gl.glDepthFunc(gl.GL_GREATER)
 
-        def _read_main_framebuffer(self, scene: Any, flags: int) -> tuple[Array, Array]:
+        def _read_main_framebuffer(self, scene: Any, flags: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
             width, height = self._main_fb_dims
             gl.glBindFramebuffer(gl.GL_READ_FRAMEBUFFER, self._main_fb)
             gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 1)

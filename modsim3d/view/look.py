@@ -54,3 +54,6 @@ class Look:
         fog = [] if self.visibility_m is None else [f"visibility {self.visibility_m:,.0f} m"]
         weather = fog + (["night"] if self.night else [])
         return f"illustration: {', '.join(weather)}; truth and detector know nothing of it" if weather else ""
+
+
+PLAIN_LOOK = Look()

@@ -1,4 +1,4 @@
-"""What is behind everything in a shaded picture: a sea with ripples and a sky, both by the direction that a pixel looks.
+"""What is behind everything in a shaded picture: a sea with ripples and a sky, by the direction that a pixel looks in.
 
 For illustration: the ripples are not the waves that move the vessels.
 """
@@ -22,10 +22,13 @@ Floats = NDArray[np.float32]
 GRID_PX = 16
 """Directions through a lens are found at every such pixel, and between them by cubic interpolation."""
 TILE, TILE_SEED = 512, 7
+TABLE = 8192
 RIPPLE_PX = 5.0
 """Ripples are drawn at least about as large, whatever their distance."""
 RIPPLE_M = 0.4
 """And no smaller than this."""
+FADE_M = 1000.0
+"""At this distance ripples are half as strong."""
 FOG_DEPTH_M = 150.0
 """Height of the layer of fog, through which the sky is seen."""
 WATER_REFLECTS = 0.02
@@ -114,28 +117,46 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
         focal_px: Pixels of the picture for a radian, near its middle.
         look: Weather and time of day.
     """
-    colours = NIGHT if look.night else DAY
-    world = rays.camera @ camera_R_world.astype(np.float32)
-    up = world[..., 2]
+    up = (rays.camera.reshape(-1, 3) @ camera_R_world[:, 2].astype(np.float32)).reshape(rays.inside.shape)
     above = max(float(position_m[2]), 0.1)
     sea = up <= 0
-    down = np.maximum(-up, 1e-6)
-    distance = above / down
-    ripple = np.zeros(up.shape, np.float32)
-    rows = sea.any(axis=1)
-    if rows.any():
-        ripple[rows] = _ripple(world[rows], distance[rows], position_m, focal_px)
+    rows = np.flatnonzero(sea.any(axis=1))
+    wet = slice(max(rows[0] - 1, 0), rows[-1] + 2) if len(rows) else slice(0, 0)
+    down: Floats = np.maximum(-up, np.float32(1e-6))
+    ripple, mirror = (np.zeros(up.shape, np.float32) for _ in range(2))
+    world = rays.camera[wet] @ camera_R_world[:, :2].astype(np.float32)
+    ripple[wet] = _ripple(world, above / down[wet], position_m, focal_px)
     # Seen along the surface, what counts is how waves are turned; their slopes make up for the angle.
-    turned = np.clip(down + ROUGHNESS * (1 + 0.45 * ripple), 0.02, 1.0)
-    mirror = WATER_REFLECTS + (1 - WATER_REFLECTS) * (1 - turned) ** 5
-    reflected = _sky(turned, colours)
-    water = np.array(colours.water, np.float32) * (1 + 0.25 * ripple[..., None])
-    colour = np.where(sea[..., None], water + mirror[..., None] * (reflected - water), _sky(up, colours))
+    turned = down[wet] + ROUGHNESS * (1 + 0.45 * ripple[wet])
+    sky, water, mirrors = _tables(look.night)
+    colour = sky[_place(up)]
+    # A pixel on the horizon is part sea, part sky, so that the line has no steps.
+    share = np.clip(0.5 - up[wet, :, None] * focal_px, 0, 1)
+    colour[wet] += share * (water[_place(turned)] - colour[wet])
+    mirror[wet] = mirrors[_place(turned)]
     if look.extinction_per_m:
         # Through fog of some depth: along the sea all the way, upwards until it ends.
-        through = np.where(sea, distance, (FOG_DEPTH_M - min(above, FOG_DEPTH_M - 1)) / np.maximum(np.abs(up), 1e-6))
+        through = np.where(sea, above / down, max(FOG_DEPTH_M - above, 1.0) / np.maximum(up, 1e-6))
         colour = fogged(colour, through, look)
-    return Backdrop(colour.astype(np.float32), sea, mirror.astype(np.float32), ripple)
+    return Backdrop(colour, sea, mirror, ripple)
+
+
+def _place(sine: Floats) -> NDArray[np.int32]:
+    """Where the sine of an angle from 0 to 1 stands in the tables."""
+    place: NDArray[np.int32] = np.clip(sine * (TABLE - 1), 0, TABLE - 1).astype(np.int32)
+    return place
+
+
+@cache
+def _tables(night: bool) -> tuple[Floats, Floats, Floats]:
+    """Colours of the sky and of the sea, and the share that the sea mirrors, by the sine of the angle to the level."""
+    colours = NIGHT if night else DAY
+    sine = np.linspace(0, 1, TABLE, dtype=np.float32)
+    low, high = np.array(colours.horizon, np.float32), np.array(colours.zenith, np.float32)
+    sky: Floats = low + (1 - np.exp(-3.5 * sine))[:, None] * (high - low)
+    mirror = (WATER_REFLECTS + (1 - WATER_REFLECTS) * (1 - sine) ** 5).astype(np.float32)  # Schlick (1994)
+    water = np.array(colours.water, np.float32)
+    return sky, water + mirror[:, None] * (sky - water), mirror
 
 
 def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], look: Look) -> Floats:
@@ -154,15 +175,7 @@ def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], look:
     return out
 
 
-def _sky(up: Floats, colours: Palette) -> Floats:
-    """The sky at the sine of an elevation, shape (..., 3)."""
-    share = (1 - np.exp(-3.5 * np.maximum(up, 0)))[..., None]
-    low, high = np.array(colours.horizon, np.float32), np.array(colours.zenith, np.float32)
-    sky: Floats = low + share * (high - low)
-    return sky
-
-
-def _ripple(world: Floats, distance: Floats, position_m: Array, focal_px: float) -> Floats:
+def _ripple(world: Floats, distance: NDArray[np.floating], position_m: Array, focal_px: float) -> Floats:
     """A pattern that lies on the sea, as coarse as its distance asks for."""
     x = world[..., 0] * distance + np.float32(position_m[0])
     y = world[..., 1] * distance + np.float32(position_m[1])
@@ -175,7 +188,8 @@ def _ripple(world: Floats, distance: Floats, position_m: Array, focal_px: float)
         cells = np.exp2(-(level + step)) * 4  # a tile's longest waves are some cells long
         i, j = (np.floor(axis * cells).astype(np.int64) % TILE for axis in (x, y))
         out += weight * tile[i, j]
-    return out
+    faded: Floats = (out / (1 + distance / FADE_M)).astype(np.float32)
+    return faded
 
 
 @cache

@@ -9,18 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.camera import Intrinsics, clip_triangles, near_plane
+from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
+from modsim3d.vessels import Vessel
 from modsim3d.view import palette
 from modsim3d.view.look import Look
+from modsim3d.view.navigation_lights import glow, lights
 from modsim3d.view.pen import Pen, font, text_size
 from modsim3d.view.plain import owner_colour
-from modsim3d.view.sea_and_sky import Backdrop, Rays, backdrop, fogged
+from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
 from modsim3d.view.solids import SUN, Solids
 from modsim3d.view.window import Window
 
@@ -43,12 +44,15 @@ class ShadedPainter:
         self._renderer = renderer
         self._rays: dict[tuple[Intrinsics, Window], Rays] = {}
 
-    def picture(self, solids: Solids, window: Window, samples: int = SAMPLES) -> Image.Image:
+    def picture(
+        self, solids: Solids, window: Window, vessels: tuple[Vessel, ...] = (), samples: int = SAMPLES
+    ) -> Image.Image:
         """A shaded picture.
 
         Args:
             solids: What stands before the camera.
             window: What of its image to show, and how large.
+            vessels: Of the scene, whose lights are shown by night.
             samples: Buffer pixels for each pixel of the window and axis; 1 blends no edge.
         """
         poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
@@ -59,7 +63,9 @@ class ShadedPainter:
         faces = lit_faces(solids)
         if len(faces.colours):
             self._reflect(canvas, behind, faces, solids, window)
-            self._stand(canvas, rays, faces, solids, window, samples)
+            depth_m = self._stand(canvas, rays, faces, solids, window, samples)
+            if self.look.night and vessels:
+                self._lights(canvas, depth_m, solids, window, vessels)
         canvas[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
         picture = Image.fromarray((np.clip(canvas, 0, 1) * 255 + 0.5).astype(np.uint8))
         if self.look.caption:
@@ -83,27 +89,42 @@ class ShadedPainter:
         return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
 
     def _stand(
-        self, canvas: NDArray[np.float32], rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int
-    ) -> None:
-        """The solids themselves."""
+        self, canvas: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int
+    ) -> Floats:
+        """The solids themselves; gives their depth at each pixel."""
+        depth_m = np.full(canvas.shape[:2], np.inf, np.float32)
         region = _region(faces, solids, window)
         if not region.width or not region.height:
-            return
+            return depth_m
         lit = self._lit(faces, solids, window, region, samples)
         here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
-        colour = lit.colour.astype(np.float32) / 255
+        colour: Floats = lit.colour.astype(np.float32) / np.float32(255)
+        drawn = lit.drawn[..., None].astype(np.float32)
         if self.look.extinction_per_m:
             along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
-            colour = fogged(colour, np.where(lit.drawn, lit.depth_m, 0) / along, self.look)
-        share = lit.drawn.astype(np.float32)
-        blocks = (region.height, samples, region.width, samples)
-        cover = share.reshape(blocks).mean(axis=(1, 3))[..., None]
-        mean = (colour * share[..., None]).reshape(*blocks, 3).mean(axis=(1, 3))
-        canvas[here] = canvas[here] * (1 - cover) + mean
+            colour = fogged(colour, np.where(lit.drawn, lit.depth_m, 0) / along, self.look) * drawn
+        cover = _reduced(drawn, samples)
+        canvas[here] = canvas[here] * (1 - cover) + _reduced(colour, samples)
+        depth_m[here] = lit.depth_m[::samples, ::samples]
+        return depth_m
 
-    def _reflect(
-        self, canvas: NDArray[np.float32], behind: Backdrop, faces: LitFaces, solids: Solids, window: Window
+    def _lights(
+        self, canvas: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
     ) -> None:
+        """The lights of vessels that nothing hides."""
+        places, colours = lights(solids.sight, vessels)
+        seen = solids.sight.camera_poses.to_camera(places[None])[0]
+        pixels = window.to_picture(solids.intrinsics.project(seen))
+        width, height = window.size
+        for place, colour, pixel in zip(seen, colours, pixels, strict=True):
+            x, y = float(pixel[0]), float(pixel[1])
+            if not (0 <= x < width and 0 <= y < height) or depth_m[int(y), int(x)] < 0.98 * place[2]:
+                continue
+            bright = np.exp(-self.look.extinction_per_m * np.linalg.norm(place))
+            radius = max(1.0, window.size[0] / 1280 * float(np.clip(400 / place[2], 1.2, 4)))
+            glow(canvas, np.array([x, y]), colour * bright, radius)
+
+    def _reflect(self, canvas: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
         """What the sea shows of the solids upside down, moved by ripples."""
         mirrored = _mirrored(faces, solids)
         if not len(mirrored.colours):
@@ -126,6 +147,15 @@ class ShadedPainter:
         canvas[here] = canvas[here] * (1 - share) + seen * share
 
 
+def _reduced(image: Floats, samples: int) -> Floats:
+    """Means of blocks, shape (h / samples, w / samples, n)."""
+    total: Floats = np.zeros_like(image[::samples, ::samples])
+    for i in range(samples):
+        for j in range(samples):
+            total += image[i::samples, j::samples]
+    return total / np.float32(samples**2)
+
+
 def lit_faces(solids: Solids) -> LitFaces:
     """The solids' triangles as the image of a pinhole shows them: of a lens that distorts, as it bends them."""
     triangles, intrinsics = solids.triangles, solids.intrinsics
@@ -138,24 +168,16 @@ def lit_faces(solids: Solids) -> LitFaces:
 
 
 def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
-    """What is above the sea, turned over about it and cut at the near plane."""
+    """What is above the sea, turned over about it, but for faces that the near plane would cut."""
     poses = solids.sight.camera_poses
     rotation, place = poses.camera_R_world[0], poses.positions_m[0]
     world = faces.corners_camera @ rotation + place
-    sea = np.array([[0.0, 0.0, 1.0, 0.0]])
-    parts, normals, colours = [], [], []
-    above = (world[..., 2] >= 0).all(axis=1)
-    cut = np.flatnonzero(~above & (world[..., 2] > 0).any(axis=1))
-    kept = [(world[above], np.flatnonzero(above))]
-    kept += [(piece, np.full(len(piece), i)) for i in cut.tolist() for piece in [clip_triangles(world[[i]], sea)]]
-    for corners, source in kept:
-        turned = (corners * (1.0, 1.0, -1.0) - place) @ rotation.T
-        in_front = (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
-        parts.append(turned[in_front])
-        flipped = faces.normals_camera[source[in_front]] @ rotation * (1.0, 1.0, -1.0)
-        normals.append(flipped @ rotation.T)
-        colours.append(faces.colours[source[in_front]])
-    return LitFaces(np.concatenate(parts), np.concatenate(normals), np.concatenate(colours))
+    flip = np.array([1.0, 1.0, -1.0])
+    turned = (world * flip - place) @ rotation.T
+    # What is under water stands, turned over, within its own vessel's outline, and is drawn over: it is not cut off.
+    kept = (world[..., 2] > 0).any(axis=1) & (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
+    normals = (faces.normals_camera[kept] @ rotation * flip) @ rotation.T
+    return LitFaces(turned[kept], normals, faces.colours[kept])
 
 
 def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:
@@ -173,8 +195,8 @@ def _lamps(camera_R_world: Array, look: Look) -> tuple[list[Lamp], tuple[float, 
         return x, y, z
 
     if look.night:
-        moon = Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.10)
-        return [moon], (0.010, 0.012, 0.02)
+        moon = Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.3)
+        return [moon], (0.022, 0.026, 0.036)
     sun = Lamp(turned(SUN), (1.0, 0.96, 0.88), 2.3)
     sky = Lamp(turned(OVERHEAD), (0.75, 0.87, 1.0), 0.7)
     fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
