@@ -112,17 +112,18 @@ class ShadedRenderer:
             return Lit(np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32))
         if max(size) > MAX_REGION_PX:
             raise RendererError(f"a picture of {size[0]} × {size[1]} px was asked for; {MAX_REGION_PX} a side is most")
-        scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=list(ambient))
+        scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=np.array(ambient, dtype=np.float64))
         scene.add(self._camera_type(_clip(pixels, near_m, size)))
         scene.add(self._mesh(faces))
         for lamp in lamps:
-            scene.add(self._pyrender.DirectionalLight(lamp.colour, lamp.strength), pose=_facing(lamp.towards_camera))
+            colour = np.array(lamp.colour, dtype=np.float64)  # integers would be taken for 0 to 255
+            scene.add(self._pyrender.DirectionalLight(colour, lamp.strength), pose=_facing(lamp.towards_camera))
         self._drawer.viewport_width, self._drawer.viewport_height = size
         with _kept_state(self._context.gl):
             flags = self._pyrender.RenderFlags
-            colour, inverse = self._drawer.render(scene, flags.OFFSCREEN | flags.SKIP_CULL_FACES)
+            drawn, inverse = self._drawer.render(scene, flags.OFFSCREEN | flags.SKIP_CULL_FACES)
         with np.errstate(divide="ignore"):
-            return Lit(colour, np.float32(near_m) / inverse)
+            return Lit(drawn, np.float32(near_m) / inverse)
 
     def _mesh(self, faces: LitFaces) -> Any:
         nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # what is behind is then not shaded

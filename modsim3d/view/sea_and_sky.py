@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.interpolate import RectBivariateSpline
 
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
@@ -85,8 +85,7 @@ def _through_lens(intrinsics: Intrinsics, columns: Array, rows: Array) -> Array:
     x = np.linspace(0, width, max(4, width // GRID_PX))
     y = np.linspace(0, height, max(4, height // GRID_PX))
     grid = intrinsics.unproject(np.stack(np.meshgrid(x, y), axis=-1), np.ones((len(y), len(x))))
-    place = np.meshgrid(rows / height * (len(y) - 1), columns / width * (len(x) - 1), indexing="ij")
-    found = [map_coordinates(grid[..., axis], place, order=3, mode="nearest") for axis in (0, 1)]
+    found = [RectBivariateSpline(y, x, grid[..., axis])(rows, columns) for axis in (0, 1)]
     return np.stack([*found, np.ones_like(found[0])], axis=-1)
 
 

@@ -134,7 +134,7 @@ class ShadedPainter:
             return
         lit = self._lit(mirrored, solids, window, region, 1)
         here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
-        rows, columns = np.indices(lit.depth_m.shape, sparse=True)
+        rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
         unit = SMEAR * window.size[0] / 1280
         from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
         drawn = lit.drawn[from_row, columns] & behind.sea[here]
