@@ -11,7 +11,7 @@ from PIL import Image
 
 from modsim3d.block import Frame
 from modsim3d.errors import ModsimError, RendererError
-from modsim3d.film_plan import FilmPlan
+from modsim3d.film_plan import TITLES, FilmPlan
 from modsim3d.processes import in_order, open_pool
 from modsim3d.render.plain_ids import IdDrawer, PlainIds
 from modsim3d.scene import Scene
@@ -67,7 +67,7 @@ class Draughtsman:
         titles = [
             " · ".join(
                 ([frames[place].camera] if len(frames) > 1 and kind != "map" else [])
-                + ([kind] if len(self._plan.kinds) > 1 else [])
+                + ([TITLES.get(kind, kind)] if len(self._plan.kinds) > 1 else [])
             )
             for place, kind in self._plan.panels()
         ]

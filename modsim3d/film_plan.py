@@ -20,6 +20,8 @@ from modsim3d.view.window import Box, Window
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
+TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}
+"""What is said of a kind in a panel, where its name does not say it."""
 MOST_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
 LEAST_CROP = 0.02
@@ -41,6 +43,7 @@ class FilmPlan:
         look: How `scene` looks.
         boxes_on_scene: Whether `detections` has the boxes on a picture in this look, in place of plain sea and sky.
         steps: Of the run, for the tracks of a map.
+        columns: Panels side by side; those of a camera, or the cameras, if None.
     """
 
     kinds: tuple[str, ...]
@@ -51,6 +54,7 @@ class FilmPlan:
     look: Look = PLAIN_LOOK
     boxes_on_scene: bool = False
     steps: int = 0
+    columns: int | None = None
 
     def layers_of(self, kind: str) -> Layers:
         """What is drawn of a frame."""
@@ -75,7 +79,7 @@ class FilmPlan:
         panels = self.panels()
         several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
         aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
-        return FilmLayout(self.width, several, aspects, tuple(entries))
+        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries))
 
     def _aspect(self, scene: Scene, place: int, kind: str) -> float:
         if kind == "map":

@@ -228,8 +228,8 @@ class _Map:
         if vessel.length_m < least_m:
             hull_half_m = np.full(2, 0.5 * least_m)
             arrow = least_m * _ARROW @ world_R_vehicle(heading_rad)[:2, :2].T + here
-            self._area(arrow, facecolor=colour, edgecolor="black", lw=weight, zorder=6)
-            self._area(hull, facecolor="black", lw=0, zorder=7)
+            self._area(arrow, facecolor=colour, edgecolor="black", lw=0.7 * weight, zorder=6)
+            self._area(hull, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
             self._area(np.full((3, 2), np.nan), facecolor=colour, edgecolor="black", lw=weight, label=label)
         else:
             ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)])
