@@ -127,7 +127,11 @@ def open_painter(look: Look) -> Iterator[ShadedPainter]:
     from modsim3d.render.shaded_pass import ShadedRenderer
 
     with open_context() as context:
-        yield ShadedPainter(ShadedRenderer(context), look)
+        renderer = ShadedRenderer(context)
+        try:
+            yield ShadedPainter(renderer, look)
+        finally:
+            renderer.close()
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Shaded pictures: outlines as in the ID buffer, and properties of light; what they look like has been looked at."""
 
+import gc
 import json
 import math
 from dataclasses import replace
@@ -49,7 +50,9 @@ def scene_with(folder, keys=None):
 def shaded(renderer):
     """In the same context as the ID pass."""
     with open_context() as context:
-        yield ShadedRenderer(context)
+        shaded = ShadedRenderer(context)
+        yield shaded
+        shaded.close()
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +109,19 @@ def test_each_vessel_shows_where_its_id_is(renderer, shaded, solids):
     np.testing.assert_array_equal(solids.ids(window, renderer), ids)  # and the ID pass is not disturbed
 
 
+def test_the_id_pass_goes_on_when_a_shaded_renderer_is_closed_or_forgotten(renderer, solids):
+    window = Window.whole((800, 600), 400)
+    before = solids.ids(window, renderer)
+    for close in (True, False):
+        shaded = ShadedRenderer(renderer.context)
+        ShadedPainter(shaded, DAYLIGHT).picture(solids, window)
+        if close:
+            shaded.close()
+        del shaded
+        gc.collect()
+        np.testing.assert_array_equal(solids.ids(window, renderer), before)
+
+
 def test_depth_is_that_of_the_face(shaded):
     corners = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]])
     faces = LitFaces(corners, np.array([[0.0, 0.0, -1.0]]), np.ones((1, 3)))
@@ -137,6 +153,19 @@ def test_sky_is_above_the_horizon_and_sea_below(shaded, scene, solids):
     assert np.abs(high - 255 * np.array(DAY.zenith)).max() < 90
     assert deep.sum() < 0.6 * high.sum()
     assert deep[2] > deep[0]
+
+
+def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, tmp_path):
+    pictures = []
+    used = ShadedPainter(shaded, DAYLIGHT)
+    for pitch in (0.0, 0.1):
+        (folder := tmp_path / f"{pitch}").mkdir()
+        scene = scene_with(folder, {"pose": {"position_m": [0, 0, 20], "pitch_rad": pitch}})
+        solids, window = Solids.at(scene, scene.cameras[0], 3), Window.whole((800, 600), 320)
+        pictures.append(np.asarray(used.picture(solids, window)))
+        np.testing.assert_array_equal(pictures[-1], ShadedPainter(shaded, DAYLIGHT).picture(solids, window))
+        np.testing.assert_array_equal(pictures[-1], used.picture(solids, window))
+    assert (pictures[0] != pictures[1]).any()
 
 
 def test_vessels_keep_their_hue(renderer, shaded, solids):

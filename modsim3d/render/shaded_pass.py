@@ -125,6 +125,11 @@ class ShadedRenderer:
         with np.errstate(divide="ignore"):
             return Lit(drawn, np.float32(near_m) / inverse)
 
+    def close(self) -> None:
+        """Free what the context holds for it."""
+        with _kept_state(self._context.gl):
+            self._drawer.delete()
+
     def _mesh(self, faces: LitFaces) -> Any:
         nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # what is behind is then not shaded
         linear = np.column_stack([faces.colours**GAMMA, np.ones(len(faces.colours))])
@@ -179,6 +184,9 @@ def _renderer_type(context: GLContext) -> Any:
 
     class Sharp(Renderer):  # type: ignore[misc]
         """pyrender's renderer with one sample a pixel, and with the depth of this context: reversed, from 1 to 0."""
+
+        def __del__(self) -> None:
+            """Nothing: whenever Python collects it, another context may be there, or the ID pass at work."""
 
         def _configure_main_framebuffer(self) -> None:
             size = (self.viewport_width, self.viewport_height)

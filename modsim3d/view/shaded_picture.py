@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from PIL import Image
 
-from modsim3d.camera import Intrinsics
+from modsim3d.camera import CameraPoses, Intrinsics
 from modsim3d.frames import Array
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
@@ -43,6 +43,7 @@ class ShadedPainter:
         self.look = look
         self._renderer = renderer
         self._rays: dict[tuple[Intrinsics, Window], Rays] = {}
+        self._behind: dict[tuple[Intrinsics, Window], tuple[Array, Backdrop]] = {}
 
     def picture(
         self, solids: Solids, window: Window, vessels: tuple[Vessel, ...] = (), samples: int = SAMPLES
@@ -56,10 +57,9 @@ class ShadedPainter:
             samples: Buffer pixels for each pixel of the window and axis; 1 blends no edge.
         """
         poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
-        rotation, place = poses.camera_R_world[0], poses.positions_m[0]
         rays = self._rays_of(intrinsics, window)
-        behind = backdrop(rays, rotation, place, intrinsics.focal_px[0] * window.scale, self.look)
-        canvas = behind.colour
+        behind = self._backdrop(rays, poses, intrinsics, window)
+        canvas = behind.colour.copy()
         faces = lit_faces(solids)
         if len(faces.colours):
             self._reflect(canvas, behind, faces, solids, window)
@@ -71,6 +71,16 @@ class ShadedPainter:
         if self.look.caption:
             _write(picture, self.look.caption)
         return picture
+
+    def _backdrop(self, rays: Rays, poses: CameraPoses, intrinsics: Intrinsics, window: Window) -> Backdrop:
+        """Sea and sky; those of the picture before if the camera has not moved."""
+        pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
+        known = self._behind.get((intrinsics, window))
+        if known is None or not np.array_equal(known[0], pose):
+            focal_px = intrinsics.focal_px[0] * window.scale
+            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.look)
+            known = self._behind[intrinsics, window] = pose, behind
+        return known[1]
 
     def _rays_of(self, intrinsics: Intrinsics, window: Window) -> Rays:
         if (intrinsics, window) not in self._rays:
