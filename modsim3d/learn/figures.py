@@ -134,6 +134,7 @@ def figures(
     resampling: Resampling,
     images: Mask,
     beta: float = 2.0,
+    inflation: float = 1.0,
 ) -> Figures:
     """The figures of some images.
 
@@ -145,6 +146,8 @@ def figures(
         resampling: Weights of all images.
         images: Which, shape (I,).
         beta: How many times more recall weighs than precision in F-beta.
+        inflation: By how much misses that persist raise variances, at least: of what happened once, replicates
+            cannot tell.
     """
     counts = confusion_counts(labelled, matched, resampling, images)
     k = len(labelled.labels)
@@ -155,7 +158,9 @@ def figures(
     matched_any = counts[:, :k, :k].sum(axis=(1, 2))
     every = rates(matched_any, detected.sum(axis=1), true.sum(axis=1), beta)
     columns |= {f"any {key}": column for key, column in every.items()}
-    columns["confusion"] = Column(_ratio(counts[:, :, :k], true[:, None]), "share", np.tile(true[0], (k + 1, 1)))
+    columns["confusion"] = Column(
+        _ratio(counts[:, :, :k], true[:, None]), "share", np.tile(true[0], (k + 1, 1)), inflation
+    )
     clutter = counts[:, :k, k]
     total = clutter.sum(axis=1, keepdims=True)
     columns["false labels"] = Column(_ratio(clutter, total), "share", np.full(k, total[0, 0]))

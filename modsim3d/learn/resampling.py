@@ -88,11 +88,14 @@ class Column:
         kind: What decides the scale on which it is nearly normal: `share` of a number of trials, `fraction` (another
             number from 0 to 1), `mean`, `positive`, `correlation`, or `rate` of a Poisson number.
         counts: Observations that it rests on, of the shape of one row; for a `rate`, what it is a rate per.
+        inflation: Of a share: by how much noise that persists raises its variance at least. Replicates cannot tell
+            where the thing happened once or never.
     """
 
     values: Array
     kind: str
     counts: Array
+    inflation: float = 1.0
 
     @property
     def estimate(self) -> Array:
@@ -120,7 +123,8 @@ class Column:
         value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
         alone = value * (1 - value) / count if self.kind == "share" else value / count
         found = spread(self.values[1:]) ** 2
-        inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0) * widen
+        inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
+        inflation = np.maximum(inflation, self.inflation) * widen
         trials = count / inflation
         hits = value * trials
         with np.errstate(all="ignore"):

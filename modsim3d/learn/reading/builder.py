@@ -127,15 +127,18 @@ def one_condition(
     notes: Sequence[str],
     sequence: Sequence[int] | None = None,
     time_s: Sequence[float] | None = None,
+    own: Sequence[str | None] = (),
 ) -> Labelled:
-    """A labelled set of one condition and source."""
+    """A labelled set of one source, and of one condition but for images that name their `own`."""
     count = len(names)
+    of_image = [condition if name is None else name for name in own] or [condition] * count
+    conditions = tuple(dict.fromkeys(of_image)) or (condition,)
     images = Images(
         tuple(names),
         np.array(sizes_px, dtype=np.float64).reshape(-1, 2),
-        np.zeros(count, dtype=np.int64),
+        np.array([conditions.index(name) for name in of_image], dtype=np.int64),
         np.zeros(count, dtype=np.int64),
         np.zeros(count, dtype=np.int64) if sequence is None else np.array(sequence, dtype=np.int64),
         np.full(count, np.nan) if time_s is None else np.array(time_s, dtype=np.float64),
     )
-    return Labelled(tuple(labels), (condition,), images, truth.truth(), found.found(len(labels)), tuple(notes))
+    return Labelled(tuple(labels), conditions, images, truth.truth(), found.found(len(labels)), tuple(notes))

@@ -1,8 +1,8 @@
 """COCO ground truth and COCO results, as most detection libraries write them.
 
-Beyond COCO's own keys these are read where they are: of an image `sequence` (or `video_id`) and `time_s` or `frame_id`;
-of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`; of a result
-`probabilities`, one for each category in their order. Masks are ignored: a box is taken from `bbox` alone.
+Beyond COCO's own keys these are read where they are: of an image `condition`, `sequence` (or `video_id`) and `time_s`
+or `frame_id`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`; of a
+result `probabilities`, one for each category in their order. Masks are ignored: a box is taken from `bbox` alone.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def read_coco(condition: str, truth: Path, detections: Path, skip_bad: bool = Fa
     problems = Problems(f"ground truth {truth}", skip_bad)
     content = _object(truth, "ground truth", problems.source)
     categories = _categories(content, problems)
-    images, sizes, names, sequences, times = _images(content, problems)
+    images, sizes, names, sequences, times, own = _images(content, problems)
     rows = Rows()
     for index, entry in enumerate(_list(content, "annotations", problems)):
         _annotation(entry, f"annotations[{index}]", images, categories, rows, problems)
@@ -46,7 +46,7 @@ def read_coco(condition: str, truth: Path, detections: Path, skip_bad: bool = Fa
         _result(entry, f"[{index}]", images, categories, found, results)
     notes += results.settle()
     labels = [name for name, _ in sorted(categories.values(), key=lambda pair: pair[1])]
-    return one_condition(condition, labels, names, sizes, rows, found, notes, sequences, times)
+    return one_condition(condition, labels, names, sizes, rows, found, notes, sequences, times, own)
 
 
 def _parse(path: Path, what: str) -> Any:
@@ -107,7 +107,7 @@ def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tup
 
 def _images(
     content: Mapping[str, Any], problems: Problems
-) -> tuple[dict[Any, int], list[list[float]], list[str], list[int], list[float]]:
+) -> tuple[dict[Any, int], list[list[float]], list[str], list[int], list[float], list[str | None]]:
     """Rows of the images' IDs, in ascending order of the IDs as COCO's own tools have them."""
     entries: list[tuple[int, dict[str, Any]]] = []
     seen: set[Any] = set()
@@ -122,7 +122,7 @@ def _images(
             entries.append((index, entry))
     entries.sort(key=lambda pair: pair[1]["id"])
     rows: dict[Any, int] = {}
-    sizes, names, sequences, times = [], [], [], []
+    sizes, names, sequences, times, own = [], [], [], [], []
     numbers: dict[Any, int] = {}
     for index, entry in entries:
         size = [entry.get("width"), entry.get("height")]
@@ -132,9 +132,10 @@ def _images(
         sizes.append([float(side) if isinstance(side, int | float) else math.nan for side in size])
         names.append(str(entry.get("file_name", entry["id"])))
         sequences.append(numbers.setdefault(entry.get("sequence", entry.get("video_id")), len(numbers)))
+        own.append(str(entry["condition"]) if "condition" in entry else None)
         time = entry.get("time_s", entry.get("frame_id"))
         times.append(float(time) if isinstance(time, int | float) else math.nan)
-    return rows, sizes, names, sequences, times
+    return rows, sizes, names, sequences, times, own
 
 
 def _place(
