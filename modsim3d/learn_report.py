@@ -272,6 +272,7 @@ def write_page(report: Report, path: Path) -> None:
 
 _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
+    ".plots figure { width: 25rem; margin: 0; } .plots svg { width: 100%; height: auto; } "
     ".wide { overflow-x: auto; } .wide td { white-space: nowrap; }"
 )
 _SHARES = (

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from modsim3d.detector import Detector, reference_of
 from modsim3d.detector.loader import parse_detector
@@ -23,8 +24,8 @@ from modsim3d.learn.labelled import NOBODY, Found, Labelled, sorted_by_image
 from modsim3d.learn.learned import Learned, Settings, Values, learn_again
 from modsim3d.learn.resampling import Column, from_scale, spread, to_scale
 
-SIGNIFICANT = 3.0
-"""Standard errors that a bias must differ from zero by to be corrected."""
+SURE = 0.05
+"""Chance that any bias at all is called sure by chance alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,17 +135,21 @@ class Bias:
         shifts: Mean shift, by path.
         errors: Its standard error, by path.
         again: Mean of what was learned again, by path, on the plain scale.
+        repeats: How often it was.
     """
 
     learned: Learned
     shifts: Values
     errors: Values
     again: Values
+    repeats: int
 
     def significant(self, path: str) -> np.ndarray:
-        """Which numbers are surely shifted."""
+        """Which numbers are surely shifted, by Student's test of all of them together."""
+        numbers = sum(np.size(shift) for shift in self.shifts.values())
+        needed = float(stats.t.ppf(1 - SURE / (2 * numbers), self.repeats - 1))
         with np.errstate(invalid="ignore"):
-            return np.isfinite(self.errors[path]) & (np.abs(self.shifts[path]) > SIGNIFICANT * self.errors[path])
+            return np.isfinite(self.errors[path]) & (np.abs(self.shifts[path]) > needed * self.errors[path])
 
     def corrected(self) -> Values:
         """The learned numbers less their bias, where that is sure."""
@@ -176,7 +181,7 @@ def _least_error(column: Column) -> Array:
     return error
 
 
-def bias_of(learned: Learned, labelled: Labelled, image_state: Indices, settings: Settings, repeats: int = 6) -> Bias:
+def bias_of(learned: Learned, labelled: Labelled, image_state: Indices, settings: Settings, repeats: int = 12) -> Bias:
     """Simulate what was learned, learn it again, and compare.
 
     Args:
@@ -199,4 +204,4 @@ def bias_of(learned: Learned, labelled: Labelled, image_state: Indices, settings
         shifts[path] = np.nan_to_num(np.nanmean(np.where(np.isfinite(moved), moved, 0.0), axis=0))
         errors[path] = np.maximum(spread(scaled), _least_error(learned.columns[path])) / np.sqrt(repeats)
         again[path] = from_scale(scaled.mean(axis=0), kind)
-    return Bias(learned, shifts, errors, again)
+    return Bias(learned, shifts, errors, again, repeats)
