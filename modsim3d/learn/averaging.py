@@ -49,10 +49,9 @@ def average(conditions: Sequence[Condition]) -> Condition:
     The covariance is the mean within conditions; how their means differ is not added, as in the source.
     """
     return Condition(
-        *(
-            float(np.mean([getattr(condition, name) for condition in conditions]))
-            for name in ("recall", "false_negative_rate", "false_discovery_rate")
-        ),
+        float(np.mean([condition.recall for condition in conditions])),
+        float(np.mean([condition.false_negative_rate for condition in conditions])),
+        float(np.mean([condition.false_discovery_rate for condition in conditions])),
         np.mean([condition.mean_px for condition in conditions], axis=0),
         np.mean([condition.covariance_px2 for condition in conditions], axis=0),
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.records import Array
+from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.labelled import Mask
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
@@ -104,11 +104,12 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
         theta = theta + step * min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
         if np.abs(step).max() < 1e-9:
             break
-    inverse = np.linalg.inv(information)
+    inverse: Array = np.linalg.inv(information).astype(np.float64)
     scores = np.zeros((len(yf), p))
     scores[np.arange(len(yf)), gf] = residual
     scores[:, count:] = residual[:, None] * xf
-    thetas = theta + resampling.sums(image, scores) @ inverse  # the first row adds the score at the maximum: nothing
+    curvature = _weighted_information(chance * (1 - chance), gf, xf, count, image, resampling)
+    thetas = theta + _steps(curvature, resampling.sums(image, scores), inverse)
     every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
     full = np.where(fitted, 0.0, every[group])
     full[fitted] = chance
@@ -125,6 +126,35 @@ def _information(weight: Array, group: Array, x: Array, count: int) -> Array:
         matrix[count + j, :count] = matrix[:count, count + j]
     matrix[count:, count:] = (x * weight[:, None]).T @ x
     return matrix
+
+
+def _weighted_information(
+    weight: Array, group: Indices, x: Array, count: int, image: Indices, resampling: Resampling
+) -> Array:
+    """`_information` under each row of weights, shape (rows, p, p)."""
+    size = count + x.shape[1]
+    columns = [(group, np.ones(len(group)))]
+    columns += [(np.full(len(group), count + j), x[:, j]) for j in range(x.shape[1])]
+    cells = [(a * size + b, weight * u * v) for a, u in columns for b, v in columns]
+    return resampling.counts(
+        np.tile(image, len(cells)),
+        np.concatenate([cell for cell, _ in cells]),
+        (size, size),
+        np.concatenate([amount for _, amount in cells]),
+    )
+
+
+def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
+    """One step towards the largest likelihood under each row of weights; the first, at the largest already, is none.
+
+    By each row's own curvature: the estimate's would make effects that few images decide look better known than they
+    are. Where a row's curvature is singular, for it has no misses of a kind, the estimate's has to do.
+    """
+    ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
+    steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]
+    sound = np.linalg.cond(curvature + ridge) < 1e6
+    bounded = np.clip(steps, -5, 5)
+    return np.where(sound[:, None], bounded, scores @ inverse)
 
 
 def _anchored(observed: Observed, x: Array, thetas: Array, usable: Mask, every: Array, resampling: Resampling) -> Array:

@@ -13,7 +13,7 @@ from modsim3d.learn.figures import error_columns
 from modsim3d.learn.form import QUANTILES, Form, error_gaps, error_products, miss_products
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import correlation_time, frame_interval_s, steps_between
-from modsim3d.learn.resampling import Column, Resampling
+from modsim3d.learn.resampling import Column, Resampling, spread
 
 Columns = dict[str, Column]
 """By path, such as `states.clear.confusion`."""
@@ -67,12 +67,23 @@ def _classes(observed: Observed, form: Form, resampling: Resampling, inflation: 
         for place, effect in enumerate(form.effects):
             key = "per_doubling" if effect.doublings else "per_unit"
             path = f"dropout.{effect.attribute}.{key}"
-            columns[path] = Column(fit.slopes[:, place], "mean", np.array(float(len(observed.rows))))
+            slopes = _widened(fit.slopes[:, place], float(fit.errors[place]) * np.sqrt(inflation))
+            columns[path] = Column(slopes, "mean", np.array(float(len(observed.rows))))
     everywhere = _share(counts.sum(axis=1), whole.sum(axis=1))
     for index, name in enumerate(form.states):
         table = np.where(np.isfinite(rates[:, index]), rates[:, index], everywhere)
         columns[f"states.{name}.confusion"] = Column(table, "share", np.tile(whole[0, index], (k + 1, 1)), inflation)
     return columns
+
+
+def _widened(values: Array, least: float) -> Array:
+    """Replicates whose spread is at least what the regression's own standard error makes of noise that persists.
+
+    Few things decide a slope, and few runs of frames hold them: replicates alone spread too little.
+    """
+    factor = max(1.0, least / max(float(spread(values[1:])), 1e-12)) if len(values) > 1 else 1.0
+    widened: Array = values[0] + factor * (values - values[0])
+    return widened
 
 
 def _box_errors(observed: Observed, form: Form, resampling: Resampling) -> Columns:

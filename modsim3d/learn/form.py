@@ -12,9 +12,10 @@ from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, attribute_values, fit_misses
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import MISSES_NEEDED, PAIRS_NEEDED, correlation_time, steps_between
-from modsim3d.learn.resampling import resample
+from modsim3d.learn.resampling import resample, spread
 
 _ASTRAY = 0.02
+_TRIALS, _USUAL_RUNS = 200, 24
 ERRORS_NEEDED = 20
 SCORES_NEEDED = 20
 QUANTILES_NEEDED = 200
@@ -150,7 +151,7 @@ def _effects(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
         rare = "misses" if misses == rarer else "finds"
         notes.append(f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}")
         return ()
-    runs = resample(observed.labelled.images, 0, 0)
+    runs = resample(observed.labelled.images, _TRIALS, 0, _usual_run_s(observed))
     while chosen:
         fit = fit_misses(observed, tuple(chosen), runs)
         if fit is None:
@@ -158,7 +159,7 @@ def _effects(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
                 f"dropout: as in the confusion matrix; {len(observed.rows)} truths do not determine the effects"
             )
             return ()
-        strength = np.abs(fit.slopes[0]) / fit.errors
+        strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
             break
@@ -168,6 +169,14 @@ def _effects(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
             f"truths, needs {SIGNIFICANT}"
         )
     return tuple(chosen)
+
+
+def _usual_run_s(observed: Observed) -> float:
+    """Length of runs of frames in which misses that persist look independent; 0 where frames do not follow."""
+    times = observed.labelled.images.time_s
+    if len(steps_between(observed.labelled, observed.rows)) < PAIRS_NEEDED:
+        return 0.0
+    return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
 
 
 def _persistence(

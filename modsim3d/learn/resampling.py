@@ -41,10 +41,11 @@ class Resampling:
         total: Array = np.asarray((by_image.T @ self.weights.T).T)
         return total.reshape(len(self.weights), *values.shape[1:])
 
-    def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...]) -> Array:
-        """Weighted counts of rows in the cells of a table, shape (1 + replicates, *shape)."""
+    def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...], amount: Array | None = None) -> Array:
+        """Weighted counts, or sums of amounts, of rows in the cells of a table, shape (1 + replicates, *shape)."""
         size = int(np.prod(shape))
-        by_image = csr_array((np.ones(len(image)), (image, cell)), shape=(self.weights.shape[1], size))
+        amount = np.ones(len(image)) if amount is None else amount
+        by_image = csr_array((amount, (image, cell)), shape=(self.weights.shape[1], size))
         total: Array = np.asarray((by_image.T @ self.weights.T).T)
         return total.reshape(len(self.weights), *shape)
 
