@@ -79,7 +79,9 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     """
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
-    x = np.column_stack([effect.of(values[effect.attribute]) for effect in effects]).reshape(-1, len(effects))
+    x = np.empty((len(observed.rows), len(effects)))
+    for column, effect in enumerate(effects):
+        x[:, column] = effect.of(values[effect.attribute])
     group = observed.state * k + observed.label
     missed = observed.missed.astype(np.float64)
     number = np.bincount(group, minlength=states * k)

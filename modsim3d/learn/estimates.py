@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.figures import error_columns
-from modsim3d.learn.form import QUANTILES, Form, error_gaps, error_products, miss_products
+from modsim3d.learn.form import FALSE_NEEDED, QUANTILES, Form, error_gaps, error_products, miss_products
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import correlation_time, frame_interval_s, steps_between
 from modsim3d.learn.resampling import Column, Resampling, spread
@@ -18,6 +19,7 @@ from modsim3d.learn.resampling import Column, Resampling, spread
 Columns = dict[str, Column]
 """By path, such as `states.clear.confusion`."""
 _QUANTILE_REPLICATES = 200
+_ALMOST_ANY = 0.99
 
 
 def estimate(observed: Observed, form: Form, resampling: Resampling) -> Columns:
@@ -31,7 +33,7 @@ def estimate(observed: Observed, form: Form, resampling: Resampling) -> Columns:
     columns: Columns = {}
     columns |= _persistence(observed, form, resampling)
     columns |= _classes(observed, form, resampling, least_inflation(observed, columns))
-    columns |= _box_errors(observed, form, resampling)
+    columns |= _box_errors(observed, form, resampling, _kept(observed, columns, "box_s"))
     columns |= _clutter(observed, form, resampling)
     columns |= _confidence(observed, form, resampling)
     return columns
@@ -42,11 +44,17 @@ def _share(part: Array, whole: Array) -> Array:
         return np.where(whole > 0, part / whole, np.nan)
 
 
+def _kept(observed: Observed, columns: Columns, name: str) -> float:
+    """Share of the noise that is kept from one frame to the next."""
+    column = columns.get(f"persistence.{name}")
+    if column is None or column.estimate <= 0:
+        return 0.0
+    return float(np.exp(-frame_interval_s(observed.labelled) / column.estimate))
+
+
 def least_inflation(observed: Observed, columns: Columns) -> float:
     """Variance of the number of frames in which a thing is missed or confused, over that of independent frames."""
-    if "persistence.class_s" not in columns or columns["persistence.class_s"].estimate <= 0:
-        return 1.0
-    kept = float(np.exp(-frame_interval_s(observed.labelled) / columns["persistence.class_s"].estimate))
+    kept = _kept(observed, columns, "class_s")
     return (1 + kept) / (1 - kept)
 
 
@@ -67,7 +75,7 @@ def _classes(observed: Observed, form: Form, resampling: Resampling, inflation: 
         for place, effect in enumerate(form.effects):
             key = "per_doubling" if effect.doublings else "per_unit"
             path = f"dropout.{effect.attribute}.{key}"
-            slopes = _widened(fit.slopes[:, place], float(fit.errors[place]) * np.sqrt(inflation))
+            slopes = _widened(fit.slopes[:, place], fit.errors[place] * np.sqrt(inflation))
             columns[path] = Column(slopes, "mean", np.array(float(len(observed.rows))))
     everywhere = _share(counts.sum(axis=1), whole.sum(axis=1))
     for index, name in enumerate(form.states):
@@ -76,17 +84,41 @@ def _classes(observed: Observed, form: Form, resampling: Resampling, inflation: 
     return columns
 
 
-def _widened(values: Array, least: float) -> Array:
-    """Replicates whose spread is at least what the regression's own standard error makes of noise that persists.
+def _widened(values: Array, least: Array) -> Array:
+    """Replicates whose spread is at least a standard error from theory, noise that persists taken into account.
 
-    Few things decide a slope, and few runs of frames hold them: replicates alone spread too little.
+    Of few runs of frames, or of few things that decide a number, replicates alone spread too little on average.
     """
-    factor = max(1.0, least / max(float(spread(values[1:])), 1e-12)) if len(values) > 1 else 1.0
+    if len(values) == 1:
+        return values
+    found = spread(values[1:])
+    usable = np.isfinite(found) & (found > 0) & np.isfinite(least)
+    factor = np.where(usable, np.maximum(least / np.where(usable, found, 1.0), 1.0), 1.0)
     widened: Array = values[0] + factor * (values - values[0])
     return widened
 
 
-def _box_errors(observed: Observed, form: Form, resampling: Resampling) -> Columns:
+def _normal_errors(columns: Columns, prefix: str, kept: float) -> Columns:
+    """Moments of normal errors, with replicates that spread at least as theory has it.
+
+    Args:
+        columns: Mean, standard deviation and correlation.
+        prefix: Of their paths.
+        kept: Correlation of one error with that of the frame before.
+    """
+    mean, std, correlation = (columns[f"{prefix}_{name}"] for name in ("mean", "std", "correlation"))
+    root = np.sqrt(np.maximum(mean.counts[0], 1.0))
+    of_sums, of_squares = np.sqrt((1 + kept) / (1 - kept)) / root, np.sqrt((1 + kept**2) / (1 - kept**2)) / root
+    least = (
+        std.estimate * of_sums,
+        std.estimate * of_squares / np.sqrt(2),
+        (1 - correlation.estimate**2) * of_squares,
+    )
+    every = zip(("mean", "std", "correlation"), (mean, std, correlation), least, strict=True)
+    return {f"{prefix}_{name}": replace(column, values=_widened(column.values, error)) for name, column, error in every}
+
+
+def _box_errors(observed: Observed, form: Form, resampling: Resampling, kept: float) -> Columns:
     pairs, sizes = observed.pairs(), observed.labelled.images.sizes_px
     columns: Columns = {}
     for index, name in enumerate(form.states):
@@ -96,8 +128,9 @@ def _box_errors(observed: Observed, form: Form, resampling: Resampling) -> Colum
         if not unit.startswith("pooled"):
             use &= pairs.state == index
         errors = pairs.error_px[use] / (pairs.sides_px[use] if relative else 1.0)
-        for key, column in error_columns(resampling, pairs.image[use], errors).items():
-            columns[f"states.{name}.box_{key.replace(' ', '_')}"] = column
+        moments = error_columns(resampling, pairs.image[use], errors)
+        prefix = f"states.{name}.box_error"
+        columns |= _normal_errors({f"{prefix}_{key.split()[1]}": moments[key] for key in moments}, prefix, kept)
     return columns
 
 
@@ -142,7 +175,7 @@ def _clutter(observed: Observed, form: Form, resampling: Resampling) -> Columns:
         columns[f"states.{name}.false_positive_labels"] = Column(table, "share", np.full(k, number[0]))
     boxes = found.boxes_px[observed.false]
     if form.sizes:
-        columns |= _sizes(image, boxes, resampling)
+        columns |= _sizes(image, boxes, observed.labelled.images.sizes_px[image], resampling)
     if form.grid:
         rows, across = form.grid
         centre = (boxes[:, :2] + boxes[:, 2:]) / 2 / observed.labelled.images.sizes_px[image]
@@ -153,8 +186,16 @@ def _clutter(observed: Observed, form: Form, resampling: Resampling) -> Columns:
     return columns
 
 
-def _sizes(image: Indices, boxes_px: Array, resampling: Resampling) -> Columns:
-    """One shape, of a size whose logarithm is normal."""
+def _sizes(image: Indices, boxes_px: Array, sizes_px: Array, resampling: Resampling) -> Columns:
+    """One shape, of a size whose logarithm is normal.
+
+    From boxes whose centres are farther from the image's edge than half of almost any box: the edge cuts the others.
+    """
+    half = np.quantile(boxes_px[:, 2:] - boxes_px[:, :2], _ALMOST_ANY, axis=0) / 2
+    centre = (boxes_px[:, :2] + boxes_px[:, 2:]) / 2
+    inner = np.all((centre > half) & ((centre < sizes_px - half) | np.isnan(sizes_px)), axis=1)
+    if inner.sum() >= FALSE_NEEDED:
+        image, boxes_px = image[inner], boxes_px[inner]
     sides = np.log(np.maximum(boxes_px[:, 2:] - boxes_px[:, :2], 1e-6))
     scale = sides.mean(axis=1)
     values = np.column_stack([np.ones(len(sides)), sides, scale, scale**2])
@@ -163,9 +204,10 @@ def _sizes(image: Indices, boxes_px: Array, resampling: Resampling) -> Columns:
     mean = sums[:, 1:3] / number[:, None]
     variance = (sums[:, 4] - sums[:, 3] ** 2 / number) / np.maximum(number - 1, 1)
     count = float(len(sides))
+    px, std, root = np.exp(mean), np.sqrt(np.maximum(variance, 0)), np.sqrt(count)
     return {
-        "false_positives.size.px": Column(np.exp(mean), "positive", np.full(2, count)),
-        "false_positives.size.log_std": Column(np.sqrt(np.maximum(variance, 0)), "positive", np.array(count)),
+        "false_positives.size.px": Column(_widened(px, px[0] * std[0] / root), "positive", np.full(2, count)),
+        "false_positives.size.log_std": Column(_widened(std, std[0] / root / np.sqrt(2)), "positive", np.array(count)),
     }
 
 
@@ -176,8 +218,9 @@ def _confidence(observed: Observed, form: Form, resampling: Resampling) -> Colum
         if kind == "normal":
             sums = resampling.sums(image, clipped_sums(values, form.threshold, 1.0))
             mean, std = fit_clipped(sums, form.threshold, 1.0)
-            columns[f"{path}.mean"] = Column(mean, "mean", np.array(count))
-            columns[f"{path}.std"] = Column(std, "positive", np.array(count))
+            root = np.sqrt(max(count, 1.0))
+            columns[f"{path}.mean"] = Column(_widened(mean, std[0] / root), "mean", np.array(count))
+            columns[f"{path}.std"] = Column(_widened(std, std[0] / root / np.sqrt(2)), "positive", np.array(count))
         elif kind == "quantiles":
             columns[f"{path}.quantiles"] = Column(
                 _quantiles(image, values, resampling), "mean", np.full(QUANTILES, count)

@@ -248,24 +248,19 @@ def error_products(observed: Observed, units: Mapping[str, str]) -> tuple[Array,
 def first_times(observed: Observed, form: Form) -> tuple[float, float]:
     """Correlation times of misses and box errors, roughly: how long runs of frames must be to be independent."""
     once = resample(observed.labelled.images, 0, 0)
-    times = []
-    for persists, (products, expected, _), rows in (
-        (form.class_persists, miss_products(observed, form.effects), observed.rows),
-        (form.box_persists, error_products(observed, form.units), None),
-    ):
-        if not persists:
-            times.append(0.0)
-            continue
-        steps = _gaps(observed, form, rows)
+
+    def time(products: Array, expected: Array, gaps_s: Array) -> float:
         image = np.zeros(len(products), dtype=np.int64)
-        times.append(float(correlation_time(once, image, products, expected, steps)[0]))
-    return times[0], times[1]
+        return float(correlation_time(once, image, products, expected, gaps_s)[0])
 
-
-def _gaps(observed: Observed, form: Form, rows: np.ndarray | None) -> Array:
-    if rows is not None:
-        return steps_between(observed.labelled, rows).apart_s
-    return error_gaps(observed, form.units)
+    class_s = box_s = 0.0
+    if form.class_persists:
+        products, expected, _ = miss_products(observed, form.effects)
+        class_s = time(products, expected, steps_between(observed.labelled, observed.rows).apart_s)
+    if form.box_persists:
+        products, expected, _ = error_products(observed, form.units)
+        box_s = time(products, expected, error_gaps(observed, form.units))
+    return class_s, box_s
 
 
 def error_gaps(observed: Observed, units: Mapping[str, str]) -> Array:

@@ -13,7 +13,7 @@ from modsim3d.learn.resampling import Resampling
 PAIRS_NEEDED = 200
 """Of consecutive sightings, before a correlation time is looked for."""
 MISSES_NEEDED = 30
-_GRID = 240
+_GRID = 96
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,8 +34,8 @@ class Resampling:
 
     def sums(self, image: Indices, values: Array) -> Array:
         """Weighted sums of rows that belong to images, shape (1 + replicates, ...), from values of shape (n, ...)."""
-        flat = values.reshape(len(image), -1)
-        columns = flat.shape[1]
+        columns = int(np.prod(values.shape[1:]))
+        flat = values.reshape(len(image), columns)
         index = np.repeat(image, columns), np.tile(np.arange(columns), len(image))
         by_image = csr_array((flat.ravel(), index), shape=(self.weights.shape[1], columns))
         total: Array = np.asarray((by_image.T @ self.weights.T).T)
