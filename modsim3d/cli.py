@@ -19,10 +19,12 @@ from modsim3d.progress import progress_bar
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from modsim3d.learn.parameters import Verdict
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
 
 BAD_INPUT, INTERRUPTED = 2, 130
+WIDE = 150  # columns of a table that goes into a file
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -36,6 +38,10 @@ app = typer.Typer(
   modsim3d run simulation_1 --mode 2          a shipped scene, occlusion from pixels
 
   modsim3d run my/scene.yaml --out runs/mine  a scene of your own
+
+  modsim3d detect runs/mine --detector my/detector.yaml --out runs/other    the detector alone, over the same truth
+
+  modsim3d verify runs/mine                   does the run obey its detector file?
 
   modsim3d check my/scene.yaml                what is wrong with it, all at once
 
@@ -104,6 +110,8 @@ def run_command(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
     seed: Annotated[int | None, typer.Option(min=0, help="In place of the scene's.")] = None,
+    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the scene's.")] = None,
+    detector_seed: Annotated[int | None, typer.Option(min=0, help="Of the detector alone.")] = None,
     mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
     source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
@@ -122,6 +130,8 @@ def run_command(
     loaded = load_scene(
         scene,
         seed=seed,
+        detector=detector,
+        detector_seed=detector_seed,
         steps=steps,
         mode=mode,
         source=source.value if source else None,
@@ -148,6 +158,80 @@ def run_command(
 
         draw_contact_sheet(loaded, folder, result.reference)
     _summarise(loaded, result, sheet)
+
+
+@app.command("detect")
+def detect_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
+    out: Annotated[Path, typer.Option(help="The new run directory.")],
+    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the run's.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the detector, in place of the run's.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that share the work; the files stay the same.")] = 1,
+) -> None:
+    """Run another detector, or another seed of it, over a finished run's truth, without rendering again.
+
+    Example: modsim3d detect runs/first --detector my/detector.yaml --seed 7 --out runs/second
+    """
+    from modsim3d.detect_run import detect_run
+    from modsim3d.stored_run import open_run
+
+    stored = open_run(run)
+    with progress_bar() as bar:
+        task = bar.add_task(stored.scene.name, total=stored.scene.steps)
+        result = detect_run(
+            stored,
+            out,
+            detector=detector,
+            seed=seed,
+            overwrite=overwrite,
+            workers=workers,
+            progress=lambda steps: bar.update(task, advance=steps, refresh=True),
+        )
+    _summarise(stored.scene, result, sheet=False)
+
+
+@app.command("verify")
+def verify_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
+    detector: Annotated[Path | None, typer.Option(help="Hold it against this file, not the run's own.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for verify.json and verify.html.", show_default="RUN")
+    ] = None,
+) -> None:
+    """Does a run obey its detector file? Every parameter, asked and measured, with a verdict.
+
+    Exit status 1 if a verdict is against the run.
+
+    Example: modsim3d verify runs/first
+    """
+    from rich.console import Console
+
+    from modsim3d import verify_report
+    from modsim3d.stored_run import open_run
+    from modsim3d.verify_run import verify_run
+
+    verified = verify_run(open_run(run), detector)
+    folder = run if out is None else out
+    verify_report.write_report(verified, folder)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDE)
+    for group, verdicts in verify_report.groups_of(verified.verification).items():
+        _print_verdicts(console, group, verdicts)
+    for note in verify_report.notes_of(verified.verification):
+        console.print(note, style="dim", highlight=False, markup=False)
+    obeys = verified.verification.obeys
+    console.print(
+        f"\n{verify_report.conclusion(verified.verification)}",
+        style="bold" if obeys else "bold red",
+        highlight=False,
+        markup=False,
+    )
+    written = f"written  {folder / 'verify.html'}, {folder / 'verify.json'}"
+    console.print(f"\n{written}", highlight=False, soft_wrap=True)
+    if not obeys:
+        raise typer.Exit(1)
 
 
 @app.command("check")
@@ -337,6 +421,25 @@ def _print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -
     console.print(table)
 
 
+def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from modsim3d.verify_report import HEADER, row_of
+
+    # Numbers that wrap cannot be read: a narrow terminal gets fewer of them, the files have all.
+    left_out = {name for name, least in (("interval", 120), ("noticed from", 100)) if console.width < least}
+    shown = [i for i, name in enumerate(HEADER) if name not in left_out]
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
+    for i in shown:
+        table.add_column(HEADER[i], no_wrap=HEADER[i] == "parameter", overflow="fold")
+    for verdict in verdicts:
+        cells = row_of(verdict)
+        table.add_row(*(escape(cells[i]) for i in shown), style="bold red" if verdict.fails else None)
+    console.print()
+    console.print(table)
+
+
 def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -394,6 +497,14 @@ def _summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
     for pair in result.intersecting:
         message = f"{' and '.join(pair)} intersect: what is seen of them is left open; only the rendered source decides"
         console.print(message, highlight=False, soft_wrap=True, style="yellow")
+    if counts.off_by_curvature:
+        console.print(
+            f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
+            f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved",
+            highlight=False,
+            soft_wrap=True,
+            style="yellow",
+        )
     console.print(f"\nrun directory  {result.folder}", highlight=False, soft_wrap=True)
     if sheet:
         console.print(f"contact sheet  {result.folder / 'contact_sheet.png'}", highlight=False, soft_wrap=True)

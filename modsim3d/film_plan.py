@@ -77,8 +77,10 @@ class FilmPlan:
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     """For each camera the part of its image in which vessels and their detections are."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
-    for frames in selection.frames():
-        for found, frame in zip(boxes, frames, strict=True):
+    for step in selection.shown():
+        for found, frame in zip(boxes, step.frames, strict=True):
+            if frame is None:
+                continue
             true = [vessel is not None for vessel in frame.detections.vessels]
             found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
     crops = []

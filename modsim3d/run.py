@@ -71,32 +71,65 @@ def run_scene(
     Raises:
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
+    if scene.live and workers > 1:
+        raise ModsimError(
+            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
+            "workers: leave --workers out"
+        )
+    with open_workers(scene, workers) as made:
+        return write_run(
+            scene, folder, made, settings_of(scene, made.backend), overwrite=overwrite, resume=resume, progress=progress
+        )
+
+
+def write_run(
+    scene: Scene,
+    folder: Path,
+    made: Workers,
+    settings: dict[str, Any],
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Write the run directory of a scene from the blocks that workers make.
+
+    Args:
+        scene: The scene.
+        folder: The run directory.
+        made: Who makes the blocks.
+        settings: Everything that decides the content of the files, see `settings_of`.
+        overwrite: Replace a run that is there.
+        resume: Continue an interrupted run that is there.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The scene asks for what cannot be, or the folder cannot be used.
+    """
     started = time.perf_counter()
     if scene.live:
-        _refuse_for_live(scene, resume, workers)
+        _refuse_for_live(scene, resume)
     counts, boxes, steps, resumed, pairs = Counts(), BoxSample(), 0, 0, set[tuple[int, int]]()
-    with open_workers(scene, workers) as made:
-        settings = _settings(scene, made.backend)
-        with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-            reference = None
-            if scene.detector.needs_reference:
-                reference, resumed = _survey(made, directory.work, step_ranges(scene), progress)
-            ranges = _told_what_is_kept(step_ranges(scene), scene, directory.work)
-            for block in made.blocks(directory.work, ranges, reference):
-                directory.write(block.files)
-                if scene.live:
-                    directory.write_poses(pose_lines(scene, steps, steps + block.steps))
-                counts += block.counts
-                boxes += block.boxes
-                steps += block.steps
-                pairs |= block.intersecting
-                if reference is None:
-                    resumed += block.steps if block.resumed else 0
-                    progress(block.steps)
-            directory.write_live_own_ships(steps)
-            truncation = boxes.truncation(scene)
-            known = {**settings, **directory.live_settings(steps)}
-            directory.finish({**known, "counts": asdict(counts), "truncation": truncation})
+    with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
+        reference = None
+        if scene.detector.needs_reference:
+            reference, resumed = _survey(made, directory.work, step_ranges(scene), progress)
+        ranges = _told_what_is_kept(step_ranges(scene), scene, directory.work)
+        for block in made.blocks(directory.work, ranges, reference):
+            directory.write(block.files)
+            if scene.live:
+                directory.write_poses(pose_lines(scene, steps, steps + block.steps))
+            counts += block.counts
+            boxes += block.boxes
+            steps += block.steps
+            pairs |= block.intersecting
+            if reference is None:
+                resumed += block.steps if block.resumed else 0
+                progress(block.steps)
+        directory.write_live_own_ships(steps)
+        truncation = boxes.truncation(scene)
+        known = {**settings, **directory.live_settings(steps)}
+        directory.finish({**known, "counts": asdict(counts), "truncation": truncation})
     seconds = time.perf_counter() - started
     (folder / LOG_FILE).write_text(
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
@@ -107,16 +140,11 @@ def run_scene(
     return RunResult(folder, counts, steps, seconds, resumed, intersecting, reference, truncation)
 
 
-def _refuse_for_live(scene: Scene, resume: bool, workers: int) -> None:
+def _refuse_for_live(scene: Scene, resume: bool) -> None:
     if resume:
         raise ModsimError(
             f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
             "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
-        )
-    if workers > 1:
-        raise ModsimError(
-            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
-            "workers: leave --workers out"
         )
 
 
@@ -146,13 +174,14 @@ def _survey(
     return reference, resumed
 
 
-def _settings(scene: Scene, backend: str) -> dict[str, Any]:
+def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
     """Everything that decides the content of the files; no times and no host names."""
     return {
         "format": FORMAT,
         "scene": scene.name,
         "scene_sha256": scene.sha256,
         "seed": scene.seed,
+        "detector_seed": scene.detector_seed,
         "steps": scene.steps,
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,5 +37,16 @@ class SceneCopy:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, folder / name)
         path = folder / f"{self.name}.json"
-        path.write_bytes(orjson.dumps(self.document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n")
+        path.write_bytes(self._scene_file())
         return path
+
+    def sha256(self) -> str:
+        """Of the scene and of every file in the copy: the same for a scene and for the copy that a run holds of it."""
+        digest = hashlib.sha256(hashlib.sha256(self._scene_file()).digest())
+        for name, source in sorted(self.files.items()):
+            digest.update(hashlib.sha256(name.encode()).digest())
+            digest.update(hashlib.sha256(source.read_bytes()).digest())
+        return digest.hexdigest()
+
+    def _scene_file(self) -> bytes:
+        return orjson.dumps(self.document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"

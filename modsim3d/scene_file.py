@@ -11,6 +11,8 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from modsim3d.validation import MAX_COORDINATE_M, Metres, Number, Probability, Strict, shown
 from modsim3d.waves import GRAVITY_M_S2, STEEPEST
 
+SEEDLESS_POSES = {"file", "tracks", "stream"}
+"""Sources in which nothing is drawn; of a plug-in's it is not known."""
 MAX_PX = 1e9  # far beyond any scene, and near enough that no square or product of them overflows
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
@@ -63,6 +65,8 @@ class CameraKeys(Strict):
     skew: Pixels = 0.0
     near_clip_m: NearClip = 0.1
     distortion: DistortionKeys | None = None
+    frame_rate_hz: Interval | None = None
+    start_offset_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)] = 0.0
     pose: PoseKeys | None = None
     mount: MountKeys | None = Field(default=None, validate_default=True)
 
@@ -198,14 +202,22 @@ class SceneKeys(Strict):
     steps: Steps | None = None
     time_step_s: Interval | None = None
     seed: Seed = 0
+    detector_seed: Seed | None = None
     vessels: str | dict[str, object]
     poses: dict[str, object]
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
+    sea: Literal["flat", "curved"] = "flat"
     obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
     imu: ImuKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
+
+    @property
+    def truth_has_seed(self) -> bool:
+        """Whether what the cameras see depends on the seed: poses that are drawn, and waves."""
+        drawn = not SEEDLESS_POSES & self.poses.keys()
+        return drawn or (self.waves is not None and self.waves.level != "none")
 
     @field_validator("vessels", mode="before")
     @classmethod

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from modsim3d.annotate.modes import Annotation
 from modsim3d.camera import Camera, Intrinsics, Mount
@@ -26,7 +25,7 @@ from modsim3d.plugins import Plugin
 from modsim3d.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.scene import Scene, Waves
 from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import MAX_STEPS, CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import MAX_STEPS, AnnotationKeys, CameraKeys, SceneKeys, WavesKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
@@ -47,6 +46,8 @@ OVERRIDES = {
     "source": ("annotation", "source"),
     "supersample": ("annotation", "supersample"),
     "render": ("annotation", "render"),
+    "detector": ("detector",),
+    "detector_seed": ("detector_seed",),
 }
 """What a caller may change in a scene file without editing it, and where it stands."""
 
@@ -93,6 +94,8 @@ def load_scene(
     source: str | None = None,
     supersample: int | None = None,
     render: str | None = None,
+    detector: Path | None = None,
+    detector_seed: int | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -104,6 +107,8 @@ def load_scene(
         source: In place of the file's annotation source.
         supersample: In place of the file's.
         render: In place of the file's, `regions` or `full`.
+        detector: A detector file, in place of the scene file's.
+        detector_seed: In place of the file's.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -112,7 +117,16 @@ def load_scene(
     data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
     if not isinstance(data, dict):
         raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
-    given = {"seed": seed, "steps": steps, "mode": mode, "source": source, "supersample": supersample, "render": render}
+    given = {
+        "seed": seed,
+        "steps": steps,
+        "mode": mode,
+        "source": source,
+        "supersample": supersample,
+        "render": render,
+        "detector": None if detector is None else str(detector.resolve()),  # a scene's paths are relative to it
+        "detector_seed": detector_seed,
+    }
     for name, value in given.items():
         if value is not None:
             _override(data, OVERRIDES[name], value)
@@ -155,7 +169,9 @@ class _Reader:
         level = self._wave_level()
         obstacles = self._obstacles(keys) if keys else ()
         if vessels is not None:
-            vessels = tuple(self._with_mesh(vessel, (entries or {})[vessel.name].get("mesh")) for vessel in vessels)
+            vessels = tuple(
+                self._with_mesh(vessel, (entries or {}).get(vessel.name, {}).get("mesh")) for vessel in vessels
+            )
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
@@ -163,8 +179,10 @@ class _Reader:
         scene = Scene(
             name=self.path.stem,
             path=self.path,
-            sha256=self._sha256(keys, source.keys.files if source else ()),
+            sha256=copy.sha256(),
             seed=keys.seed,
+            detector_seed=keys.seed if keys.detector_seed is None else keys.detector_seed,
+            truth_has_seed=keys.truth_has_seed,
             steps=keys.steps or (MAX_STEPS if isinstance(poses, LivePoses) else len(poses.timestamps)),
             vessels=vessels,
             poses=poses,
@@ -172,6 +190,7 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             copy=copy,
+            sea=keys.sea,
             obstacles=obstacles,
             waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
             imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
@@ -193,6 +212,7 @@ class _Reader:
             )
         self._check_lenses(scene)
         if not scene.live:
+            self._check_frames(scene)
             self._check_places(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
@@ -339,6 +359,25 @@ class _Reader:
                 self.problems += problems
                 found.add(name)
 
+    def _check_frames(self, scene: Scene) -> None:
+        """Whether the scene's steps give each camera its frames. Most of its steps count: a log may have gaps."""
+        for camera in scene.cameras:
+            if camera.frame_rate_hz is None and not camera.start_offset_s:
+                continue
+            times_s = scene.times_s(0, scene.steps)
+            interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+            rate = camera.frame_rate_hz
+            if rate is not None and rate * interval_s > 1 + 1e-6:
+                self.problems.append(
+                    f"cameras.{camera.name}.frame_rate_hz: {rate:g} frames a second are more than the scene's steps of "
+                    f"{interval_s:g} s give: at most {1 / interval_s:g}, or leave it out for a frame at every step"
+                )
+            elif not len(scene.frame_steps(camera, 0, scene.steps)):
+                self.problems.append(
+                    f"cameras.{camera.name}.start_offset_s: the scene ends {times_s[-1]:g} s after its first step, "
+                    f"before the first frame is due ({camera.start_offset_s:g} s): no frame would be taken"
+                )
+
     def _check_lenses(self, scene: Scene) -> None:
         for camera in scene.cameras:
             if problem := camera.intrinsics.lens_problem():
@@ -360,7 +399,12 @@ class _Reader:
             name = "poses" + "".join(Path(recorded).suffixes[-2:])
             files[name] = self.folder / recorded
             document["poses"] = {"file": name}
-        return SceneCopy(self.path.stem, document, files)
+        if document.get("detector_seed") == keys.seed:
+            del document["detector_seed"]  # says nothing
+        # In one order, whether the caller or the file set a key; vessels and cameras keep theirs, which has a meaning.
+        if isinstance(document.get("annotation"), dict):
+            document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
+        return SceneCopy(self.path.stem, _ordered(document, SceneKeys), files)
 
     def _copied(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
         """Vessels or obstacles with their meshes under the names that these have in the copy."""
@@ -369,13 +413,10 @@ class _Reader:
             for name, entry in entries.items()
         }
 
-    def _sha256(self, keys: SceneKeys, pose_files: tuple[str, ...]) -> str:
-        named = [keys.vessels if isinstance(keys.vessels, str) else None, *pose_files, keys.detector]
-        digest = hashlib.sha256()
-        given = [self.folder / name for name in named if name is not None]
-        for path in [self.path, *given, *self.meshes.files.values()]:
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return digest.hexdigest()
+
+def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """A section with its keys in the order of its model."""
+    return {name: keys[name] for name in model.model_fields if name in keys}
 
 
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
@@ -455,4 +496,4 @@ def _camera(name: str, keys: CameraKeys) -> Camera:
     )
     place = keys.mount or keys.pose
     values: Mapping[str, Any] = place.model_dump() if place is not None else {}
-    return Camera(name, intrinsics, Mount(**values))
+    return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)

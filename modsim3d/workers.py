@@ -15,6 +15,7 @@ from modsim3d.counts import Counts
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.formats.block_files import BlockFiles, finished_truth, keep_truth
+from modsim3d.formats.table_reader import read_truth
 from modsim3d.processes import in_order, open_pool, result_of
 from modsim3d.scene import Scene
 from modsim3d.simulate import Simulation, open_renderer, survey, truth_block
@@ -66,10 +67,17 @@ class SurveyedBlock:
 class BlockMaker:
     """Makes blocks of a scene, each from truth to files."""
 
-    def __init__(self, scene: Scene, renderer: IdRenderer | None) -> None:
-        """Set up the detector."""
+    def __init__(self, scene: Scene, renderer: IdRenderer | None, truth_run: Path | None = None) -> None:
+        """Set up the detector.
+
+        Args:
+            scene: The scene.
+            renderer: For the rendered source.
+            truth_run: A finished run of the scene whose truth is taken; it is made anew if None.
+        """
         self._scene = scene
         self._renderer = renderer
+        self._truth_run = truth_run
         self._simulation: Simulation | None = None
         self.backend = renderer.context.description if renderer else "none"
 
@@ -103,7 +111,9 @@ class BlockMaker:
         return FinishedBlock(stop - first, BlockFiles.of(block, self._scene), counts, boxes, resumed, intersecting)
 
     def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, bool]:
-        """The truth of some steps, and whether it was there already."""
+        """The truth of some steps, and whether an interrupted run had it already."""
+        if self._truth_run is not None:
+            return read_truth(self._truth_run, self._scene, first, stop), False
         truth = finished_truth(folder, first, stop)
         if truth is not None:
             return truth, True
@@ -175,29 +185,43 @@ class Processes:
 
 
 @contextmanager
-def open_workers(scene: Scene, count: int) -> Iterator[Workers]:
+def open_workers(scene: Scene, count: int, truth_run: Path | None = None) -> Iterator[Workers]:
     """This process for one worker, or that many others.
+
+    Args:
+        scene: The scene.
+        count: How many.
+        truth_run: A finished run of the scene whose truth is taken, without a renderer; it is made anew if None.
 
     Raises:
         RendererError: There is no OpenGL library.
     """
     if count == 1:
-        with open_renderer(scene) as renderer:
-            yield ThisProcess(BlockMaker(scene, renderer))
+        with _block_maker(scene, truth_run) as maker:
+            yield ThisProcess(maker)
         return
-    with open_pool(count, _start, scene) as pool:
+    with open_pool(count, _start, scene, truth_run) as pool:
         yield Processes(pool, count)
+
+
+@contextmanager
+def _block_maker(scene: Scene, truth_run: Path | None) -> Iterator[BlockMaker]:
+    if truth_run is not None:
+        yield BlockMaker(scene, None, truth_run)
+        return
+    with open_renderer(scene) as renderer:
+        yield BlockMaker(scene, renderer)
 
 
 _maker: BlockMaker | ModsimError | None = None
 _open = ExitStack()
 
 
-def _start(scene: Scene) -> None:
+def _start(scene: Scene, truth_run: Path | None) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _maker
     try:
-        _maker = BlockMaker(scene, _open.enter_context(open_renderer(scene)))
+        _maker = _open.enter_context(_block_maker(scene, truth_run))
     except ModsimError as error:
         _maker = error  # an error here would break the pool, and nobody would learn what it was
 

@@ -63,7 +63,7 @@ def run(folder: Path, scene: Scene) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "run.log"}
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "run.log"}
 
 
 def test_every_kind_of_detection_is_labelled(run: Path) -> None:

@@ -12,7 +12,7 @@ from modsim3d.detector.records import Array, Frames, Indices, Targets
 from modsim3d.random_streams import Streams
 
 _LEAST_CUT, _MOST_CUT = 0.3, 0.7
-_LEAST_SPLIT_PX = 4.0
+LEAST_SPLIT_PX = 4.0
 """Narrower boxes are not split: each part is at least a pixel wide."""
 
 
@@ -68,7 +68,7 @@ class Doubles:
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
         uniforms = target_uniforms(streams, "detector.double", frames, shown, width=2)
         width, height = sizes(shown.boxes_px).T
-        long = single & (width >= self.split_aspect * height) & (sizes(boxes_px)[:, 0] >= _LEAST_SPLIT_PX)
+        long = single & (width >= self.split_aspect * height) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
         doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
         split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
         expected = self.duplicates * single + self.splits * long

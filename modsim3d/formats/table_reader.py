@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.record import Truth
 from modsim3d.block import Frame, FrameDetections, FrameTruth
+from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.tables import BOX_SIDES
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
@@ -29,7 +30,19 @@ def read_rows(path: Path, first: int, stop: int, columns: Sequence[str] | None =
         stop: The step after the last.
         columns: Names; all if None.
     """
-    return pq.read_table(path, columns=columns, filters=[("step", ">=", first), ("step", "<", stop)])
+    return read_where(path, [("step", ">=", first), ("step", "<", stop)], columns)
+
+
+def read_where(path: Path, filters: list[tuple[str, str, Any]], columns: Sequence[str] | None = None) -> pa.Table:
+    """Rows for which conditions hold.
+
+    Raises:
+        RunDirectoryError: The file is not the table that a run has written.
+    """
+    try:
+        return pq.read_table(path, columns=columns, filters=filters)
+    except (pa.ArrowException, KeyError) as error:
+        raise RunDirectoryError(f"{path} is not what a run has written: {str(error).splitlines()[0]}") from None
 
 
 def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
@@ -78,8 +91,8 @@ def read_frames(folder: Path, scene: Scene, first: int, stop: int) -> Iterator[F
     if first >= stop:
         return
     cameras = {camera.name: camera for camera in scene.cameras}
-    steps = np.arange(first, stop)
-    horizons = {name: scene.sea_half_planes(camera, steps) for name, camera in cameras.items()}
+    taken = {name: scene.frame_steps(camera, first, stop) for name, camera in cameras.items()}
+    horizons = {name: scene.sea_half_planes(camera, taken[name]) for name, camera in cameras.items()}
     for row in frames.to_pylist():
         key = row["step"], row["camera"]
         yield Frame(
@@ -90,7 +103,7 @@ def read_frames(folder: Path, scene: Scene, first: int, stop: int) -> Iterator[F
             truth=_frame_truth(truth(key), scene),
             detections=_frame_detections(detections(key)),
             image_size_px=cameras[row["camera"]].intrinsics.image_size_px,
-            sea_half_plane=horizons[row["camera"]][row["step"] - first],
+            sea_half_plane=horizons[row["camera"]][np.searchsorted(taken[row["camera"]], row["step"])],
             scene_vessels=scene.vessel_names,
         )
 

@@ -1,0 +1,70 @@
+"""The detector alone, over the truth of a finished run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from modsim3d.errors import RunDirectoryError
+from modsim3d.run import RunResult, settings_of, write_run
+from modsim3d.scene import Scene
+from modsim3d.scene_reader import load_scene
+from modsim3d.stored_run import StoredRun
+from modsim3d.workers import open_workers
+
+
+def detect_run(
+    run: StoredRun,
+    folder: Path,
+    *,
+    detector: Path | None = None,
+    seed: int | None = None,
+    overwrite: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Write the run directory that the run's scene would have given with another detector or seed, without rendering.
+
+    Args:
+        run: A finished run.
+        folder: The new run directory.
+        detector: A detector file; the run's own if None.
+        seed: Of the detector; the run's own if None.
+        overwrite: Replace a run that is there.
+        workers: Processes that make blocks; the files are the same bytes whatever their number.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
+    """
+    if not run.finished:
+        raise RunDirectoryError(
+            f"{run.folder} holds an interrupted run, whose truth is not complete: finish it with "
+            "`modsim3d run SCENE --resume` first"
+        )
+    if folder.resolve() == run.folder.resolve():
+        raise RunDirectoryError(f"{folder} is the run that the truth is read from: choose another folder")
+    scene = with_detector(run, detector, seed)
+    settings = settings_of(scene, run.settings["backend"])
+    if settings["versions"] != run.settings["versions"]:
+        settings["truth_versions"] = run.settings["versions"]
+    with open_workers(scene, workers, truth_run=run.folder) as made:
+        return write_run(scene, folder, made, settings, overwrite=overwrite, progress=progress)
+
+
+def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:
+    """A run's scene with another detector file or another seed of the detector.
+
+    Where what the cameras see does not depend on the seed, it is the scene's own seed that changes; else only the
+    detector's, as the truth must stay.
+
+    Raises:
+        InputError: The detector file is wrong, or does not know the label of a vessel.
+    """
+    keep_seed = run.scene.truth_has_seed
+    return load_scene(
+        run.scene.path,
+        detector=detector,
+        seed=None if keep_seed else seed,
+        detector_seed=seed,
+    )

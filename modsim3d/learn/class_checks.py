@@ -1,0 +1,190 @@
+"""Dropout and class: the columns of the confusion matrix, what misses depend on, and how long they persist."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.detector.chain import reference_of
+from modsim3d.detector.classification import ConfusionClassifier
+from modsim3d.detector.draws import cumulative
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Array, Indices
+from modsim3d.detector.reference import Reference
+from modsim3d.learn.dropout_checks import dropout_checks
+from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.limits import limit_note
+from modsim3d.learn.measures import Estimate, Exact, Measure, Rate
+from modsim3d.learn.pairs import inflation
+from modsim3d.learn.parameters import Parameter
+
+GROUP = "dropout and class"
+BACKGROUND = "background"
+LEAST_CHANCES = 30
+"""Independent chances to see a label in a state, below which its column is not tested."""
+LEAST_PAIRS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What the detector file asks of every chance.
+
+    Attributes:
+        passed: Whether the gates let it pass, shape (n,).
+        edges: Between them a uniform number means one label after the other, then a miss, shape (n, labels + 2).
+    """
+
+    passed: NDArray[np.bool_]
+    edges: Array
+
+    @property
+    def missed(self) -> Array:
+        """Probability of a miss, shape (n,)."""
+        probability: Array = 1 - self.edges[:, -2]
+        return probability
+
+
+def asked_of(model: DetectorModel, evidence: Evidence) -> Asked:
+    """What a detector's gates, confusion matrices and dropout ask of every chance."""
+    passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
+    reference = None
+    if model.needs_reference:
+        reference = sum((reference_of(model, seen.frames, seen.targets) for seen in evidence.cameras), Reference())
+    classifier = ConfusionClassifier.from_model(model, reference)
+    chances = evidence.chances
+    edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[chances.state, chances.label]
+    usual = edges[:, -2].copy()
+    missed = 1 - usual
+    if model.dropout.effects:
+        missed = np.concatenate(
+            [classifier.miss_rates(s.detections.states[s.targets.frame], s.targets) for s in evidence.cameras]
+        )
+        edges[:, :-1] *= ((1 - missed) / np.where(usual > 0, usual, 1))[:, None]
+    return Asked(np.concatenate(passed), np.concatenate([np.zeros((len(edges), 1)), edges], axis=1))
+
+
+def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    """Every entry of every state's confusion matrix that is free: of a column with two entries only the dropout."""
+    asked = asked_of(model, evidence)
+    note = limit_note(model, evidence)
+    parameters = _gate_checks(evidence, asked)
+    for s, state in enumerate(model.states):
+        for column, label in enumerate(model.labels):
+            ours = (evidence.chances.state == s) & (evidence.chances.label == column) & asked.passed
+            names = [*model.labels, BACKGROUND]
+            for row in range(len(names)) if len(names) > 2 else [len(names) - 1]:
+                value = float(state.confusion[row, column])
+                measure = None if note else _entry(model, evidence, asked, np.flatnonzero(ours), row)
+                name = f"states.{state.name}.confusion[{names[row]}][{label}]"
+                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=note))
+    return [*parameters, *_overall_checks(model, evidence, asked, note)]
+
+
+def _gate_checks(evidence: Evidence, asked: Asked) -> list[Parameter]:
+    if asked.passed.all():
+        return []
+    seen = (evidence.chances.outcome != -1) & ~asked.passed
+    measure = Exact(int(seen.sum()), int((~asked.passed).sum()))
+    return [Parameter("gates: nothing seen beyond them", GROUP, measure, in_file=False)]
+
+
+def _entry(model: DetectorModel, evidence: Evidence, asked: Asked, rows: Indices, row: int) -> Measure | None:
+    """One entry of a column; rows are the chances of its state and label."""
+    background = len(model.labels)
+    outcome = evidence.chances.outcome[rows]
+    low, high = asked.edges[rows, row], asked.edges[rows, row + 1]
+    happened = outcome == (-1 if row == background else row)
+    if model.doubles.merges and row < background:  # of a merged vessel the label is not known: among the others
+        known = outcome >= 0
+        share = (high - low) / np.where(asked.missed[rows] < 1, 1 - asked.missed[rows], 1)
+        rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
+    return _share(model, evidence, rows, happened, low, high)
+
+
+def _share(
+    model: DetectorModel, evidence: Evidence, rows: Indices, happened: NDArray[np.bool_], low: Array, high: Array
+) -> Measure | None:
+    """How often a uniform number was between bounds, which each row has for itself."""
+    if len(rows) < LEAST_CHANCES:
+        return None
+    probability = high - low
+    spread = probability * (1 - probability)
+
+    def covariance(later: Indices, earlier: Indices) -> Array:
+        common = np.minimum(high[later], high[earlier]) - np.maximum(low[later], low[earlier])
+        kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
+        return kept
+
+    chances = evidence.chances
+    tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
+    factor = inflation(tracks, chances.time_s[rows], model.persistence.class_s, spread, covariance)
+    if len(rows) / factor < LEAST_CHANCES:
+        return None
+    mean, count = float(probability.mean()), int(happened.sum())
+    if np.ptp(probability) < 1e-12:
+        return Rate(count, len(rows), mean, factor)
+    variance = float(spread.sum()) * factor
+    if variance <= 0:
+        return None
+    skewness = float((spread * (1 - 2 * probability)).sum()) * factor**2 / variance**1.5
+    return Estimate(count / len(rows), mean, variance**0.5 / len(rows), len(rows) / factor, skewness)
+
+
+def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
+    """Asked probability that each chance is missed, 1 where a gate keeps it from being seen, shape (n,)."""
+    asked = asked_of(model, evidence)
+    return np.where(asked.passed, asked.missed, 1.0)
+
+
+def _overall_checks(model: DetectorModel, evidence: Evidence, asked: Asked, note: str) -> list[Parameter]:
+    rows = np.flatnonzero(asked.passed)
+    missed = evidence.chances.outcome[rows] == -1
+    low, high = asked.edges[rows, -2], asked.edges[rows, -1]
+    overall = None if note else _share(model, evidence, rows, missed, low, high)
+    persistence = None if note else _persistence(model, evidence, asked)
+    return [
+        Parameter("dropout, all states", GROUP, overall, in_file=False, note=note),
+        *([] if note else dropout_checks(model, evidence, asked.passed, asked.missed, GROUP)),
+        Parameter("persistence.class_s", GROUP, persistence, note=correlation_note(persistence)),
+    ]
+
+
+def correlation_note(measure: Estimate | None) -> str:
+    """What the numbers beside a correlation time are."""
+    return "as the correlation from one frame to the next" if measure is not None and measure.asked else ""
+
+
+def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Estimate | None:
+    """Chance that a vessel keeps its number from one frame to the next.
+
+    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in that chance
+    κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
+    """
+    chances = evidence.chances
+    now = np.flatnonzero((chances.before >= 0) & asked.passed)
+    before = chances.before[now]
+    some = asked.passed[before] & (asked.missed[now] > 0) & (asked.missed[now] < 1)
+    now, before = now[some], before[some]
+    if len(now) < LEAST_PAIRS:
+        return None
+    p, p_before = asked.missed[now], asked.missed[before]
+    was_missed = chances.outcome[before] == -1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kept = np.where(was_missed, np.minimum(1, p / p_before), np.maximum(0, (p - p_before) / (1 - p_before)))
+    kept = np.where(np.isfinite(kept), kept, p)
+    apart = chances.time_s[now] - chances.time_s[before]
+    tau = model.persistence.class_s
+    kappa = np.exp(-apart / tau) if tau > 0 else np.zeros(len(now))
+    q = np.clip(kappa * kept + (1 - kappa) * p, 1e-9, 1 - 1e-9)
+    slope, spread = kept - p, q * (1 - q)
+    information = float((slope**2 / spread).sum())
+    if information <= 0:
+        return None
+    residual = (chances.outcome[now] == -1) - q
+    asked_kappa = float(kappa.mean())
+    step = float((residual * slope / spread).sum()) / information
+    skewness = float((slope**3 * (1 - 2 * q) / spread**2).sum()) / information**1.5
+    return Estimate(asked_kappa + step, asked_kappa, 1 / math.sqrt(information), len(now), skewness)

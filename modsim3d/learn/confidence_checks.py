@@ -1,0 +1,119 @@
+"""Confidence: mean, standard deviation and slopes of normal ones before clipping, the whole law of others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.boxes import sizes
+from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Array
+from modsim3d.detector.scores import NormalScores, QuantileScores, Scores
+from modsim3d.learn.clipped_normal import Clipped
+from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.limits import limit_note
+from modsim3d.learn.measures import Exact, Law, Measure
+from modsim3d.learn.parameters import Parameter
+
+GROUP = "confidence"
+LEAST_DETECTIONS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Detections of a state with what their confidence may depend on; shapes (n,).
+
+    Attributes:
+        scores: Their confidence.
+        hidden: Share of the vessel that is hidden, 0 where there is none.
+        halvings: Of the box's size below the reference.
+    """
+
+    scores: Array
+    hidden: Array
+    halvings: Array
+
+    def __add__(self, other: Scored) -> Scored:
+        """Both together."""
+        columns = ("scores", "hidden", "halvings")
+        return Scored(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in columns))
+
+
+def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    """Of every state, true and false detections together where the file does not tell them apart."""
+    note = limit_note(model, evidence)
+    threshold = model.confidence_threshold
+    parameters = []
+    for s, state in enumerate(model.states):
+        law = state.confidence
+        true, false = _scored(evidence, s, law)
+        groups = (
+            [("", law.true, true + false)]
+            if law.true is law.false
+            else [(".true", law.true, true), (".false", law.false, false)]
+        )
+        for name, scores, found in groups:
+            path = f"states.{state.name}.confidence{name}"
+            parameters += [
+                Parameter(f"{path}.{entry}", GROUP, None if note else measure, asked, state=state.name, note=note)
+                for entry, asked, measure in _measures(law, scores, found, threshold)
+            ]
+    every = np.concatenate([evidence.hits.confidence, evidence.clutter.confidence])
+    outside = int(((every < threshold) | (every > 1)).sum())
+    return [*parameters, Parameter("confidence_threshold", GROUP, Exact(outside, len(every)))]
+
+
+def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
+    """True and false detections of a state."""
+    hits, clutter, chances = evidence.hits, evidence.clutter, evidence.chances
+    true, false = np.flatnonzero(chances.state[hits.chance] == s), np.flatnonzero(clutter.state == s)
+    seen = np.append(chances.visible_fraction, np.nan)  # the last for chance −1: no vessel
+    parts = []
+    for scores, chance, boxes in (
+        (hits.confidence[true], hits.chance[true], hits.boxes_px[true]),
+        (clutter.confidence[false], clutter.chance[false], clutter.boxes_px[false]),
+    ):
+        visible = seen[chance]
+        width, height = sizes(boxes).T
+        smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
+        parts.append(Scored(scores, np.where(np.isnan(visible), 0, 1 - visible), -np.log2(smaller)))
+    return parts[0], parts[1]
+
+
+def _measures(
+    law: StateConfidence, scores: Scores, found: Scored, threshold: float
+) -> list[tuple[str, float, Measure | None]]:
+    """Name, asked value and measure of each number of a law."""
+    slopes = [
+        (name, slope, -amount)
+        for name, slope, amount in (
+            ("visibility_slope", law.visibility_slope, found.hidden),
+            ("size_slope", law.size_slope, found.halvings),
+        )
+        if slope
+    ]
+    if isinstance(scores, NormalScores):
+        return _normal(scores, slopes, found, threshold)
+    if slopes or not isinstance(scores, QuantileScores) or len(found.scores) < LEAST_DETECTIONS:
+        return [("law", 0.0, None)]
+    inside = scores.quantiles.clip(threshold, 1)
+    return [("law", 0.0, Law.of(found.scores, inside))]
+
+
+def _normal(
+    scores: NormalScores, slopes: list[tuple[str, float, Array]], found: Scored, threshold: float
+) -> list[tuple[str, float, Measure | None]]:
+    shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(len(found.scores)))
+    names = ["mean", "std", *(name for name, _, _ in slopes)]
+    asked = [scores.mean, scores.std, *(slope for _, slope, _ in slopes)]
+    if len(found.scores) < LEAST_DETECTIONS:
+        return [(name, value, None) for name, value in zip(names, asked, strict=True)]
+    if scores.std == 0:
+        expected = np.clip(scores.mean + shift, threshold, 1)
+        wrong = int((np.abs(found.scores - expected) > 1e-12).sum())
+        return [("std", 0.0, Exact(wrong, len(found.scores)))]
+    clipped = Clipped(found.scores, np.column_stack([np.ones(len(shift)), *(a for _, _, a in slopes)]), threshold)
+    fitted = clipped.measures(np.array([scores.mean, *(slope for _, slope, _ in slopes)]), scores.std)
+    return [(name, value, measure) for name, value, measure in zip(names, asked, fitted, strict=True)]

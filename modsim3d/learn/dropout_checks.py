@@ -1,0 +1,85 @@
+"""What misses depend on: slopes and tables of visible fraction, size and distance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.detector.draws import log2
+from modsim3d.detector.dropout import ATTRIBUTES, Slope, Table
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Array
+from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.measures import Estimate
+from modsim3d.learn.pairs import lag_pairs
+from modsim3d.learn.parameters import Parameter
+
+LEAST_MISSES = 30
+
+
+def dropout_checks(
+    model: DetectorModel, evidence: Evidence, passed: NDArray[np.bool_], missed: Array, group: str
+) -> list[Parameter]:
+    """Each slope, and each range of each table, with the rates of all states and labels free beside it.
+
+    Args:
+        model: What was asked for.
+        evidence: What the run shows.
+        passed: Chances that the gates let pass, shape (n,).
+        missed: Asked probability of a miss, shape (n,).
+        group: For the parameters.
+    """
+    parameters = []
+    for effect in model.dropout.effects:
+        values = np.concatenate([ATTRIBUTES[effect.attribute](seen.targets) for seen in evidence.cameras])
+        for name, asked, column in _columns(effect, values):
+            measure = _effect(model, evidence, passed, missed, column, asked)
+            parameters.append(Parameter(f"dropout.{effect.attribute}.{name}", group, measure, asked))
+    return parameters
+
+
+def _columns(effect: Slope | Table, values: Array) -> list[tuple[str, float, Array]]:
+    """Name, asked value and derivative of the log-odds by it of each number of an effect."""
+    known = ~np.isnan(values)
+    if isinstance(effect, Slope):
+        filled = np.where(known, values, effect.reference)
+        amount = log2(filled / effect.reference) if effect.doublings else filled - effect.reference
+        return [("per_doubling" if effect.doublings else "per_unit", effect.log_odds, amount)]
+    place = np.searchsorted(effect.edges, values, side="right")
+    return [(f"odds[{k}]", odds, np.where(known & (place == k), 1 / odds, 0.0)) for k, odds in enumerate(effect.odds)]
+
+
+def _effect(
+    model: DetectorModel,
+    evidence: Evidence,
+    passed: NDArray[np.bool_],
+    missed: Array,
+    column: Array,
+    asked: float,
+) -> Estimate | None:
+    """One step of a logistic regression from the asked probabilities, with an intercept for each state and label."""
+    chances = evidence.chances
+    rows = np.flatnonzero(passed & (missed > 0) & (missed < 1))
+    p = missed[rows]
+    happened = chances.outcome[rows] == -1
+    if happened.sum() < LEAST_MISSES:
+        return None
+    spread, amount = p * (1 - p), column[rows]
+    group = chances.state[rows] * len(model.labels) + chances.label[rows]
+    weight = np.bincount(group, spread)
+    mean = np.bincount(group, spread * amount) / np.where(weight > 0, weight, 1)
+    free = amount - mean[group]  # what no change of the states' rates could explain
+    information = float((spread * free**2).sum())
+    if information < 1e-9 * max(float((spread * amount**2).sum()), 1e-300):
+        return None
+    variance = information
+    if model.persistence.class_s > 0:
+        tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
+        for later, earlier, apart in lag_pairs(tracks, chances.time_s[rows], model.persistence.class_s):
+            kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]
+            shared = np.exp(-apart / model.persistence.class_s) * kept * free[later] * free[earlier]
+            variance += 2 * float(shared.sum())
+    step = float(((happened - p) * free).sum()) / information
+    error = max(variance, 0.1 * information) ** 0.5 / information
+    skewness = float((spread * (1 - 2 * p) * free**3).sum()) / information**1.5
+    return Estimate(asked + step, asked, error, len(rows) * information / variance, skewness)

@@ -1,0 +1,59 @@
+"""Pairs of rows of one track, some time apart: over them noise that persists adds up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from modsim3d.detector.records import Array, Indices
+
+_FORGOTTEN = 10.0
+"""Correlation times after which nothing of a correlation is counted: 5e-5 of it is left."""
+
+
+def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator[tuple[Indices, Indices, Array]]:
+    """Rows of the same track that are near enough in time to be correlated, those one apart first.
+
+    Args:
+        tracks: Any numbers that are equal in rows of one track, shape (n, k).
+        times_s: Shape (n,).
+        correlation_s: Of what persists.
+
+    Yields:
+        Later rows, earlier rows, and seconds between, shapes (m,).
+    """
+    order = np.lexsort((times_s, *tracks.T[::-1]))
+    ordered, times = tracks[order], times_s[order]
+    for lag in range(1, len(order)):
+        same = (ordered[lag:] == ordered[:-lag]).all(axis=1)
+        apart = times[lag:] - times[:-lag]
+        near = np.flatnonzero(same & (apart <= _FORGOTTEN * correlation_s))
+        if not len(near):
+            return
+        yield order[near + lag], order[near], apart[near]
+
+
+def inflation(
+    tracks: Indices,
+    times_s: Array,
+    correlation_s: float,
+    variances: Array,
+    covariance: Callable[[Indices, Indices], Array],
+) -> float:
+    """Variance of the sum of rows that persist over that of independent rows.
+
+    Args:
+        tracks: Shape (n, k).
+        times_s: Shape (n,).
+        correlation_s: Two rows have kept the same noise with probability e^(−Δt / this).
+        variances: Of each row, shape (n,).
+        covariance: Of later and earlier rows that have kept it.
+    """
+    alone = float(variances.sum())
+    if correlation_s <= 0 or alone <= 0:
+        return 1.0
+    total = alone
+    for later, earlier, apart in lag_pairs(tracks, times_s, correlation_s):
+        total += 2 * float((np.exp(-apart / correlation_s) * covariance(later, earlier)).sum())
+    return total / alone

@@ -1,0 +1,60 @@
+"""How many frames in a row a vessel is missed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Array, Indices
+from modsim3d.learn.evidence import Evidence
+
+
+def run_lengths(evidence: Evidence) -> Indices:
+    """Number of runs of misses by length, from 0 on; a run ends where the vessel is detected or not annotated."""
+    chances = evidence.chances
+    missed = chances.outcome < 0
+    length = missed.astype(np.int64)
+    order = np.lexsort((chances.frame, chances.camera))  # each row after the one before it
+    for row in order[missed[order] & (chances.before[order] >= 0)]:
+        length[row] += length[chances.before[row]]
+    goes_on = np.zeros(len(missed), dtype=bool)
+    follows = np.flatnonzero(missed & (chances.before >= 0))
+    goes_on[chances.before[follows]] = True
+    return np.bincount(length[missed & ~goes_on], minlength=2)
+
+
+def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Array) -> Array:
+    """Probability of a miss where the frame before was one, shape (n,); the plain one where there is none before."""
+    chances, tau = evidence.chances, model.persistence.class_s
+    if tau <= 0:
+        return miss_probability
+    before = np.where(chances.before >= 0, chances.before, 0)
+    kept = np.exp(-(chances.time_s - chances.time_s[before]) / tau)
+    earlier = miss_probability[before]
+    same = np.minimum(1.0, miss_probability / np.where(earlier > 0, earlier, 1))
+    return np.where(chances.before >= 0, kept * same + (1 - kept) * miss_probability, miss_probability)
+
+
+def expected_run_lengths(miss_probability: Array, again: Array, before: Indices, most: int) -> Array:
+    """Expected number of runs of 1, 2, ... `most` misses, shape (most,).
+
+    Args:
+        miss_probability: Of each chance, shape (n,).
+        again: Of a miss where the frame before was one, shape (n,).
+        before: Row of the same vessel in the frame before, −1 if there is none, shape (n,).
+        most: Greatest length.
+    """
+    after = np.full(len(before), -1)
+    follows = np.flatnonzero(before >= 0)
+    after[before[follows]] = follows
+    ends = np.where(after >= 0, 1 - again[after], 1.0)
+    chance = miss_probability - np.where(before >= 0, miss_probability[before] * again, 0.0)
+    expected = np.zeros(most)
+    row, alive = np.arange(len(before)), np.ones(len(before), dtype=bool)
+    for k in range(most):
+        expected[k] = (chance * ends[row])[alive].sum()
+        onwards = after[row]
+        alive &= onwards >= 0
+        row = np.where(onwards >= 0, onwards, row)
+        chance = chance * np.where(alive, again[row], 0)
+    return expected

@@ -1,0 +1,177 @@
+"""Changes of one parameter of a detector file, as somebody might make them after a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState, read_only
+from modsim3d.detector.scores import NormalScores
+
+PART, SIGMAS, CORRELATION = 0.2, 0.2, 0.1
+"""Of a rate or standard deviation; of a mean in standard deviations; of a correlation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One change.
+
+    Attributes:
+        kind: Of the parameter, for tables.
+        name: What `verify` calls the parameter.
+        size: By how much, positive: the file asks for so much more than the run was made with, or less.
+        up: Whether the file asks for more.
+        model: With the change.
+    """
+
+    kind: str
+    name: str
+    size: float
+    up: bool
+    model: DetectorModel
+
+
+def with_entry(column: np.ndarray, row: int, value: float) -> np.ndarray:
+    """A distribution with one entry set and the others in the same proportions."""
+    changed = np.array(column, dtype=np.float64)
+    others = np.arange(len(changed)) != row
+    changed[others] *= (1 - value) / changed[others].sum()
+    changed[row] = value
+    return changed
+
+
+def with_state(model: DetectorModel, index: int, **changes: object) -> DetectorModel:
+    states = list(model.states)
+    states[index] = replace(states[index], **changes)
+    return replace(model, states=tuple(states))
+
+
+def single_changes(model: DetectorModel) -> Iterator[Change]:
+    """Each parameter changed once, every other one up and every other one down where both can be."""
+    up = True
+    for index, state in enumerate(model.states):
+        for change in (*_stay_rate(model, index), *_state_changes(model, index, state)):
+            wanted, other = change if up else change[::-1]
+            chosen = wanted or other
+            if chosen is not None:
+                yield chosen
+                up = not up
+
+
+Pair = tuple[Change | None, Change | None]
+
+
+def _stay_rate(model: DetectorModel, index: int) -> Iterator[Pair]:
+    name = model.states[index].name
+    yield _pair(
+        "stay-rate",
+        f"transition_matrix[{name}][{name}]",
+        float(model.transition_matrix[index, index]),
+        PART * float(model.transition_matrix[index, index]),
+        lambda value: _with_stay(model, index, value),
+        low=0.0,
+        high=1.0,
+    )
+
+
+def _with_stay(model: DetectorModel, index: int, value: float) -> DetectorModel:
+    matrix = np.array(model.transition_matrix)
+    if len(matrix) == 1:
+        raise ValueError("a single state always stays")
+    matrix[:, index] = with_entry(matrix[:, index], index, value)
+    return replace(model, transition_matrix=read_only(matrix))
+
+
+def _state_changes(model: DetectorModel, index: int, state: PerformanceState) -> Iterator[Pair]:
+    path = f"states.{state.name}"
+    for column, label in enumerate(model.labels):
+        rate = float(state.confusion[-1, column])
+
+        def missed(value: float, column: int = column) -> DetectorModel:
+            confusion = np.array(state.confusion)
+            confusion[:, column] = with_entry(confusion[:, column], len(confusion) - 1, value)
+            return with_state(model, index, confusion=read_only(confusion))
+
+        name = f"{path}.confusion[background][{label}]"
+        yield _pair("false negative rate", name, rate, PART * rate, missed, low=0.0, high=1.0)
+    rate = state.false_discovery_rate
+    yield _pair(
+        "false discovery rate",
+        f"{path}.false_discovery_rate",
+        rate,
+        PART * rate,
+        lambda value: with_state(model, index, false_discovery_rate=value),
+        low=0.0,
+        high=0.99,
+    )
+    mean, std = state.confidence_mean, state.confidence_std
+    yield _pair(
+        "confidence mean",
+        f"{path}.confidence.mean",
+        mean,
+        SIGMAS * std,
+        lambda value: _with_confidence(model, index, value, std),
+    )
+    yield _pair(
+        "confidence standard deviation",
+        f"{path}.confidence.std",
+        std,
+        PART * std,
+        lambda value: _with_confidence(model, index, mean, value),
+    )
+    yield from _box_changes(model, index, state)
+
+
+def _with_confidence(model: DetectorModel, index: int, mean: float, std: float) -> DetectorModel:
+    scores = NormalScores(mean, std)
+    confidence = replace(model.states[index].confidence, true=scores, false=scores)
+    return with_state(model, index, confidence_mean=mean, confidence_std=std, confidence=confidence)
+
+
+def _box_changes(model: DetectorModel, index: int, state: PerformanceState) -> Iterator[Pair]:
+    path = f"states.{state.name}.box_error"
+    means, covariance = np.array(state.box_error_mean_px), np.array(state.box_error_covariance_px2)
+    stds = np.sqrt(np.diag(covariance))
+    for i, component in enumerate(ERROR_COMPONENTS):
+
+        def shifted(value: float, i: int = i) -> DetectorModel:
+            changed = means.copy()
+            changed[i] = value
+            return with_state(model, index, box_error_mean_px=read_only(changed))
+
+        def spread(value: float, i: int = i) -> DetectorModel:
+            scale = np.ones(4)
+            scale[i] = value / stds[i]
+            return with_state(model, index, box_error_covariance_px2=read_only(covariance * np.outer(scale, scale)))
+
+        mean_size, std_size = SIGMAS * float(stds[i]), PART * float(stds[i])
+        yield _pair("box error mean", f"{path}.mean[{component}]", float(means[i]), mean_size, shifted)
+        yield _pair("box error standard deviation", f"{path}.std[{component}]", float(stds[i]), std_size, spread)
+    for i in range(4):
+        for j in range(i + 1, 4):
+
+            def tied(value: float, i: int = i, j: int = j) -> DetectorModel | None:
+                changed = covariance.copy()
+                changed[i, j] = changed[j, i] = value * stds[i] * stds[j]
+                if np.linalg.eigvalsh(changed / np.outer(stds, stds))[0] < 0.01:
+                    return None  # no errors can have it
+                return with_state(model, index, box_error_covariance_px2=read_only(changed))
+
+            name = f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]"
+            asked = float(covariance[i, j] / stds[i] / stds[j])
+            yield _pair("box error correlation", name, asked, CORRELATION, tied, low=-0.99, high=0.99)
+
+
+def _pair(kind, name, asked, size, make, low=-np.inf, high=np.inf) -> Pair:
+    """The change up and the change down, None where it cannot be."""
+
+    def change(up: bool) -> Change | None:
+        value = asked + size if up else asked - size
+        if not low < value < high or size == 0:
+            return None
+        model = make(value)
+        return None if model is None else Change(kind, name, size, up, model)
+
+    return change(True), change(False)

@@ -1,0 +1,240 @@
+"""The laws that measured numbers are held against, each against a slow and obvious one."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from modsim3d.detector.box_error import acceptable
+from modsim3d.detector.boxes import move
+from modsim3d.detector.loader import parse_detector
+from modsim3d.learn.clipped_normal import Clipped, clipped_score
+from modsim3d.learn.error_fit import ErrorSample, MomentTable, NormalLaw, directions, fit_step, fitted_law, statistics
+from modsim3d.learn.error_replay import latent_paths, replayed_errors
+from modsim3d.learn.pairs import inflation, lag_pairs
+from modsim3d.learn.run_lengths import expected_run_lengths
+from modsim3d.learn.state_checks import occupancy_law
+from modsim3d.learn.truncation import accepted_errors, ordered_root
+from tests.detector_variants import thesis_data
+
+IMAGE_PX = (3600, 2400)
+BOXES_PX = np.array(
+    [
+        [1800.0, 1200, 1840, 1212],  # small, far from every edge
+        [1800.0, 1200, 2200, 1500],  # large
+        [0.0, 700, 15, 790],  # at the left edge
+        [3590.0, 2380, 3600, 2400],  # in a corner
+        [500.0, 0, 501, 1],  # a pixel
+    ]
+)
+MODEL = parse_detector(thesis_data())
+
+
+def law_of(**changes) -> NormalLaw:
+    law = NormalLaw.of(MODEL.states[3])
+    return NormalLaw(**{**{name: getattr(law, name) for name in ("mean", "std", "correlation")}, **changes})
+
+
+LAWS = {
+    "px": law_of(),
+    "relative": law_of(mean=np.array([0.1, 0, -0.1, 0.2]), std=np.array([0.3, 0.4, 0.6, 0.5]), relative=True),
+    "mixed": law_of(std=np.array([5.0, 4, 6, 5]), growth=np.array([0.1, 0, 0.3, 0.2])),
+}
+
+
+def sampled(law: NormalLaw, box: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
+    """Errors of one box by drawing until they count, standardised."""
+    rng = np.random.default_rng(seed)
+    means, stds = law.at(box[None])
+    drawn = rng.multivariate_normal(np.zeros(4), law.correlation, size=count)
+    return drawn[acceptable(move(box, means[0] + stds[0] * drawn), IMAGE_PX)]
+
+
+CASES = [(name, box) for name in LAWS for box in range(5) if (name, box) != ("mixed", 4)]  # which hardly ever counts
+
+
+@pytest.mark.parametrize("name, box", CASES)
+def test_truncated_moments_are_those_of_draws_that_count(name, box):
+    law, boxes = LAWS[name], BOXES_PX[[box] * 40]  # many shifts of the points, one box
+    first, _, acceptance = MomentTable().of(law, boxes, np.tile(np.array(IMAGE_PX, float), (40, 1)), np.arange(40))
+    draws = sampled(law, BOXES_PX[box], 100_000)
+    share = len(draws) / 100_000
+    assert acceptance.mean() == pytest.approx(share, abs=5 * np.sqrt(share / 100_000) + 0.003)
+    values = statistics(draws)
+    tolerance = 5 * values.std(axis=0) / np.sqrt(len(draws)) + 5 * first.std(axis=0) / np.sqrt(40)
+    np.testing.assert_array_less(np.abs(first.mean(axis=0) - values.mean(axis=0)), tolerance + 1e-3)
+
+
+def test_a_box_that_is_never_cut_has_the_normal_law():
+    boxes = np.array([[1500.0, 1000, 2100, 1400]])
+    law = law_of(std=np.array([10.0, 5, 20, 10]))
+    part = next(
+        accepted_errors(boxes, np.array([[3600.0, 2400]]), law.mean, law.correlation * np.outer(law.std, law.std))
+    )
+    assert part.acceptance[0] == pytest.approx(1)
+    assert np.abs((part.mean(part.errors)[0] - law.mean) / law.std).max() < 0.03
+
+
+def test_ordered_root_is_a_root_also_of_a_singular_covariance():
+    covariance = np.outer([2.0, 0, 3, 1], [2.0, 0, 3, 1]) + np.diag([0, 0, 1.0, 0])
+    root = ordered_root(covariance)
+    order = np.array([2, 3, 0, 1])
+    np.testing.assert_allclose(root @ root.T, covariance[order[:, None], order], atol=1e-9)
+
+
+@pytest.mark.parametrize("parameter", range(14))
+def test_directions_are_derivatives_of_the_normal_density(parameter):
+    law, h = LAWS["px"], 1e-5
+    x = np.random.default_rng(8).standard_normal((20, 4))
+    step = np.zeros(14)
+    step[parameter] = h
+
+    def log_density(moved: NormalLaw) -> np.ndarray:
+        mean, std = (moved.mean - law.mean) / law.std, moved.std / law.std
+        return stats.multivariate_normal(mean, moved.correlation * np.outer(std, std)).logpdf(x)
+
+    slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
+    found = statistics(x) @ directions(law.correlation)[parameter]
+    np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
+
+
+def samples_of(law: NormalLaw, copies: int, count: int) -> list[ErrorSample]:
+    """Errors of four boxes, so many of each, so many times over."""
+    boxes = np.repeat(BOXES_PX[:4], copies, axis=0)
+    images = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1))
+    means, stds = law.at(boxes)
+    pools = [sampled(law, box, 250 * copies * count, seed) for seed, box in enumerate(BOXES_PX[:4])]
+    return [
+        ErrorSample(
+            means + stds * np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
+            np.arange(len(boxes)),
+            boxes,
+            images,
+        )
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error(name):
+    law, table, z = LAWS[name], MomentTable(), []
+    for sample in samples_of(law, 30, 40):
+        fit = fit_step(law, sample, table)
+        z.append(fit.step / fit.errors)
+    z = np.array(z)
+    assert np.abs(z.mean(axis=0)).max() < 4.2 / np.sqrt(40)
+    assert np.abs(z.std(axis=0) - 1).max() < 4.2 / np.sqrt(80)
+
+
+def test_the_fit_finds_a_law_that_is_another_than_the_one_asked_for():
+    law = law_of()
+    true = law_of(mean=law.mean + 0.4 * law.std, std=law.std * [1.5, 1, 1, 1])
+    (sample,) = samples_of(true, 400, 1)
+    fit = fit_step(law, sample, MomentTable())
+    found = fitted_law(law, fit, sample)
+    errors = fit.errors[:4] * law.std
+    np.testing.assert_array_less(np.abs(found.mean - true.mean), 5 * errors)
+    assert found.std[0] == pytest.approx(true.std[0], rel=0.15)
+
+
+def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
+    law = law_of()
+    frames = 40
+    boxes = np.tile(BOXES_PX[1], (frames, 1))
+    sample = ErrorSample(np.zeros((frames, 4)), np.arange(frames), boxes, np.tile([3600.0, 2400], (frames, 1)))
+    tracks, times = np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames)
+    rng = np.random.default_rng(2)
+    errors = replayed_errors(law, sample, latent_paths(tracks, times, 0.5, rng, 400), rng)
+    direct = sampled(law, BOXES_PX[1], 100_000)
+    np.testing.assert_allclose(errors.mean(axis=(0, 1)), direct.mean(axis=0), atol=0.06)
+    lagged = [np.corrcoef(errors[:, :-1, k].ravel(), errors[:, 1:, k].ravel())[0, 1] for k in range(4)]
+    np.testing.assert_allclose(lagged, np.exp(-0.2), atol=0.06)
+
+
+def test_clipped_scores_are_derivatives_of_the_likelihood():
+    def likelihood(mean: float, std: float) -> np.ndarray:
+        low, high = stats.norm.logcdf((0.2 - mean) / std), stats.norm.logsf((1 - mean) / std)
+        inner = stats.norm.logpdf(scores, mean, std)
+        return np.where(scores <= 0.2, low, np.where(scores >= 1, high, inner))
+
+    scores, h = np.array([0.2, 0.5, 0.9, 1.0]), 1e-6
+    found = clipped_score(scores, 0.65, 0.3, 0.2)
+    np.testing.assert_allclose(
+        found[:, 0], (likelihood(0.65 + h, 0.3) - likelihood(0.65 - h, 0.3)) / (2 * h), rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        found[:, 1], (likelihood(0.65, 0.3 + h) - likelihood(0.65, 0.3 - h)) / (2 * h), rtol=1e-5
+    )
+
+
+def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error():
+    rng, z = np.random.default_rng(4), []
+    hidden = rng.random(300)
+    design = np.column_stack([np.ones(300), -hidden])
+    for _ in range(40):
+        scores = np.clip(0.85 - 0.4 * hidden + 0.25 * rng.standard_normal(300), 0.2, 1)
+        z.append([measure.z for measure in Clipped(scores, design, 0.2).measures(np.array([0.85, 0.4]), 0.25)])
+    z = np.array(z)
+    assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(40)
+    assert np.abs(z.std(axis=0) - 1).max() < 4 / np.sqrt(80)
+
+
+def test_occupancy_law_is_that_of_every_path():
+    transitions = np.array([1, 0, 2, 1, 1])
+    law = occupancy_law(MODEL, 1, transitions, start=0)
+    matrix = MODEL.transition_matrix
+    expected = np.zeros(len(transitions) + 2)
+    for path in itertools.product(range(4), repeat=len(transitions)):
+        states, chance = (0, *path), 1.0
+        for before, after, steps in zip(states, path, transitions, strict=False):
+            chance *= np.linalg.matrix_power(matrix, steps)[after, before]
+        expected[sum(state == 1 for state in states)] += chance
+    np.testing.assert_allclose(law, expected, atol=1e-12)
+
+
+def test_lag_pairs_are_all_pairs_of_a_track_that_are_near():
+    rng = np.random.default_rng(5)
+    tracks, times = rng.integers(0, 3, (40, 1)), rng.random(40) * 10
+    found = {
+        (int(a), int(b))
+        for later, earlier, _ in lag_pairs(tracks, times, 0.3)
+        for a, b in zip(later, earlier, strict=True)
+    }
+    expected = {
+        (a, b)
+        for a, b in itertools.permutations(range(40), 2)
+        if tracks[a, 0] == tracks[b, 0] and 0 < times[a] - times[b] <= 3.0
+    }
+    assert found == expected
+
+
+def test_inflation_of_a_rate_that_persists_is_that_of_a_kept_uniform():
+    frames, keep = 400, np.exp(-0.1 / 1.0)
+    rng, counts = np.random.default_rng(6), []
+    for _ in range(2000):
+        fresh, new = rng.random(frames), rng.random(frames) >= keep
+        new[0] = True
+        kept = fresh[np.maximum.accumulate(np.where(new, np.arange(frames), 0))]
+        counts.append((kept >= 0.7).sum())
+    spread = np.full(frames, 0.21)
+    factor = inflation(
+        np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames), 1.0, spread, lambda a, b: np.full(len(a), 0.21)
+    )
+    assert np.var(counts) == pytest.approx(frames * 0.21 * factor, rel=5 * np.sqrt(2 / 2000))
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.6])
+def test_run_lengths_expected_are_those_of_every_outcome(keep):
+    before = np.array([-1, 0, 1, 2, -1, 4])
+    chance = np.array([0.3, 0.3, 0.3, 0.3, 0.4, 0.4])
+    again = np.where(before >= 0, keep + (1 - keep) * chance, chance)
+    spared = np.where(before >= 0, (1 - keep) * chance, chance)  # a miss where the frame before was none
+    expected = np.zeros(7)
+    for missed in itertools.product((0, 1), repeat=6):
+        rates = [again[i] if i not in (0, 4) and missed[i - 1] else spared[i] for i in range(6)]
+        weight = np.prod([rate if miss else 1 - rate for miss, rate in zip(missed, rates, strict=True)])
+        for track in ("".join(map(str, missed[:4])), "".join(map(str, missed[4:]))):
+            for run in track.split("0"):
+                expected[len(run)] += weight
+    np.testing.assert_allclose(expected_run_lengths(chance, again, before, 6), expected[1:], atol=1e-12)

@@ -1,0 +1,135 @@
+"""Tail probabilities, intervals and smallest noticeable changes of measured numbers."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from modsim3d.learn.measures import DiscoveryRate, Estimate, Exact, ImageRate, Law, Rate
+from modsim3d.learn.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Parameter, judge
+from modsim3d.learn.tails import binomial_interval, poisson_interval, skewed_quantile, skewed_tails
+
+
+def test_binomial_interval_is_clopper_and_pearsons():
+    # 10 of 100 at 95 %: 0.0490, 0.1762, e.g. Newcombe (1998), Statistics in Medicine 17, 857-872.
+    np.testing.assert_allclose(binomial_interval(10, 100, 0.05), (0.0490, 0.1762), atol=5e-5)
+
+
+def test_poisson_interval_is_garwoods():
+    # 10 events at 95 %: 4.795, 18.390, Garwood (1936), Biometrika 28, 437-442.
+    np.testing.assert_allclose(poisson_interval(10, 0.05), (4.795, 18.390), atol=5e-4)
+
+
+@given(st.integers(0, 200), st.integers(1, 200), st.floats(0.01, 0.99), st.floats(1e-4, 0.2))
+def test_a_rate_fails_just_where_its_interval_leaves_the_asked_value_out(hits, more, asked, alpha):
+    measure = Rate(hits, hits + more, asked)
+    low, high = measure.interval(alpha)
+    if min(abs(asked - low), abs(asked - high)) > 1e-9:
+        assert (measure.p_value() < alpha) == (not low <= asked <= high)
+
+
+@given(st.floats(-4, 4), st.floats(-0.5, 0.5), st.floats(1e-4, 0.2))
+def test_an_estimate_fails_just_where_its_interval_leaves_the_asked_value_out(z, skewness, alpha):
+    measure = Estimate(measured=5 + z, asked=5.0, error=1.0, count=10, skewness=skewness)
+    low, high = measure.interval(alpha)
+    if min(abs(5 - low), abs(5 - high)) > 1e-6:
+        assert (measure.p_value() < alpha) == (not low <= 5 <= high)
+
+
+@pytest.mark.parametrize("trials, asked", [(400, 0.133), (2000, 0.0085), (50, 0.99), (3000, 0.381)])
+def test_a_rate_notices_its_smallest_change_nine_times_in_ten(trials, asked):
+    alpha = 1e-4
+    below, above = Rate(0, trials, asked).noticed(alpha)
+    rejected = np.array([Rate(k, trials, asked).p_value() < alpha for k in range(trials + 1)])
+    for change, rate in ((above, asked + (above or 0)), (below, asked - (below or 0))):
+        if change is not None:
+            assert stats.binom.pmf(np.arange(trials + 1), trials, rate)[rejected].sum() == pytest.approx(0.9, abs=0.01)
+
+
+def test_a_false_discovery_rate_notices_its_smallest_change_nine_times_in_ten():
+    alpha, true, asked = 1e-4, 1500, 0.089
+    expected = true * asked / (1 - asked)
+    below, above = DiscoveryRate(0, true, expected).noticed(alpha)
+    counts = np.arange(400)
+    rejected = np.array([DiscoveryRate(k, true, expected).p_value() < alpha for k in counts])
+    for rate in (asked - below, asked + above):
+        assert stats.poisson.pmf(counts, true * rate / (1 - rate))[rejected].sum() == pytest.approx(0.9, abs=0.01)
+
+
+def test_images_are_counted_as_a_poisson_number():
+    measure = ImageRate(false=40, images=100, asked=0.4)
+    assert measure.p_value() == 1
+    low, high = measure.interval(0.05)
+    np.testing.assert_allclose((low * 100, high * 100), poisson_interval(40, 0.05))
+    assert ImageRate(80, 100, 0.4).p_value() < 1e-6
+
+
+@given(st.integers(20, 2000), st.floats(-3.5, 4.5))
+def test_skewed_tails_are_exact_for_a_sample_variance(n, z):
+    # The sum of n squared normal numbers has mean n, variance 2n and skewness √(8/n).
+    below, above = skewed_tails(z, (8 / n) ** 0.5)
+    expected = stats.chi2.sf(n + z * (2 * n) ** 0.5, n)
+    assert above == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    assert below + above == pytest.approx(1)
+
+
+@given(st.floats(1e-6, 0.4), st.floats(-0.8, 0.8))
+def test_quantile_undoes_the_tail(tail, skewness):
+    assert skewed_tails(skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
+
+
+def test_effective_trials_widen_the_interval():
+    alone, together = Rate(100, 1000, 0.1).interval(0.01), Rate(100, 1000, 0.1, inflation=4).interval(0.01)
+    assert together[1] - together[0] == pytest.approx(2 * (alone[1] - alone[0]), rel=0.05)
+
+
+def test_a_law_is_held_against_its_quantiles():
+    rng = np.random.default_rng(1)
+    quantiles = np.array([0.2, 0.2, 0.5, 0.9, 1.0])
+    p_values = [
+        Law.of(np.interp(rng.random(300), np.linspace(0, 1, 5), quantiles), quantiles).p_value() for _ in range(200)
+    ]
+    assert 0 <= np.mean(np.array(p_values) < 0.05) < 0.1
+    assert Law.of(rng.random(300), quantiles).p_value() < 1e-4
+
+
+def test_tests_share_the_overall_level():
+    some = [Parameter(f"p{i}", "group", Rate(10, 100, 0.1)) for i in range(49)]
+    off = Parameter("off", "group", Rate(35, 100, 0.1))
+    untested = Parameter("unseen", "group", None, 0.3)
+    verification = judge([*some, off, untested])
+    assert verification.alpha == pytest.approx(0.01 / 50)
+    assert [v.verdict for v in verification.verdicts[-2:]] == [DIFFERS, UNTESTED]
+    assert not verification.obeys
+    assert verification.cause.parameter is off
+
+
+def test_only_an_entry_of_the_file_is_a_cause_if_one_fails():
+    follows = Parameter("overall", "group", Rate(900, 1000, 0.1), in_file=False)
+    entry = Parameter("entry", "group", Rate(35, 100, 0.1))
+    assert judge([follows, entry]).cause.parameter is entry
+    assert judge([follows]).cause.parameter is follows
+
+
+def test_a_rule_that_is_obeyed_may_fall_short_of_what_is_asked():
+    rule = Parameter("fdr", "group", DiscoveryRate(0, 5000, 0.0), 0.089, promised=0.089)
+    fine = Parameter("fdr", "group", DiscoveryRate(480, 5000, 490), 0.089, promised=0.089)
+    assert [v.verdict for v in judge([rule, fine]).verdicts] == [FALLS_SHORT, OBEYS]
+    assert judge([rule]).obeys
+
+
+def test_what_may_never_happen_fails_at_once():
+    assert judge([Parameter("exact", "group", Exact(0, 10))]).obeys
+    assert not judge([Parameter("exact", "group", Exact(1, 10))]).obeys
+
+
+def test_every_kind_of_measure_gives_all_numbers():
+    kinds = [Rate(3, 10, 0.2), DiscoveryRate(3, 10, 2.0), ImageRate(3, 10, 0.2), Estimate(1, 1.1, 0.1, 10), Exact(0, 3)]
+    for measure, alpha in itertools.product(kinds, (0.01, 1e-5)):
+        assert 0 <= measure.p_value() <= 1
+        assert measure.strength() >= 0
+        assert measure.interval(alpha)[0] <= measure.interval(alpha)[1]
+        assert len(measure.noticed(alpha)) == 2

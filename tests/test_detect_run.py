@@ -1,0 +1,142 @@
+"""The detector alone over a finished run's truth gives the bytes of a whole run with that detector and seed."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from modsim3d import cli
+from modsim3d.detect_run import detect_run
+from modsim3d.errors import InputError, RunDirectoryError
+from modsim3d.run import run_scene
+from modsim3d.scene_reader import data_folder, load_scene
+from modsim3d.stored_run import open_run
+
+DETECTORS = data_folder("scenes") / "detectors"
+ORIGINAL, EXPERIMENT = DETECTORS / "thesis_original.yaml", DETECTORS / "experiment_1.yaml"
+STEPS = 260  # two blocks
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Everything in a run directory but its log."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "run.log"
+    }
+
+
+def harbour(folder: Path, labels: tuple[str, ...] = ("Vessel",)) -> Path:
+    """The shipped harbour, its vessels labelled in turn."""
+    source = data_folder("scenes") / "harbour.yaml"
+    scene = yaml.safe_load(source.read_text())
+    for i, vessel in enumerate(scene["vessels"].values()):
+        vessel["label"] = labels[i % len(labels)]
+    detector = "three_labels.yaml" if len(labels) == 3 else "thesis.yaml"
+    scene["detector"] = str(DETECTORS / detector)
+    path = folder / "harbour.yaml"
+    path.write_text(yaml.safe_dump(scene, sort_keys=False))
+    return path
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("detect") / "first"
+    run_scene(load_scene("simulation_3", steps=STEPS, seed=5, source="analytic"), folder)
+    return folder
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_bytes_are_those_of_a_whole_run_where_the_truth_has_no_seed(tmp_path, workers):
+    scene = harbour(tmp_path)
+    run_scene(load_scene(scene, mode=2, steps=60, source="analytic"), tmp_path / "first")
+    detect_run(open_run(tmp_path / "first"), tmp_path / "new", detector=EXPERIMENT, seed=7, workers=workers)
+    whole = load_scene(scene, mode=2, steps=60, source="analytic", seed=7, detector=EXPERIMENT)
+    run_scene(whole, tmp_path / "whole")
+    assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+
+
+def test_bytes_are_those_of_a_whole_run_with_the_labels_of_a_confusion_matrix(tmp_path):
+    scene = harbour(tmp_path, ("sailboat", "motorboat", "ferry"))
+    run_scene(load_scene(scene, steps=40, seed=3, mode=1), tmp_path / "first")
+    detect_run(open_run(tmp_path / "first"), tmp_path / "new", seed=11)
+    run_scene(load_scene(scene, steps=40, seed=11, mode=1), tmp_path / "whole")
+    assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+
+
+def test_with_drawn_poses_the_truth_stays_and_the_detector_has_a_seed_of_its_own(tmp_path):
+    run_scene(load_scene("simulation_1", mode=2, seed=2, steps=STEPS), tmp_path / "first")
+    detect_run(open_run(tmp_path / "first"), tmp_path / "new", detector=ORIGINAL, seed=9)
+    whole = load_scene("simulation_1", mode=2, seed=2, steps=STEPS, detector=ORIGINAL, detector_seed=9)
+    run_scene(whole, tmp_path / "whole")
+    new = files_of(tmp_path / "new")
+    assert new == files_of(tmp_path / "whole")
+    assert new["annotations_C0.json"] == files_of(tmp_path / "first")["annotations_C0.json"]
+    assert new["detections.parquet"] != files_of(tmp_path / "first")["detections.parquet"]
+
+
+def test_with_waves_and_two_cameras_the_bytes_are_those_of_a_whole_run(first, tmp_path):
+    detect_run(open_run(first), tmp_path / "new", seed=9, workers=2)
+    run_scene(load_scene("simulation_3", steps=STEPS, seed=5, source="analytic", detector_seed=9), tmp_path / "whole")
+    assert files_of(tmp_path / "new") == files_of(tmp_path / "whole")
+
+
+def test_without_detector_and_seed_it_is_the_run_again(first, tmp_path):
+    detect_run(open_run(first), tmp_path / "again")
+    assert files_of(tmp_path / "again") == files_of(first)
+
+
+def test_a_scene_and_its_copy_have_one_hash(first):
+    assert open_run(first).scene.sha256 == open_run(first).settings["scene_sha256"]
+
+
+def test_a_detector_that_does_not_know_the_labels_is_refused(first, tmp_path):
+    with pytest.raises(InputError, match="'Vessel' is not one of the detector's labels"):
+        detect_run(open_run(first), tmp_path / "new", detector=DETECTORS / "three_labels.yaml")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_is_taken_is_refused(first, tmp_path):
+    detect_run(open_run(first), tmp_path / "new", seed=1)
+    with pytest.raises(RunDirectoryError, match="--overwrite"):
+        detect_run(open_run(first), tmp_path / "new", seed=2)
+    detect_run(open_run(first), tmp_path / "new", seed=2, overwrite=True)
+    with pytest.raises(RunDirectoryError, match="choose another folder"):
+        detect_run(open_run(first), first, overwrite=True)
+
+
+def test_truth_that_other_versions_made_is_named(first, tmp_path):
+    run = open_run(first)
+    run.settings["versions"] = {**run.settings["versions"], "numpy": "1.0"}
+    detect_run(run, tmp_path / "new")
+    assert open_run(tmp_path / "new").settings["truth_versions"]["numpy"] == "1.0"
+
+
+def test_an_interrupted_run_is_refused(tmp_path, monkeypatch, capsys):
+    class Stop(Exception):
+        pass
+
+    def stop(steps: int) -> None:
+        raise Stop
+
+    with pytest.raises(Stop):
+        run_scene(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut", progress=stop)
+    monkeypatch.setattr(sys, "argv", ["modsim3d", "detect", str(tmp_path / "cut"), "--out", str(tmp_path / "new")])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 2
+    assert "interrupted run" in capsys.readouterr().err
+
+
+def test_the_command_writes_a_run_and_says_what_is_in_it(first, tmp_path, monkeypatch, capsys):
+    detector = tmp_path / "mine.yml"
+    shutil.copy(ORIGINAL, detector)
+    arguments = ["detect", first, "--detector", detector, "--seed", 3, "--out", tmp_path / "new"]
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 0
+    assert "detections" in capsys.readouterr().out
+    assert (tmp_path / "new" / "scene" / "detector.yml").read_bytes() == detector.read_bytes()
