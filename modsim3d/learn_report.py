@@ -273,7 +273,7 @@ def write_page(report: Report, path: Path) -> None:
 _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
     ".plots figure { width: 25rem; margin: 0; } .plots svg { width: 100%; height: auto; } "
-    ".wide { overflow-x: auto; } .wide td { white-space: nowrap; }"
+    "td.number { padding-left: 0.9rem; } .wide { overflow-x: auto; } .wide td { white-space: nowrap; }"
 )
 _SHARES = (
     "Points of mean average precision that mending one kind of error would gain (Bolya et al., 2020): classification, "

@@ -20,6 +20,8 @@ from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.states import each_its_own, transitions_of
 from modsim3d.learn.transitions import Transitions
 from modsim3d.learn_sets import labelled_run
+from modsim3d.stored_run import open_run
+from modsim3d.verify_run import verify_run
 from tests.learning.labelled_sets import found, images, truth
 from tests.learning.round_trip import DETECTOR, asked_of, outside, simulate
 
@@ -226,3 +228,13 @@ def test_without_a_gate_there_is_no_bias():
 
 def test_the_detector_of_the_round_trip_can_be_read():
     assert load_detector(DETECTOR).dropout.anchored
+
+
+def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(run, exported, tmp_path):
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
+    command(*files, "--out", tmp_path / "learned.yaml", "--replicates", 20)
+    # Shorter than what was learned from: verify counts the noise of the run alone, not that of learning.
+    again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=tmp_path / "learned.yaml")
+    verified = verify_run(open_run(again), DETECTOR).verification
+    assert [verdict.parameter.name for verdict in verified.failed] == []
+    assert len(verified.verdicts) > 80
