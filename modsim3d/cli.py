@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.cli_learn import export_command, learn_command
 from modsim3d.cli_view import view_command
 from modsim3d.errors import ModsimError
 from modsim3d.progress import progress_bar
@@ -50,9 +51,13 @@ app = typer.Typer(
   modsim3d report runs/first                  a page that plays a run
   modsim3d view runs/simulation_1 --film all  a film of a run
 
+  modsim3d learn --truth gt.json --detections dt.json --out detector.yaml    a detector file from real results
+
   modsim3d scenes                             the scenes that come with it""",
 )
 app.command("view")(view_command)
+app.command("learn")(learn_command)
+app.command("export")(export_command)
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
