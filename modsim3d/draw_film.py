@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.errors import ModsimError, RendererError
-from modsim3d.film_plan import FilmPlan
+from modsim3d.film_plan import TITLES, FilmPlan
 from modsim3d.processes import in_order, open_pool
 from modsim3d.render.plain_ids import IdDrawer, PlainIds
 from modsim3d.scene import Scene
@@ -21,8 +21,11 @@ from modsim3d.view import palette
 from modsim3d.view.film_files import MOST_RATE, encoded, open_film
 from modsim3d.view.gif import film_palette
 from modsim3d.view.ids_picture import ids_picture
+from modsim3d.view.look import Look
+from modsim3d.view.map_picture import map_picture
 from modsim3d.view.painter import Subject, paint
 from modsim3d.view.scene_picture import scene_picture
+from modsim3d.view.shaded_picture import ShadedPainter
 from modsim3d.view.timetable import Timetable
 from modsim3d.view.window import Window
 
@@ -36,29 +39,41 @@ Piece = list[Shown]
 class Draughtsman:
     """Draws the pictures of a film one by one."""
 
-    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer) -> None:
-        """Take what all pictures share."""
+    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer, painter: ShadedPainter | None = None) -> None:
+        """Take what all pictures share.
+
+        Args:
+            scene: The scene.
+            plan: What every picture shows.
+            drawer: Draws ID buffers.
+            painter: Draws the scene in light and shade, where the plan asks for it.
+        """
         self._scene = scene
         self._plan = plan
         self._drawer = drawer
+        self._painter = painter
         self._layout = plan.layout(scene)
+        self._birds_eye = plan.birds_eye(scene)
 
     def draw(self, shown: Shown) -> Image.Image:
         """The picture of a step, from what each camera of the plan shows."""
         subjects = [None if frame is None else Subject.of(self._scene, frame) for frame in shown.frames]
         sizes = self._layout.panel_sizes
         panels = [
-            self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
+            map_picture(self._birds_eye, shown.step, size)
+            if kind == "map"
+            else self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
             for (place, kind), size in zip(self._plan.panels(), sizes, strict=True)
         ]
         titles = [self._title(shown, place, kind) for place, kind in self._plan.panels()]
         return self._layout.compose(self._head(shown), titles, panels)
 
     def _title(self, shown: Shown, place: int, kind: str) -> str:
-        several = len(shown.frames) > 1
+        several = len(shown.frames) > 1 and kind != "map"
         camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
         age = [_age(shown, place)] if several and _age(shown, place) else []
-        return " · ".join(camera + ([kind] if len(self._plan.kinds) > 1 else []) + age)
+        name = [TITLES.get(kind, kind)] if len(self._plan.kinds) > 1 else []
+        return " · ".join(camera + name + age)
 
     def _panel(self, subject: Subject | None, kind: str, window: Window) -> Image.Image:
         if subject is None:
@@ -66,9 +81,13 @@ class Draughtsman:
         nominal = self._layout.nominal_width
         if kind == "ids":
             return ids_picture(subject.solids, window, self._drawer, nominal)
-        if kind == "scene" and self._plan.layers is None:
+        layers, ground = self._plan.layers_of(kind), None
+        if self._painter is not None and (kind == "scene" or (kind == "detections" and self._plan.boxes_on_scene)):
+            ground = self._painter.picture(subject.solids, window, self._scene.vessels)
+            layers = replace(layers, horizon=False, silhouettes=False)
+        elif kind == "scene" and self._plan.layers is None:
             return scene_picture(self._scene, subject.solids.camera, subject.frame.step, window, self._drawer)
-        return paint(subject, window, self._plan.layers_of(kind), self._drawer, nominal_width_px=nominal)
+        return paint(subject, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
 
     def _head(self, shown: Shown) -> str:
         states = dict.fromkeys(frame.state for frame in shown.frames if frame)
@@ -98,6 +117,36 @@ def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
         yield renderer or PlainIds()
 
 
+@contextmanager
+def open_draughtsman(scene: Scene, plan: FilmPlan) -> Iterator[Draughtsman]:
+    """A draughtsman with what he needs: ID buffers, and pyrender in the same context for shaded pictures.
+
+    Raises:
+        RendererError: Shaded pictures are asked for and there is no OpenGL library.
+    """
+    with open_drawer(scene) as drawer, ExitStack() as stack:
+        painter = stack.enter_context(open_painter(plan.look)) if plan.look.shaded else None
+        yield Draughtsman(scene, plan, drawer, painter)
+
+
+@contextmanager
+def open_painter(look: Look) -> Iterator[ShadedPainter]:
+    """What draws shaded pictures.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    from modsim3d.render.context import open_context
+    from modsim3d.render.shaded_pass import ShadedRenderer
+
+    with open_context() as context:
+        renderer = ShadedRenderer(context)
+        try:
+            yield ShadedPainter(renderer, look)
+        finally:
+            renderer.close()
+
+
 @dataclass(frozen=True)
 class DrawnFilm:
     """A film that was drawn.
@@ -118,8 +167,8 @@ class DrawnFilm:
 def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
     scene = selection.run.scene
-    with open_drawer(scene) as drawer:
-        picture = Draughtsman(scene, plan, drawer).draw(next(selection.shown()))
+    with open_draughtsman(scene, plan) as draughtsman:
+        picture = draughtsman.draw(next(selection.shown()))
     partial = path.with_name(f".{path.name}.partial")
     picture.save(partial, format="PNG")
     partial.replace(path)
@@ -219,8 +268,7 @@ Draw = Callable[[Iterable[_Job]], Iterator[list[_Drawn]]]
 def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Draw]:
     """Somebody who draws: this process for one worker, or that many others."""
     if workers == 1:
-        with open_drawer(scene) as drawer:
-            draughtsman = Draughtsman(scene, plan, drawer)
+        with open_draughtsman(scene, plan) as draughtsman:
             yield lambda jobs: (_draw_job(draughtsman, job) for job in jobs)
         return
     with open_pool(workers, _start, scene, plan) as pool:
@@ -239,7 +287,7 @@ _open = ExitStack()
 def _start(scene: Scene, plan: FilmPlan) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _draughtsman
-    _draughtsman = Draughtsman(scene, plan, _open.enter_context(open_drawer(scene)))
+    _draughtsman = _open.enter_context(open_draughtsman(scene, plan))
 
 
 def _work(job: _Job) -> list[_Drawn]:
