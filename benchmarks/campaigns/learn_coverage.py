@@ -108,6 +108,11 @@ def text(results: dict[str, Any], seeds: int) -> str:
     key = "all numbers inside their intervals of 99 % together"
     lines += [f"| | {' | '.join(names)} |", f"|---|{'---|' * len(names)}"]
     lines.append(f"| {key}, share of seeds | {' | '.join(f'{results[name][key]:.2f}' for name in names)} |")
+    lacking = [len(results[name]["not learned, of the seeds"]) for name in names]
+    most = [max(results[name]["not learned, of the seeds"].values(), default=0) for name in names]
+    lines.append(f"| numbers that some seed had too little for | {' | '.join(map(str, lacking))} |")
+    lines.append(f"| seeds without the one that failed most often | {' | '.join(map(str, most))} |")
+    lines += ["", "A number that a seed had too little data to learn is left simple, and not counted in that seed."]
     return "\n".join(lines) + "\n"
 
 

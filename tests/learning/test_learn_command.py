@@ -238,3 +238,31 @@ def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(r
     verified = verify_run(open_run(again), DETECTOR).verification
     assert [verdict.parameter.name for verdict in verified.failed] == []
     assert len(verified.verdicts) > 80
+
+
+TRUTH = {
+    "images": [{"id": 1, "width": 640, "height": 480}],
+    "categories": [{"id": 3, "name": "boat"}, {"id": 9, "name": "buoy"}],
+    "annotations": [{"image_id": 1, "category_id": 3, "bbox": [10, 10, 50, 40]}],
+}
+
+
+@pytest.mark.parametrize(
+    "results",
+    [
+        [],
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.9}],
+        [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
+    ],
+    ids=["nothing", "one", "only false ones", "below the threshold"],
+)
+def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_path):
+    for name, content in (("gt", TRUTH), ("dt", results)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--replicates", 20]
+    result = command(*files, "--out", tmp_path / "d.yaml")
+    assert result.exit_code == 0 and "needs 20" in result.output
+    model = load_detector(tmp_path / "d.yaml")
+    np.testing.assert_allclose(model.states[0].confusion.sum(axis=0), 1)
+    assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()

@@ -123,3 +123,9 @@ def test_pairs_of_images_are_all_there_however_they_are_split(at_once, monkeypat
     pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]
     every = [(i, j) for i in range(20) for j in range(15) if first[i] == second[j]]
     assert pairs == every
+
+
+def test_of_equal_truths_the_later_is_taken_as_cocos_tools_do():
+    same = [[0, 0, 50, 50]] * 3
+    labelled = Labelled(("a",), ("all",), images(1), truth([0] * 3, [0] * 3, same), found([0], [0], same[:1], [0.9]))
+    assert match(labelled, Rule()).truth.tolist() == [2]
