@@ -18,7 +18,7 @@ from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
 from modsim3d.learn.measures import Estimate, Exact, Measure, Rate
-from modsim3d.learn.pairs import inflation
+from modsim3d.learn.pairs import inflation, turn_before
 from modsim3d.learn.parameters import Parameter
 
 GROUP = "dropout and class"
@@ -79,8 +79,18 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
                 value = float(state.confusion[row, column])
                 measure = None if note else _entry(model, evidence, asked, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
-                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=note))
+                said = note or _asked_note(model, row, measure)
+                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, asked, note)]
+
+
+def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
+    """What the asked number is where it is not the file's own."""
+    if measure is None:
+        return ""
+    if model.doubles.merges and row < len(model.labels):
+        return "asked: as a share of those detected in a box of their own, as which others were is not known"
+    return "asked: the mean over the chances that there were, by what they look like" if model.dropout.effects else ""
 
 
 def _gate_checks(evidence: Evidence, asked: Asked) -> list[Parameter]:
@@ -154,7 +164,11 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, asked: Asked, note
 
 def correlation_note(measure: Estimate | None) -> str:
     """What the numbers beside a correlation time are."""
-    return "as the correlation from one frame to the next" if measure is not None and measure.asked else ""
+    return (
+        "as the correlation from one frame at which the detector runs to the next"
+        if measure is not None and measure.asked
+        else ""
+    )
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Estimate | None:
@@ -164,8 +178,9 @@ def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Esti
     κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
     """
     chances = evidence.chances
-    now = np.flatnonzero((chances.before >= 0) & asked.passed)
-    before = chances.before[now]
+    rows_before = turn_before(model, evidence)
+    now = np.flatnonzero((rows_before >= 0) & asked.passed)
+    before = rows_before[now]
     some = asked.passed[before] & (asked.missed[now] > 0) & (asked.missed[now] < 1)
     now, before = now[some], before[some]
     if len(now) < LEAST_PAIRS:
