@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.detector.chain import reference_of
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Indices
-from modsim3d.detector.reference import Reference
 from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
@@ -50,10 +48,7 @@ class Asked:
 def asked_of(model: DetectorModel, evidence: Evidence) -> Asked:
     """What a detector's gates, confusion matrices and dropout ask of every chance."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
-    reference = None
-    if model.needs_reference:
-        reference = sum((reference_of(model, seen.frames, seen.targets) for seen in evidence.cameras), Reference())
-    classifier = ConfusionClassifier.from_model(model, reference)
+    classifier = ConfusionClassifier.from_model(model, evidence.reference(model))
     chances = evidence.chances
     edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[chances.state, chances.label]
     usual = edges[:, -2].copy()

@@ -20,6 +20,7 @@ from modsim3d.detector.records import (
     Array,
     Indices,
 )
+from modsim3d.learn.clutter_box_checks import clutter_box_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_broken, limit_note
 from modsim3d.learn.measures import DiscoveryRate, Exact, ImageRate, Measure, Rate
@@ -112,7 +113,8 @@ def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         promised = _promised(model, evidence) if thesis else None
         name = "false discovery rate, all states"
         parameters.append(Parameter(name, GROUP, overall, in_file=False, promised=promised, note=note))
-    return [*parameters, *([] if note else _kind_checks(model, evidence, expected))]
+    parameters += [] if note else _kind_checks(model, evidence, expected)
+    return [*parameters, *clutter_box_checks(model, evidence, expected.lasting)]
 
 
 def thesis_trials(model: DetectorModel, kept: Indices, rate: Array | float) -> Array:
