@@ -70,7 +70,8 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         for column, label in enumerate(model.labels):
             ours = (evidence.chances.state == s) & (evidence.chances.label == column) & asked.passed
             names = [*model.labels, BACKGROUND]
-            for row in range(len(names)) if len(names) > 2 else [len(names) - 1]:
+            # Misses first: where only one label can be given, both entries say the same.
+            for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
                 value = float(state.confusion[row, column])
                 measure = None if note else _entry(model, evidence, asked, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"

@@ -18,6 +18,7 @@ from modsim3d.learn.error_fit import MomentTable
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.parameters import Parameter, judge
 from modsim3d.learn.run_lengths import run_lengths
+from modsim3d.learn.state_checks import state_checks
 from modsim3d.scene_reader import load_scene
 from modsim3d.verify_report import row_of
 from tests.detector_variants import Data, thesis_data, variant
@@ -115,3 +116,19 @@ def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
 def test_a_number_that_nobody_asked_for_is_a_dash() -> None:
     verification = judge([Parameter("dropout, all states", "group", None)])
     assert row_of(verification.verdicts[0])[1] == "–"
+
+
+def two_states() -> Data:
+    data = thesis_data()
+    data["states"] = {name: data["states"][name] for name in ("excellent", "good")}
+    return data | {"transition_matrix": [[0.9, 0.2], [0.1, 0.8]]}
+
+
+@pytest.mark.parametrize("stay", [0.98, 0.5])
+def test_of_two_states_the_rate_of_staying_is_named(many: ManyDetections, stay: float) -> None:
+    asked = parse_detector(two_states() | {"transition_matrix": [[0.9, 1 - stay], [0.1, stay]]})
+    for seed in range(3):
+        evidence = many.detect(parse_detector(two_states()), seed)
+        found = judge(state_checks(asked, evidence))
+        assert found.cause is not None
+        assert found.cause.parameter.name == "transition_matrix[good][good]"
