@@ -40,7 +40,8 @@ def row_of(verdict: Verdict) -> tuple[str, ...]:
     """A verdict as cells under `HEADER`."""
     unit = f" {verdict.parameter.unit}" if verdict.parameter.unit else ""
     if verdict.measured is None or verdict.interval is None:
-        return verdict.parameter.name, _number(verdict.asked) + unit, "–", "–", "–", verdict.verdict
+        asked = _number(verdict.asked) + unit if math.isfinite(verdict.asked) else "–"
+        return verdict.parameter.name, asked, "–", "–", "–", verdict.verdict
     low, high = verdict.interval
     promised = verdict.parameter.promised
     asked = _number(verdict.asked) if promised is None else f"{_number(promised)}, by rule {_number(verdict.asked)}"

@@ -101,12 +101,7 @@ class Detector:
         self._noise = VesselNoise(model.persistence, self._streams, clock)
         self._classifier = ConfusionClassifier.from_model(model, reference)
         self._box_error = NormalBoxError.from_model(model)
-        rates = Rates(
-            model.column("false_discovery_rate"),
-            model.column("false_positives_per_image"),
-            model.confidence_threshold,
-        )
-        self._clutter = ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), reference)
+        self._clutter = clutter_of(model, reference)
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
     def detect(self, frames: Frames, targets: Targets) -> Detections:
@@ -273,6 +268,20 @@ def _of_vessels(
         visible_fraction=shown.targets.visible_fraction[rows],
         uniforms=uniforms,
     )
+
+
+def clutter_of(model: DetectorModel, reference: Reference | None) -> ClutterSource:
+    """The false positives of a detector.
+
+    Raises:
+        ModsimError: Their sizes come from the scene, and there is no reference.
+    """
+    rates = Rates(
+        model.column("false_discovery_rate"),
+        model.column("false_positives_per_image"),
+        model.confidence_threshold,
+    )
+    return ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), reference)
 
 
 def reference_of(model: DetectorModel, frames: Frames, targets: Targets) -> Reference:

@@ -241,26 +241,38 @@ class ClutterSource:
     def _clutter(
         self, setting: Setting, frame: Indices, ordinal: Indices, uniforms: Array, drift_px: Array | None
     ) -> Clutter:
-        frames = setting.frames
-        centres = self.options.placement.places(
-            frames.sea_half_planes[frame], frames.image_size_px, uniforms[:, :DRAWS], drift_px
-        )
-        halves = np.maximum(self._sizes_px(setting, frame, uniforms[:, DRAWS]), _LEAST_SIDE_PX) / 2
-        boxes = clip(np.concatenate([centres - halves, centres + halves], axis=1), frames.image_size_px)
+        boxes = self.boxes_px(setting.frames, setting.kept, frame, uniforms[:, : DRAWS + 1], drift_px)
         labels = choose(self.label_distributions[setting.states[frame]], uniforms[:, DRAWS + 1])
         return Clutter(frame, ordinal, boxes, labels)
 
-    def _sizes_px(self, setting: Setting, frame: Indices, uniforms: Array) -> Array:
+    def boxes_px(
+        self, frames: Frames, kept: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None
+    ) -> Array:
+        """Boxes of false positives from uniform numbers, shape (m, 4).
+
+        Args:
+            frames: The frames.
+            kept: The targets that were detected, rows ordered by frame.
+            frame: Of each false positive, shape (m,).
+            uniforms: For place (3) and size, shape (m, 4).
+            drift_px: How far each has moved along the horizon, shape (m,); None for those of one frame.
+        """
+        half_planes, image = frames.sea_half_planes[frame], frames.image_size_px
+        centres = self.options.placement.places(half_planes, image, uniforms[:, :DRAWS], drift_px)
+        halves = np.maximum(self._sizes_px(kept, len(frames), frame, uniforms[:, DRAWS]), _LEAST_SIDE_PX) / 2
+        return clip(np.concatenate([centres - halves, centres + halves], axis=1), image)
+
+    def _sizes_px(self, kept: Targets, n_frames: int, frame: Indices, uniforms: Array) -> Array:
         """Width and height, shape (m, 2)."""
         if self.options.model == "thesis":
             return np.full((len(frame), 2), Thesis.side_px)
         if self.sizes is not None:
             return self.sizes.at(uniforms)
         # The size of a detected vessel's truth box in the same frame; without one the mean count is 0.
-        n_kept = np.bincount(setting.kept.frame, minlength=len(setting.frames)).astype(np.int64)
+        n_kept = np.bincount(kept.frame, minlength=n_frames).astype(np.int64)
         starts = np.cumsum(n_kept) - n_kept
         source = starts[frame] + (uniforms * n_kept[frame]).astype(np.int64)
-        return sizes(setting.kept.boxes_px[source])
+        return sizes(kept.boxes_px[source])
 
 
 def _poisson(setting: Setting, means: Array) -> Indices:

@@ -53,6 +53,12 @@ class Doubles:
                 found.append(pair)
         return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
+    def looks_long(self, boxes_px: Array) -> Mask:
+        """Whether true boxes of shape (n, 4) are so wide for their height that a vessel may be split, shape (n,)."""
+        width, height = sizes(boxes_px).T
+        long: Mask = width >= self.split_aspect * height
+        return long
+
     def events(self, streams: Streams, frames: Frames, shown: Targets, boxes_px: Array, single: Mask) -> Events:
         """Which detections are doubled or split, and how many of either are to be expected.
 
@@ -67,8 +73,7 @@ class Doubles:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
         uniforms = target_uniforms(streams, "detector.double", frames, shown, width=2)
-        width, height = sizes(shown.boxes_px).T
-        long = single & (width >= self.split_aspect * height) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
+        long = single & self.looks_long(shown.boxes_px) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
         doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
         split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
         expected = self.duplicates * single + self.splits * long

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.detector.boxes import clip, move
+from modsim3d.detector.boxes import Mask, clip, move, sizes
+from modsim3d.detector.doubles import LEAST_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.records import TRUE, Array, Indices
 from modsim3d.learn.class_checks import correlation_note
@@ -23,7 +24,9 @@ from modsim3d.learn.error_fit import (
 )
 from modsim3d.learn.error_replay import REPLAYS, latent_paths, products, replayed_errors
 from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.limits import limit_note
 from modsim3d.learn.measures import Estimate, Exact
+from modsim3d.learn.pairs import turn_before
 from modsim3d.learn.parameters import Parameter
 
 GROUP = "box error"
@@ -66,14 +69,18 @@ def box_error_checks(
         states: Only these; all if None.
     """
     hits = evidence.hits
-    single = hits.kind == TRUE
+    usable = usable_hits(model, evidence)
+    limited = limit_note(model, evidence)
     state_of_hits = evidence.chances.state[hits.chance]
     laws: dict[int, tuple[NormalLaw, Fitted | None]] = {}
     parameters: dict[int, list[Parameter]] = {}
+    notes: dict[int, str] = {}
     chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
     for s in chosen:
         state = model.states[s]
-        rows = np.flatnonzero((state_of_hits == s) & single)
+        rows = np.flatnonzero((state_of_hits == s) & usable)
+        if limited and state.confidence.size_slope:  # of the surest, boxes that came out large are too many
+            rows, notes[s] = rows[:0], limited
         if _is_singular(state):
             parameters[s] = _exact_checks(state, evidence, rows)
         else:
@@ -83,12 +90,30 @@ def box_error_checks(
     for s, (law, fitted) in laws.items():
         errors = None if replayed is None or fitted is None else replayed.errors[fits.index(fitted)]
         parameters[s] = _law_checks(model.states[s], law, fitted, errors)
+    for s, note in notes.items():
+        parameters[s] = [replace(parameter, note=note) for parameter in parameters[s]]
     persistence = _persistence(evidence, fits, model, replayed)
     return [
         *(parameter for s in chosen for parameter in parameters[s]),
         _box_check(evidence),
         Parameter("persistence.box_s", GROUP, persistence, note=correlation_note(persistence)),
     ]
+
+
+def usable_hits(model: DetectorModel, evidence: Evidence) -> Mask:
+    """Hits that are one box of one vessel, chosen in a way that does not depend on the error, shape (m,).
+
+    Only boxes that come out wide enough are split, and of those that are the error is not known. Left alone the others
+    would be too narrow on average, so as large a share of the narrow boxes of long vessels is left out.
+    """
+    hits = evidence.hits
+    usable: Mask = hits.kind == TRUE
+    if not model.doubles.splits:
+        return usable
+    truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
+    narrow = model.doubles.looks_long(truth[hits.chance]) & (sizes(hits.boxes_px)[:, 0] < LEAST_SPLIT_PX)
+    left_out = np.random.default_rng(0).random(len(narrow)) < model.doubles.splits
+    return usable & ~(narrow & left_out)
 
 
 def _is_singular(state: PerformanceState) -> bool:
@@ -186,13 +211,13 @@ class Replayed:
     products: Array
 
 
-def _frame_pairs(evidence: Evidence, fits: list[Fitted]) -> tuple[Indices, Indices]:
-    """Places, in the fits' rows one after the other, of detections of one vessel in two frames that follow."""
+def _frame_pairs(model: DetectorModel, evidence: Evidence, fits: list[Fitted]) -> tuple[Indices, Indices]:
+    """Places, in the fits' rows one after the other, of detections of one vessel, one turn of the detector apart."""
     rows = np.concatenate([fitted.hits for fitted in fits])
     chance = evidence.hits.chance[rows]
     place = np.full(len(evidence.chances.state), -1)
     place[chance] = np.arange(len(rows))
-    before = evidence.chances.before[chance]
+    before = turn_before(model, evidence)[chance]
     before = np.where(before >= 0, place[before], -1)
     now = np.flatnonzero(before >= 0)
     return now, before[now]
@@ -205,7 +230,7 @@ def _replay(model: DetectorModel, evidence: Evidence, fits: list[Fitted]) -> Rep
     chances = evidence.chances
     chance = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
     tracks = np.stack([chances.camera[chance], chances.vessel[chance]], axis=1)
-    now, before = _frame_pairs(evidence, fits)
+    now, before = _frame_pairs(model, evidence, fits)
     ends = np.cumsum([0, *(len(fitted.hits) for fitted in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
     found = []
@@ -228,7 +253,7 @@ def _persistence(
     """Correlation of errors with those of the same vessel one frame before."""
     if not fits:
         return None
-    now, before = _frame_pairs(evidence, fits)
+    now, before = _frame_pairs(model, evidence, fits)
     if len(now) < LEAST_PAIRS:
         return None
     # Means and spreads that are off would look like a correlation: they are taken out as they were found.

@@ -8,17 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.detector.chain import reference_of
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Indices
-from modsim3d.detector.reference import Reference
 from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
 from modsim3d.learn.measures import Estimate, Exact, Measure, Rate
-from modsim3d.learn.pairs import inflation
+from modsim3d.learn.pairs import inflation, turn_before
 from modsim3d.learn.parameters import Parameter
 
 GROUP = "dropout and class"
@@ -50,10 +48,7 @@ class Asked:
 def asked_of(model: DetectorModel, evidence: Evidence) -> Asked:
     """What a detector's gates, confusion matrices and dropout ask of every chance."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
-    reference = None
-    if model.needs_reference:
-        reference = sum((reference_of(model, seen.frames, seen.targets) for seen in evidence.cameras), Reference())
-    classifier = ConfusionClassifier.from_model(model, reference)
+    classifier = ConfusionClassifier.from_model(model, evidence.reference(model))
     chances = evidence.chances
     edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[chances.state, chances.label]
     usual = edges[:, -2].copy()
@@ -75,12 +70,23 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         for column, label in enumerate(model.labels):
             ours = (evidence.chances.state == s) & (evidence.chances.label == column) & asked.passed
             names = [*model.labels, BACKGROUND]
-            for row in range(len(names)) if len(names) > 2 else [len(names) - 1]:
+            # Misses first: where only one label can be given, both entries say the same.
+            for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
                 value = float(state.confusion[row, column])
                 measure = None if note else _entry(model, evidence, asked, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
-                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=note))
+                said = note or _asked_note(model, row, measure)
+                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, asked, note)]
+
+
+def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
+    """What the asked number is where it is not the file's own."""
+    if measure is None:
+        return ""
+    if model.doubles.merges and row < len(model.labels):
+        return "asked: as a share of those detected in a box of their own, as which others were is not known"
+    return "asked: the mean over the chances that there were, by what they look like" if model.dropout.effects else ""
 
 
 def _gate_checks(evidence: Evidence, asked: Asked) -> list[Parameter]:
@@ -154,7 +160,11 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, asked: Asked, note
 
 def correlation_note(measure: Estimate | None) -> str:
     """What the numbers beside a correlation time are."""
-    return "as the correlation from one frame to the next" if measure is not None and measure.asked else ""
+    return (
+        "as the correlation from one frame at which the detector runs to the next"
+        if measure is not None and measure.asked
+        else ""
+    )
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Estimate | None:
@@ -164,8 +174,9 @@ def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Esti
     κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
     """
     chances = evidence.chances
-    now = np.flatnonzero((chances.before >= 0) & asked.passed)
-    before = chances.before[now]
+    rows_before = turn_before(model, evidence)
+    now = np.flatnonzero((rows_before >= 0) & asked.passed)
+    before = rows_before[now]
     some = asked.passed[before] & (asked.missed[now] > 0) & (asked.missed[now] < 1)
     now, before = now[some], before[some]
     if len(now) < LEAST_PAIRS:

@@ -20,6 +20,7 @@ from modsim3d.detector.records import (
     Array,
     Indices,
 )
+from modsim3d.learn.clutter_box_checks import clutter_box_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_broken, limit_note
 from modsim3d.learn.measures import DiscoveryRate, Exact, ImageRate, Measure, Rate
@@ -104,13 +105,16 @@ def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
                 note=note or ("asked: what the rule of eq. 7.35 gives here" if thesis else ""),
             )
         )
-        parameters += _label_checks(model, s, clutter.label[(clutter.state == s) & (clutter.chance < 0)])
+        # One that persists keeps its label: only the others are independent of each other.
+        passing = (clutter.state == s) & (clutter.kind == FALSE_POSITIVE)
+        parameters += _label_checks(model, s, clutter.label[passing])
     if not per_image:
         overall = None if note else _discovery_rate(model, evidence, expected, np.ones(len(images.state), dtype=bool))
         promised = _promised(model, evidence) if thesis else None
         name = "false discovery rate, all states"
         parameters.append(Parameter(name, GROUP, overall, in_file=False, promised=promised, note=note))
-    return [*parameters, *([] if note else _kind_checks(model, evidence, expected))]
+    parameters += [] if note else _kind_checks(model, evidence, expected)
+    return [*parameters, *clutter_box_checks(model, evidence, expected.lasting)]
 
 
 def thesis_trials(model: DetectorModel, kept: Indices, rate: Array | float) -> Array:
@@ -169,15 +173,12 @@ def _label_checks(model: DetectorModel, s: int, found: Indices) -> list[Paramete
     state = model.states[s]
     if len(model.labels) < 2:
         return []
-    # Those that persist keep the number that their label is read from: no more of them count than are independent.
-    factor = 1.0 if not model.clutter.persistent_share else max(len(found) / 30, 1.0)
-    testable = len(found) and factor == 1.0
-    note = "" if factor == 1.0 else "labels of false positives that persist are not tested"
+    note = "of those that do not persist" if model.clutter.persistent_share else ""
     return [
         Parameter(
             f"states.{state.name}.false_positive_labels[{label}]",
             GROUP,
-            Rate(int((found == i).sum()), len(found), float(state.false_positive_labels[i])) if testable else None,
+            Rate(int((found == i).sum()), len(found), float(state.false_positive_labels[i])) if len(found) else None,
             float(state.false_positive_labels[i]),
             state=state.name,
             note=note,
@@ -198,8 +199,7 @@ def _eligible(model: DetectorModel, evidence: Evidence) -> tuple[Indices, np.nda
     other = np.array([of[int(chance)] for chance in chances[split]], dtype=np.int64)
     placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    width, height = sizes(truth[chances]).T
-    return single, (width >= model.doubles.split_aspect * height) & (placed >= LEAST_SPLIT_PX)
+    return single, model.doubles.looks_long(truth[chances]) & (placed >= LEAST_SPLIT_PX)
 
 
 def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:

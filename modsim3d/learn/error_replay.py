@@ -73,6 +73,8 @@ def _accepted(errors: Array, boxes: Array, images: Array) -> Mask:
 
 
 def products(whitened: Array, now: Indices, before: Indices) -> Array:
-    """Mean product of whitened errors with those one frame before, shape (...,)."""
+    """Mean product of whitened errors with those one frame before, shape (...,); 0 if there are no pairs."""
+    if not len(now):
+        return np.zeros(whitened.shape[:-2])
     result: Array = (whitened[..., now, :] * whitened[..., before, :]).mean(axis=(-2, -1))
     return result

@@ -10,7 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.detector.boxes import at_least_a_pixel
+from modsim3d.detector.chain import reference_of
+from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Detections, Frames, Indices, Targets
+from modsim3d.detector.reference import Reference
 
 Columns = dict[str, NDArray[Any]]
 
@@ -155,6 +158,12 @@ class Evidence:
             Hits(**_joined(hits, {"chance": first_row})),
             Clutter(**_joined(clutter, {"image": first_image, "chance": first_row})),
         )
+
+    def reference(self, model: DetectorModel) -> Reference | None:
+        """What the detector had to know of the scene before it could begin, if anything."""
+        if not model.needs_reference:
+            return None
+        return sum((reference_of(model, seen.frames, seen.targets) for seen in self.cameras), Reference())
 
 
 def _joined(parts: Sequence[Columns], offsets: dict[str, Indices] | None = None) -> Columns:

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Indices
+from modsim3d.learn.evidence import Evidence
 
 _FORGOTTEN = 10.0
 """Correlation times after which nothing of a correlation is counted: 5e-5 of it is left."""
@@ -32,6 +34,26 @@ def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator
         if not len(near):
             return
         yield order[near + lag], order[near], apart[near]
+
+
+def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
+    """Row of the same vessel in the last frame at which the camera's detector ran, −1 if there is none, shape (n,)."""
+    chances = evidence.chances
+    if model.gates.update_interval_s is None:
+        return chances.before
+    turn, ran = np.empty(len(chances.frame), dtype=np.int64), np.empty(len(chances.frame), dtype=bool)
+    for camera, seen in enumerate(evidence.cameras):
+        ours = np.flatnonzero(chances.camera == camera)
+        due = model.gates.due(seen.frames)
+        turn[ours], ran[ours] = np.cumsum(due)[chances.frame[ours]], due[chances.frame[ours]]
+    rows = np.flatnonzero(ran)
+    tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
+    order = np.lexsort((turn[rows], *tracks.T[::-1]))
+    same = (tracks[order][1:] == tracks[order][:-1]).all(axis=1)
+    follows = same & (np.diff(turn[rows[order]]) == 1)
+    before = np.full(len(turn), -1)
+    before[rows[order[1:][follows]]] = rows[order[:-1][follows]]
+    return before
 
 
 def inflation(

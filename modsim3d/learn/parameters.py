@@ -91,7 +91,7 @@ class Verification:
 
     @property
     def cause(self) -> Verdict | None:
-        """The entry of the detector file that stands out most among those that fail; None if nothing fails."""
+        """The entry of the file that stands out most of those that fail, of equals the first; None if none fails."""
         return max(
             self.failed,
             key=lambda verdict: (verdict.parameter.in_file, _strength(verdict)),
@@ -101,7 +101,8 @@ class Verification:
 
 def _strength(verdict: Verdict) -> float:
     measure = verdict.parameter.measure
-    return 0.0 if measure is None else measure.strength()
+    # To six digits: of two entries that say the same, rounding must not decide.
+    return 0.0 if measure is None else float(f"{measure.strength():.6g}")
 
 
 def judge(parameters: Sequence[Parameter]) -> Verification:

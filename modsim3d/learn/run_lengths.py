@@ -12,7 +12,7 @@ from modsim3d.learn.evidence import Evidence
 def run_lengths(evidence: Evidence) -> Indices:
     """Number of runs of misses by length, from 0 on; a run ends where the vessel is detected or not annotated."""
     chances = evidence.chances
-    missed = chances.outcome < 0
+    missed = chances.outcome == -1  # −2 is detected in another's box
     length = missed.astype(np.int64)
     order = np.lexsort((chances.frame, chances.camera))  # each row after the one before it
     for row in order[missed[order] & (chances.before[order] >= 0)]:

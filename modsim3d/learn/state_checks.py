@@ -121,7 +121,9 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
     np.add.at(counts, (after[pairs], before[pairs]), 1)
     note = f"over {usual} transitions, as many as there are from frame to frame" if usual > 1 else ""
     for column, earlier in enumerate(model.states):
-        for row, later in enumerate(model.states):
+        # The rate of staying first: where only one other state can follow, both entries say the same.
+        for row in sorted(range(len(model.states)), key=lambda row: row != column):
+            later = model.states[row]
             visits = int(counts[:, column].sum())
             asked = float(np.clip(matrix[row, column], 0, 1))
             measure = Rate(int(counts[row, column]), visits, asked) if visits else None

@@ -1,0 +1,134 @@
+"""`verify` where two models of a detector meet: what one of them leaves to be seen must not count against the other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.detect_many import ManyDetections
+from modsim3d.detector.boxes import sizes
+from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.model import DetectorModel
+from modsim3d.learn.box_error_checks import LEAST_DETECTIONS, box_error_checks, usable_hits
+from modsim3d.learn.class_checks import class_checks
+from modsim3d.learn.clutter_checks import clutter_checks
+from modsim3d.learn.error_fit import MomentTable
+from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.parameters import Parameter, judge
+from modsim3d.learn.run_lengths import run_lengths
+from modsim3d.learn.state_checks import state_checks
+from modsim3d.scene_reader import load_scene
+from modsim3d.verify_report import row_of
+from tests.detector_variants import Data, thesis_data, variant
+
+
+@pytest.fixture(scope="module")
+def many() -> ManyDetections:
+    return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=400, source="analytic"))
+
+
+def changed(**sections: Any) -> DetectorModel:
+    return parse_detector(thesis_data() | sections)
+
+
+def three_labels(share: float) -> DetectorModel:
+    data: Data = thesis_data() | {"labels": ["Vessel", "Ferry", "Kayak"]}
+    data["false_positives"] = {"model": "calibrated", "persistence": {"lifetime_s": 20.0, "share": share}}
+    for state in data["states"].values():
+        missed = state["confusion"][-1][0]
+        state["confusion"] = [[1 - missed if i == j else 0.0 for j in range(3)] for i in range(3)] + [[missed] * 3]
+        state["false_positive_labels"] = [0.5, 0.3, 0.2]
+    return parse_detector(data)
+
+
+def labels_of(many: ManyDetections, model: DetectorModel, seed: int) -> list[Parameter]:
+    found = clutter_checks(model, many.detect(model, seed))
+    return [parameter for parameter in found if "false_positive_labels" in parameter.name]
+
+
+def test_labels_that_persist_are_not_taken_for_independent_ones(many: ManyDetections) -> None:
+    # In 40 s one that lives for 20 s on average shows its label in frame after frame.
+    assert all(parameter.measure is None for parameter in labels_of(many, three_labels(1.0), 0))
+
+
+def test_labels_of_those_that_do_not_persist_are_tested_beside_others_that_do(many: ManyDetections) -> None:
+    tested = [p.measure for seed in range(6) for p in labels_of(many, three_labels(0.5), seed) if p.measure is not None]
+    assert len(tested) > 40
+    assert min(measure.p_value() for measure in tested) > 1e-5
+
+
+def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> None:
+    def error_widths(splits: float) -> tuple[np.ndarray, np.ndarray]:
+        model = changed(false_positives={"model": "per_image", "rate": 0.0, "splits": splits, "split_aspect": 0.2})
+        evidence = many.detect(model, 3)
+        rows = np.flatnonzero(usable_hits(model, evidence))
+        return evidence.hits.errors_px[rows, 2], sizes(evidence.hits.boxes_px[rows])[:, 0] < 4
+
+    (every, every_narrow), (some, some_narrow) = error_widths(0.0), error_widths(0.9)
+    assert 0.05 * len(every) < len(some) < 0.2 * len(every)
+    deviation = some.mean() - every.mean()
+    assert abs(deviation) < 4 * every.std() / np.sqrt(len(some))
+    share = every_narrow.mean()
+    assert abs(some_narrow.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(some))
+
+
+def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyDetections) -> None:
+    data = thesis_data() | {"gates": {"max_detections": 2}}
+    data["states"]["good"]["confidence"]["size_slope"] = 0.1
+    model = parse_detector(data)
+    evidence = many.detect(model, 0)
+    found = box_error_checks(model, evidence, MomentTable())
+    of_good = [p for p in found if p.name.startswith("states.good.")]
+    assert of_good and all(p.measure is None and "max_detections was reached" in p.note for p in of_good)
+    enough = np.bincount(evidence.chances.state[evidence.hits.chance], minlength=4) >= LEAST_DETECTIONS
+    assert enough.sum() > 1
+    assert any(p.measure is not None for p in found if p.name.startswith("states.") and p not in of_good)
+
+
+def persistence_of(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    every = [*class_checks(model, evidence), *box_error_checks(model, evidence, MomentTable())]
+    return [parameter for parameter in every if parameter.name.startswith("persistence.")]
+
+
+def test_persistence_is_seen_between_the_frames_at_which_the_detector_runs(many: ManyDetections) -> None:
+    gates = {"update_interval_s": 0.4}
+    model = changed(gates=gates, persistence={"class_s": 1.0, "box_s": 1.0})
+    evidence = many.detect(model, 4)
+    for parameter in persistence_of(model, evidence):
+        assert parameter.measure is not None
+        assert parameter.measure.asked == pytest.approx(np.exp(-0.4), rel=1e-9)
+        assert parameter.measure.p_value() > 1e-4
+    for parameter in persistence_of(changed(gates=gates), evidence):
+        assert parameter.measure is not None
+        assert parameter.measure.p_value() < 1e-6
+
+
+def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
+    crowded = ManyDetections.of_scene(load_scene("harbour", mode=2, steps=40, source="analytic"))
+    evidence = crowded.detect(parse_detector(variant("doubled, split and merged boxes")), 0)
+    assert (evidence.chances.outcome == -2).any()
+    counts = run_lengths(evidence)
+    assert int(np.arange(len(counts)) @ counts) == int((evidence.chances.outcome == -1).sum())
+
+
+def test_a_number_that_nobody_asked_for_is_a_dash() -> None:
+    verification = judge([Parameter("dropout, all states", "group", None)])
+    assert row_of(verification.verdicts[0])[1] == "–"
+
+
+def two_states() -> Data:
+    data = thesis_data()
+    data["states"] = {name: data["states"][name] for name in ("excellent", "good")}
+    return data | {"transition_matrix": [[0.9, 0.2], [0.1, 0.8]]}
+
+
+@pytest.mark.parametrize("stay", [0.98, 0.5])
+def test_of_two_states_the_rate_of_staying_is_named(many: ManyDetections, stay: float) -> None:
+    asked = parse_detector(two_states() | {"transition_matrix": [[0.9, 1 - stay], [0.1, stay]]})
+    for seed in range(3):
+        evidence = many.detect(parse_detector(two_states()), seed)
+        found = judge(state_checks(asked, evidence))
+        assert found.cause is not None
+        assert found.cause.parameter.name == "transition_matrix[good][good]"
