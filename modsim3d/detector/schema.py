@@ -134,7 +134,7 @@ class StateSection(Strict):
 class FalsePositivesSection(ClutterKeys):
     """Which model makes false positives, and what they are like."""
 
-    model: ClutterName
+    model: ClutterName = "calibrated"
 
 
 class DetectorFile(Strict):
