@@ -239,9 +239,7 @@ class _Cluster:
 def _clusters(outlines: Outlines, boxes: Array) -> list[_Cluster]:
     """Connected groups of vessels whose pixel boxes overlap, each with what only hides and overlaps one of them."""
     boxed = outlines.boxed
-    first, second = overlapping_pairs(outlines.frame, boxes)
-    some = boxed[first] | boxed[second]
-    first, second = first[some], second[some]
+    first, second = overlapping_pairs(outlines.frame, boxes, boxed)
     if not len(first):
         return []
     both = boxed[first] & boxed[second]
