@@ -242,3 +242,15 @@ def test_copy_of_a_scene_with_meshes_has_a_copy_that_is_the_same(tmp_path):
     copied = load_scene(scene.copy.write(tmp_path / "copy"))
     assert dict(copied.copy.document) == dict(scene.copy.document)
     assert copied.sha256 == scene.sha256
+
+
+def test_camera_inside_its_own_ships_mesh_is_refused_and_in_its_shoebox_is_not(tmp_path):
+    path = own_ship_scene(tmp_path)
+    scene = json.loads(path.read_text())
+    scene["cameras"]["stern"]["mount"]["position_m"] = [0, 0, 0.5]
+    path.write_text(json.dumps(scene))
+    with pytest.raises(InputError, match=r"cameras\.stern: is inside vessel 'own' at time 0\.0 s: move one of them"):
+        load_scene(path)
+    del scene["vessels"]["own"]["mesh"]
+    path.write_text(json.dumps(scene))
+    load_scene(path)

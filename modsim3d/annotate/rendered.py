@@ -115,7 +115,9 @@ def _occlusion(
     keys, which = np.unique(pair, return_inverse=True)
     pieces = np.bincount(which, np.concatenate([entry.px for entry in entries]), minlength=len(keys))
     row, hider = np.divmod(keys, max(count, 1))
-    hidden = Hidden.of(row, outlines.vessel[hider], pieces)  # whole numbers: an obstacle's pieces add up exactly
+    hidden = Hidden.of(
+        row, outlines.vessel[hider], pieces.astype(np.float64)
+    )  # whole numbers: an obstacle's pieces add up exactly
     return Occlusion(
         full_boxes_px=np.where(whole_px[:, None] > 0, whole_boxes / scale, outlines.boxes_px),
         visible_boxes_px=np.where(seen_px[:, None] > 0, seen_boxes / scale, np.nan),
