@@ -26,12 +26,14 @@ class CameraBlock:
 
     Attributes:
         camera: Index into the scene's cameras.
+        steps: At which it took a frame, ascending, shape (S,).
         truth: Its rows, in order of step and vessel.
         target_rows: Rows of `truth` that were annotated and given to the detector, shape (n,).
-        detections: Their `frame` counts from the block's first step; `target` indexes `target_rows`.
+        detections: Their `frame` indexes `steps`; `target` indexes `target_rows`.
     """
 
     camera: int
+    steps: NDArray[np.int64]
     truth: Truth
     target_rows: NDArray[np.int64]
     detections: Detections
@@ -187,16 +189,18 @@ def frames_of(block: Block, scene: Scene, steps: Sequence[int] | None = None) ->
         steps: Only these, ascending; all if None.
     """
     wanted = np.arange(block.first, block.stop) if steps is None else np.array(steps, dtype=np.int64)
-    if not len(wanted):
-        return
-    horizons = [scene.sea_half_planes(scene.cameras[part.camera], wanted) for part in block.cameras]
-    for i, step in enumerate(wanted.tolist()):
-        for part, half_planes in zip(block.cameras, horizons, strict=True):
-            yield _frame(block, part, scene, step, half_planes[i])
+    taken = [np.flatnonzero(np.isin(part.steps, wanted)) for part in block.cameras]
+    horizons = [
+        dict(zip(chosen.tolist(), scene.sea_half_planes(scene.cameras[part.camera], part.steps[chosen]), strict=True))
+        for part, chosen in zip(block.cameras, taken, strict=True)
+    ]
+    order = sorted((int(part.steps[i]), place, i) for place, part in enumerate(block.cameras) for i in horizons[place])
+    for _, place, within in order:
+        yield _frame(block, block.cameras[place], scene, within, horizons[place][within])
 
 
-def _frame(block: Block, part: CameraBlock, scene: Scene, step: int, sea_half_plane: Array) -> Frame:
-    within = step - block.first
+def _frame(block: Block, part: CameraBlock, scene: Scene, within: int, sea_half_plane: Array) -> Frame:
+    step = int(part.steps[within])
     rows = slice(*np.searchsorted(part.truth.step, (step, step + 1)))
     drawn = slice(*np.searchsorted(part.detections.frame, (within, within + 1)))
     truth, detections = part.truth, part.detections
@@ -207,7 +211,7 @@ def _frame(block: Block, part: CameraBlock, scene: Scene, step: int, sea_half_pl
     return Frame(
         camera=scene.cameras[part.camera].name,
         step=step,
-        timestamp=block.timestamps[within],
+        timestamp=block.timestamps[step - block.first],
         state=scene.detector.states[detections.states[within]].name,
         truth=FrameTruth(
             vessels=tuple(vessel.name for vessel in vessels),

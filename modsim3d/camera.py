@@ -214,11 +214,21 @@ class Mount:
 
 @dataclass(frozen=True)
 class Camera:
-    """A virtual camera: its ID, its intrinsics and where it is fixed."""
+    """A virtual camera.
+
+    Attributes:
+        name: Its ID.
+        intrinsics: What maps camera coordinates to pixels.
+        mount: Where it is fixed.
+        frame_rate_hz: Frames a second; None for one at every step of the scene.
+        start_offset_s: When the first is due, from the scene's first step.
+    """
 
     name: str
     intrinsics: Intrinsics
     mount: Mount
+    frame_rate_hz: float | None = None
+    start_offset_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

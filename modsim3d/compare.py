@@ -190,7 +190,7 @@ def compare_sources(
     Args:
         scene: From `load_scene`.
         renderer: Draws the ID buffers.
-        every: Look at every K-th step.
+        every: Look at every K-th frame of each camera.
         progress: Called with the number of steps done since its last call.
     """
     if scene.live:
@@ -200,11 +200,14 @@ def compare_sources(
         )
     report = Report(scene.name, scene.annotation.supersample)
     steps = np.arange(0, scene.steps, every)
+    frames = [scene.frame_steps(camera, 0, scene.steps)[::every] for camera in scene.cameras]
     shoebox()  # loads what makes solids, which is no part of the time per frame
     for start in range(0, len(steps), BLOCK_STEPS):
         chosen = steps[start : start + BLOCK_STEPS]
         for index, camera in enumerate(scene.cameras):
-            _compare_camera(report, scene, renderer, index, camera, chosen)
+            low, high = np.searchsorted(frames[index], (chosen[0], chosen[-1] + every))
+            if low < high:
+                _compare_camera(report, scene, renderer, index, camera, frames[index][low:high])
         report.steps += len(chosen)
         report.worst = sorted(report.worst, key=lambda case: -case.badness)[:WORST]
         progress(len(chosen))

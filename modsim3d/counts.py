@@ -8,8 +8,12 @@ import numpy as np
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.block import Block, CameraBlock
+from modsim3d.earth import shift_px
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
+
+WORTH_A_WARNING_PX = 1.0
+"""A flat sea is warned of where it puts a box further off than this."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,8 @@ class Counts:
         redrawn: Detections of a vessel whose first box error left less than a pixel of the box.
         below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one: a matching
             evaluation counts such a one as a miss and a false detection.
+        off_by_curvature: Vessels on a flat sea whose box the Earth's curvature would move by more than a pixel.
+        largest_curvature_px: The largest such shift.
     """
 
     frames: int = 0
@@ -50,18 +56,25 @@ class Counts:
     clipped: int = 0
     redrawn: int = 0
     below_half_iou: int = 0
+    off_by_curvature: int = 0
+    largest_curvature_px: float = 0.0
 
     def __add__(self, other: Counts) -> Counts:
         """Both together."""
-        return Counts(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
+        sums = {field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)}
+        return Counts(**sums | {name: max(getattr(self, name), getattr(other, name)) for name in _LARGEST})
 
     @classmethod
     def of(cls, block: Block, scene: Scene) -> Counts:
         """Count a block."""
-        return sum((_count(block, part, scene) for part in block.cameras), cls())
+        return sum((_count(part, scene) for part in block.cameras), cls())
 
 
-def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
+_LARGEST = ("largest_curvature_px",)
+"""What is not added up: the largest of all blocks counts."""
+
+
+def _count(part: CameraBlock, scene: Scene) -> Counts:
     truth, drawn = part.truth, part.detections
     true = np.flatnonzero(~drawn.false())
     rows = part.truth_row()[true]
@@ -69,8 +82,11 @@ def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
     boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
     asked = annotated[:, 2:] - annotated[:, :2] + drawn.errors_px[true, 2:]
     detected = int(part.detected().sum())
+    focal_px = scene.cameras[part.camera].intrinsics.focal_px
+    curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
+    curvature_px = curvature_px[curvature_px > WORTH_A_WARNING_PX]
     return Counts(
-        frames=len(block.timestamps),
+        frames=len(part.steps),
         vessel_frames=len(truth),
         seen=int((truth.visible_px > 0).sum()),
         partly_hidden=int(((truth.visible_px > 0) & (truth.visible_px < truth.silhouette_px)).sum()),
@@ -85,6 +101,8 @@ def _count(block: Block, part: CameraBlock, scene: Scene) -> Counts:
         clipped=int(np.any(boxes[:, 2:] - boxes[:, :2] < asked - 1e-6, axis=1).sum()),
         redrawn=int(drawn.redrawn[true].sum()),
         below_half_iou=int((_iou(boxes, annotated) < 0.5).sum()),
+        off_by_curvature=len(curvature_px),
+        largest_curvature_px=float(curvature_px.max(initial=0.0)),
     )
 
 

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
-from modsim3d.block import Frame
 from modsim3d.errors import ModsimError, RendererError
-from modsim3d.film_plan import FilmPlan
+from modsim3d.film_plan import TITLES, FilmPlan
 from modsim3d.processes import in_order, open_pool
 from modsim3d.render.plain_ids import IdDrawer, PlainIds
 from modsim3d.scene import Scene
-from modsim3d.selection import Selection
+from modsim3d.selection import Selection, Shown
 from modsim3d.simulate import open_renderer
+from modsim3d.view import palette
 from modsim3d.view.film_files import MOST_RATE, encoded, open_film
 from modsim3d.view.gif import film_palette
 from modsim3d.view.ids_picture import ids_picture
+from modsim3d.view.look import Look
+from modsim3d.view.map_picture import map_picture
 from modsim3d.view.painter import Subject, paint
 from modsim3d.view.scene_picture import scene_picture
+from modsim3d.view.shaded_picture import ShadedPainter
 from modsim3d.view.timetable import Timetable
 from modsim3d.view.window import Window
 
@@ -29,49 +33,77 @@ STEPS_TOGETHER = 4
 """Steps that a worker draws at a time."""
 PALETTE_SAMPLES = 4
 
-Piece = list[list[Frame]]
+Piece = list[Shown]
 
 
 class Draughtsman:
     """Draws the pictures of a film one by one."""
 
-    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer) -> None:
-        """Take what all pictures share."""
+    def __init__(self, scene: Scene, plan: FilmPlan, drawer: IdDrawer, painter: ShadedPainter | None = None) -> None:
+        """Take what all pictures share.
+
+        Args:
+            scene: The scene.
+            plan: What every picture shows.
+            drawer: Draws ID buffers.
+            painter: Draws the scene in light and shade, where the plan asks for it.
+        """
         self._scene = scene
         self._plan = plan
         self._drawer = drawer
+        self._painter = painter
         self._layout = plan.layout(scene)
+        self._birds_eye = plan.birds_eye(scene)
 
-    def draw(self, frames: list[Frame]) -> Image.Image:
-        """The picture of a step, from its frames, one for each camera of the plan."""
-        subjects = [Subject.of(self._scene, frame) for frame in frames]
+    def draw(self, shown: Shown) -> Image.Image:
+        """The picture of a step, from what each camera of the plan shows."""
+        subjects = [None if frame is None else Subject.of(self._scene, frame) for frame in shown.frames]
         sizes = self._layout.panel_sizes
         panels = [
-            self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
+            map_picture(self._birds_eye, shown.step, size)
+            if kind == "map"
+            else self._panel(subjects[place], kind, self._plan.window(self._scene, place, size))
             for (place, kind), size in zip(self._plan.panels(), sizes, strict=True)
         ]
-        titles = [
-            " · ".join(
-                ([frames[place].camera] if len(frames) > 1 else []) + ([kind] if len(self._plan.kinds) > 1 else [])
-            )
-            for place, kind in self._plan.panels()
-        ]
-        return self._layout.compose(self._head(frames), titles, panels)
+        titles = [self._title(shown, place, kind) for place, kind in self._plan.panels()]
+        return self._layout.compose(self._head(shown), titles, panels)
 
-    def _panel(self, subject: Subject, kind: str, window: Window) -> Image.Image:
+    def _title(self, shown: Shown, place: int, kind: str) -> str:
+        several = len(shown.frames) > 1 and kind != "map"
+        camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
+        age = [_age(shown, place)] if several and _age(shown, place) else []
+        name = [TITLES.get(kind, kind)] if len(self._plan.kinds) > 1 else []
+        return " · ".join(camera + name + age)
+
+    def _panel(self, subject: Subject | None, kind: str, window: Window) -> Image.Image:
+        if subject is None:
+            return Image.new("RGB", window.size, palette.SOFT_INK)
         nominal = self._layout.nominal_width
         if kind == "ids":
             return ids_picture(subject.solids, window, self._drawer, nominal)
-        if kind == "scene" and self._plan.layers is None:
+        layers, ground = self._plan.layers_of(kind), None
+        if self._painter is not None and (kind == "scene" or (kind == "detections" and self._plan.boxes_on_scene)):
+            ground = self._painter.picture(subject.solids, window, self._scene.vessels)
+            layers = replace(layers, horizon=False, silhouettes=False)
+        elif kind == "scene" and self._plan.layers is None:
             return scene_picture(self._scene, subject.solids.camera, subject.frame.step, window, self._drawer)
-        return paint(subject, window, self._plan.layers_of(kind), self._drawer, nominal_width_px=nominal)
+        return paint(subject, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
 
-    def _head(self, frames: list[Frame]) -> str:
-        first = frames[0]
-        states = dict.fromkeys(frame.state for frame in frames)
-        camera = [first.camera] if len(frames) == 1 else []
-        parts = [self._scene.name, *camera, f"{first.timestamp} s", f"step {first.step}"]
-        return "    ".join([*parts, f"detector {', '.join(states)}"])
+    def _head(self, shown: Shown) -> str:
+        states = dict.fromkeys(frame.state for frame in shown.frames if frame)
+        single = len(shown.frames) == 1
+        camera = [self._scene.cameras[self._plan.cameras[0]].name] if single else []
+        parts = [self._scene.name, *camera, f"{shown.timestamp} s", f"step {shown.step}"]
+        parts += [f"detector {', '.join(states)}"] if states else []
+        return "    ".join([*parts, _age(shown, 0)] if single and _age(shown, 0) else parts)
+
+
+def _age(shown: Shown, place: int) -> str:
+    """Of when a camera's picture is, where it is not of the step itself."""
+    frame = shown.frames[place]
+    if frame is None:
+        return "no frame yet"
+    return "" if frame.step == shown.step else f"frame of {frame.timestamp} s"
 
 
 @contextmanager
@@ -83,6 +115,36 @@ def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
         except RendererError:
             renderer = None  # a picture of a run that was made elsewhere
         yield renderer or PlainIds()
+
+
+@contextmanager
+def open_draughtsman(scene: Scene, plan: FilmPlan) -> Iterator[Draughtsman]:
+    """A draughtsman with what he needs: ID buffers, and pyrender in the same context for shaded pictures.
+
+    Raises:
+        RendererError: Shaded pictures are asked for and there is no OpenGL library.
+    """
+    with open_drawer(scene) as drawer, ExitStack() as stack:
+        painter = stack.enter_context(open_painter(plan.look)) if plan.look.shaded else None
+        yield Draughtsman(scene, plan, drawer, painter)
+
+
+@contextmanager
+def open_painter(look: Look) -> Iterator[ShadedPainter]:
+    """What draws shaded pictures.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    from modsim3d.render.context import open_context
+    from modsim3d.render.shaded_pass import ShadedRenderer
+
+    with open_context() as context:
+        renderer = ShadedRenderer(context)
+        try:
+            yield ShadedPainter(renderer, look)
+        finally:
+            renderer.close()
 
 
 @dataclass(frozen=True)
@@ -105,8 +167,8 @@ class DrawnFilm:
 def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
     scene = selection.run.scene
-    with open_drawer(scene) as drawer:
-        picture = Draughtsman(scene, plan, drawer).draw(next(selection.frames()))
+    with open_draughtsman(scene, plan) as draughtsman:
+        picture = draughtsman.draw(next(selection.shown()))
     partial = path.with_name(f".{path.name}.partial")
     picture.save(partial, format="PNG")
     partial.replace(path)
@@ -146,7 +208,7 @@ def draw_film(
         samples: list[_Drawn] = []
         if kind == "gif":
             chosen = dict.fromkeys(drawn[i * len(drawn) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
-            pieces = [[_frames_at(selection, step)] for step in chosen]
+            pieces = [[_shown_at(selection, step)] for step in chosen]
             samples = [one for piece in draw(_Job("mp4", None, piece) for piece in pieces) for one in piece]
             colours = film_palette([Image.frombytes("RGB", one.size, one.data) for one in samples])
         jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn)))
@@ -165,16 +227,15 @@ def _chain(first: _Drawn, others: Iterable[_Drawn]) -> Iterator[_Drawn]:
     yield from others
 
 
-def _frames_at(selection: Selection, step: int) -> list[Frame]:
-    every = list(selection.run.frames(step, step + 1))
-    return [every[index] for index in selection.cameras]
+def _shown_at(selection: Selection, step: int) -> Shown:
+    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).shown())
 
 
 def _pieces(selection: Selection, steps: set[int]) -> Iterator[Piece]:
     piece: Piece = []
-    for frames in selection.frames():
-        if frames[0].step in steps:
-            piece.append(frames)
+    for shown in selection.shown():
+        if shown.step in steps:
+            piece.append(shown)
         if len(piece) == STEPS_TOGETHER:
             yield piece
             piece = []
@@ -207,8 +268,7 @@ Draw = Callable[[Iterable[_Job]], Iterator[list[_Drawn]]]
 def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Draw]:
     """Somebody who draws: this process for one worker, or that many others."""
     if workers == 1:
-        with open_drawer(scene) as drawer:
-            draughtsman = Draughtsman(scene, plan, drawer)
+        with open_draughtsman(scene, plan) as draughtsman:
             yield lambda jobs: (_draw_job(draughtsman, job) for job in jobs)
         return
     with open_pool(workers, _start, scene, plan) as pool:
@@ -216,7 +276,7 @@ def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Dr
 
 
 def _draw_job(draughtsman: Draughtsman, job: _Job) -> list[_Drawn]:
-    pictures = [(frames[0].step, draughtsman.draw(frames)) for frames in job.piece]
+    pictures = [(shown.step, draughtsman.draw(shown)) for shown in job.piece]
     return [_Drawn(step, picture.size, encoded(picture, job.kind, job.colours)) for step, picture in pictures]
 
 
@@ -227,7 +287,7 @@ _open = ExitStack()
 def _start(scene: Scene, plan: FilmPlan) -> None:
     """Set a worker up once; its context lives as long as it does."""
     global _draughtsman
-    _draughtsman = Draughtsman(scene, plan, _open.enter_context(open_drawer(scene)))
+    _draughtsman = _open.enter_context(open_draughtsman(scene, plan))
 
 
 def _work(job: _Job) -> list[_Drawn]:

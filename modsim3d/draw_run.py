@@ -62,13 +62,13 @@ def draw_contact_sheet(scene: Scene, folder: Path, reference: Reference | None =
         The PNG's path.
     """
     simulation = Simulation(scene, reference)
-    names = [camera.name for camera in scene.cameras]
     with open_renderer(scene) as renderer:
 
         def look(moment: Moment) -> Subject:
-            index, step = names.index(moment.camera), moment.step
+            step = moment.step
             block = simulation.detect(truth_block(scene, step, step + 1, renderer), step, step + 1)
-            return Subject.of(scene, list(frames_of(block, scene))[index])
+            (frame,) = (frame for frame in frames_of(block, scene) if frame.camera == moment.camera)
+            return Subject.of(scene, frame)
 
         title = (
             f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"

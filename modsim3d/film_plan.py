@@ -10,13 +10,18 @@ from modsim3d.errors import ModsimError
 from modsim3d.frames import Array
 from modsim3d.scene import Scene
 from modsim3d.selection import Selection
+from modsim3d.view.birds_eye import BirdsEye
 from modsim3d.view.film_layout import FilmLayout
 from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
 from modsim3d.view.legend import Entry, detection_entries, vessel_entries
+from modsim3d.view.look import PLAIN_LOOK, Look
+from modsim3d.view.map_picture import map_height_px
 from modsim3d.view.window import Box, Window
 
-KINDS = ("detections", "scene", "ids", "corners")
+KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
+TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}
+"""What is said of a kind in a panel, where its name does not say it."""
 MOST_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
 LEAST_CROP = 0.02
@@ -35,6 +40,10 @@ class FilmPlan:
         width: Of the whole picture.
         layers: Of the kinds with boxes; each kind's own if None.
         crops_px: Part of each camera's image that is shown, x_min, y_min, x_max, y_max; all of it if None.
+        look: How `scene` looks.
+        boxes_on_scene: Whether `detections` has the boxes on a picture in this look, in place of plain sea and sky.
+        steps: Of the run, for the tracks of a map.
+        columns: Panels side by side; those of a camera, or the cameras, if None.
     """
 
     kinds: tuple[str, ...]
@@ -42,6 +51,10 @@ class FilmPlan:
     width: int
     layers: Layers | None = None
     crops_px: tuple[Box | None, ...] = ()
+    look: Look = PLAIN_LOOK
+    boxes_on_scene: bool = False
+    steps: int = 0
+    columns: int | None = None
 
     def layers_of(self, kind: str) -> Layers:
         """What is drawn of a frame."""
@@ -49,7 +62,12 @@ class FilmPlan:
 
     def panels(self) -> list[tuple[int, str]]:
         """Place of the camera in `cameras`, and kind, of each panel."""
-        return [(place, kind) for place in range(len(self.cameras)) for kind in self.kinds]
+        panels = [(place, kind) for place in range(len(self.cameras)) for kind in self.kinds]
+        return [panel for panel in panels if panel[1] != "map" or panel[0] == 0]  # one map has all cameras
+
+    def birds_eye(self, scene: Scene) -> BirdsEye:
+        """What a map shows."""
+        return BirdsEye(scene, self.steps, self.cameras)
 
     def layout(self, scene: Scene) -> FilmLayout:
         """Where everything goes."""
@@ -58,10 +76,16 @@ class FilmPlan:
             entries += detection_entries(self.layers_of("detections"), scene.annotation.mode)
         if set(self.kinds) & {"ids", "scene", "corners"}:
             entries += vessel_entries(scene.vessel_names)[: None if "ids" in self.kinds else -1]
-        several = len(self.kinds) if len(self.kinds) > 1 else min(len(self.cameras), MOST_COLUMNS)
-        boxes = [self._shown(scene, place) for place, _ in self.panels()]
-        aspects = tuple((x1 - x0) / (y1 - y0) for x0, y0, x1, y1 in boxes)
-        return FilmLayout(self.width, several, aspects, tuple(entries))
+        panels = self.panels()
+        several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
+        aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
+        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries))
+
+    def _aspect(self, scene: Scene, place: int, kind: str) -> float:
+        if kind == "map":
+            return self.width / map_height_px(self.birds_eye(scene), self.width)
+        x0, y0, x1, y1 = self._shown(scene, place)
+        return (x1 - x0) / (y1 - y0)
 
     def _shown(self, scene: Scene, place: int) -> Box:
         crop = self.crops_px[place] if self.crops_px else None
@@ -77,8 +101,10 @@ class FilmPlan:
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     """For each camera the part of its image in which vessels and their detections are."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
-    for frames in selection.frames():
-        for found, frame in zip(boxes, frames, strict=True):
+    for step in selection.shown():
+        for found, frame in zip(boxes, step.frames, strict=True):
+            if frame is None:
+                continue
             true = [vessel is not None for vessel in frame.detections.vessels]
             found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
     crops = []

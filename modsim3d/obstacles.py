@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.bodies import Bodies
+from modsim3d.earth import drop_m
 from modsim3d.frames import Array, world_R_vehicle
 from modsim3d.vessels import Solid
 
@@ -28,6 +29,13 @@ class Obstacle:
 
     name: str
     solids: tuple[tuple[Solid, Array], ...]
+
+    @property
+    def centre_m(self) -> Array:
+        """Of its bounding box in WCF, shape (3,)."""
+        vertices = np.concatenate([vertices for _, vertices in self.solids])
+        centre: Array = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        return centre
 
 
 def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
@@ -83,13 +91,17 @@ def _prism_faces(sides: int) -> NDArray[np.int64]:
     return np.array([*walls, *bottom, *top], dtype=np.int64)
 
 
-def obstacle_bodies(obstacles: Sequence[Obstacle], first_occluder: int, steps: int) -> list[Bodies]:
+def obstacle_bodies(
+    obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
+) -> list[Bodies]:
     """The obstacles at S steps, those with the same faces together.
 
     Args:
         obstacles: In the order in which they follow the vessels among the scene's occluder names.
         first_occluder: Index of the first of them there.
         steps: S.
+        cameras_m: Places of the camera in WCF, shape (S, 3), from which each obstacle is to lie as much lower as the
+            curved sea at its centre does; None for a flat sea.
     """
     solids: dict[int, tuple[Solid, list[int], list[Array]]] = {}
     for index, obstacle in enumerate(obstacles):
@@ -100,6 +112,10 @@ def obstacle_bodies(obstacles: Sequence[Obstacle], first_occluder: int, steps: i
     bodies = []
     for solid, owners, members in solids.values():
         vertices, count = np.stack(members), len(owners)
+        positions = np.zeros((steps, count, 3))
+        if cameras_m is not None:
+            centres = np.array([obstacles[owner - first_occluder].centre_m for owner in owners])
+            positions[..., 2] -= drop_m(centres, cameras_m[:, None])
         bodies.append(
             Bodies(
                 solid=solid,
@@ -108,7 +124,7 @@ def obstacle_bodies(obstacles: Sequence[Obstacle], first_occluder: int, steps: i
                 vertices_m=vertices,
                 centres_m=(vertices.min(axis=1) + vertices.max(axis=1)) / 2,
                 present=np.ones((steps, count), dtype=bool),
-                positions_m=np.zeros((steps, count, 3)),
+                positions_m=positions,
                 world_R_body=np.broadcast_to(np.eye(3), (steps, count, 3, 3)),
             )
         )

@@ -42,12 +42,13 @@ class Occluders:
 
 @dataclass(frozen=True, eq=False)
 class RunRows:
-    """All rows of a run. A frame is one camera at one step; frames are counted by step and then camera.
+    """All rows of a run. A frame is one camera at one step; its number is step × cameras + camera.
 
     Attributes:
         scene: Of the run.
         steps: That are there.
-        frame_state: Performance state in each frame, shape (F,).
+        frames: Numbers of the frames that were taken, ascending, shape (F,).
+        frame_state: Performance state in each, shape (F,).
         truth: The table of n rows.
         truth_frame: Frame of each row, shape (n,).
         truth_vessel: Shape (n,).
@@ -58,6 +59,7 @@ class RunRows:
 
     scene: Scene
     steps: int
+    frames: Indices
     frame_state: Indices
     truth: pa.Table
     truth_frame: Indices
@@ -80,6 +82,7 @@ class RunRows:
         return cls(
             scene,
             run.steps,
+            frame(frames),
             indices(frames, "state", [state.name for state in scene.detector.states]),
             truth,
             frame(truth),
@@ -88,6 +91,20 @@ class RunRows:
             frame(drawn),
             indices(drawn, "vessel", scene.vessel_names),
         )
+
+    def states_of(self, frames: Indices) -> Indices:
+        """Performance state in frames that were taken, by their numbers."""
+        return self.frame_state[np.searchsorted(self.frames, frames)]
+
+    def last_taken(self, steps: Indices) -> Indices:
+        """For each step and camera the step of the last frame taken until then, `NOBODY` if none; (steps, cameras)."""
+        cameras = len(self.scene.cameras)
+        last = np.full((len(steps), cameras), NOBODY)
+        for index in range(cameras):
+            taken = self.frames[self.frames % cameras == index] // cameras
+            place = np.searchsorted(taken, steps, side="right") - 1
+            last[place >= 0, index] = taken[place[place >= 0]]
+        return last
 
     def numbers(self, name: str) -> Array:
         """A column of the truth; NaN for null."""
@@ -138,12 +155,12 @@ class RunRows:
         return Tally(
             frame_state=self.frame_state,
             vessel=self.truth_vessel,
-            state=self.frame_state[self.truth_frame],
+            state=self.states_of(self.truth_frame),
             silhouette_px=self.numbers("silhouette_px"),
             visible_px=self.numbers("visible_px"),
             annotated=self.annotated,
             detected=self.detected,
-            false_state=self.frame_state[self.drawn_frame[~known]],
+            false_state=self.states_of(self.drawn_frame[~known]),
             mislabelled=int((given[known] != meant[self.drawn_vessel[known]]).sum()),
         )
 

@@ -19,12 +19,14 @@ from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette
 from modsim3d.view.report.page import Page, report_page
-from modsim3d.view.report.recording import NONE, Recording, in_250ths, in_quanta, quantum_px, starts
+from modsim3d.view.report.recording import NONE, Column, Recording, in_250ths, in_quanta, quantum_px, starts
 from modsim3d.view.report.silhouettes import drawing_order, rings
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
+NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
+"""What stands for the state and the horizon of a camera that has not taken a frame yet."""
 SIGHT_STEPS = 250
 """Steps whose geometry is made together: few calls, little memory."""
 
@@ -88,7 +90,7 @@ class _Geometry:
     """What the tables do not hold.
 
     Attributes:
-        horizons: Sea half plane of each shown frame, shape (F, 3).
+        horizons: Sea half plane of each frame, shape (F, 3).
         corners_px: Of the silhouettes, one after the other, shape (k, 2).
         corner_count: Of each shown truth row, shape (n,).
     """
@@ -98,60 +100,71 @@ class _Geometry:
     corner_count: Indices
 
 
-def _geometry(rows: RunRows, steps: Indices, shown: Indices, progress: Callable[[int], None]) -> _Geometry:
+def _geometry(
+    rows: RunRows, taken: Indices, frames: Indices, shown: Indices, progress: Callable[[int], None]
+) -> _Geometry:
     """Horizons and silhouettes.
 
     Args:
         rows: Of the run.
-        steps: Those shown.
+        taken: When the frame was taken that each camera shows at each shown step, shape (steps, cameras).
+        frames: Numbers of those frames, ascending, shape (F,).
         shown: Truth rows, in the order in which they are drawn.
         progress: Called with the number of steps done.
     """
     scene, cameras, vessels = rows.scene, len(rows.scene.cameras), len(rows.scene.vessels)
-    horizons = np.empty((len(steps), cameras, 3))
+    horizons = np.empty((len(frames), 3))
+    done = [NOBODY] * cameras
     keys, counts, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
-    for first in range(0, len(steps), SIGHT_STEPS):
-        looked_at = steps[first : first + SIGHT_STEPS]
+    for first in range(0, len(taken), SIGHT_STEPS):
+        some = taken[first : first + SIGHT_STEPS]
         for index, camera in enumerate(scene.cameras):
+            looked_at = np.unique(some[:, index])
+            looked_at = looked_at[looked_at > done[index]]
+            if not len(looked_at):
+                continue
+            done[index] = int(looked_at[-1])
             sight = scene.sight(camera, looked_at)
             rotations = sight.camera_poses.camera_R_world
-            horizons[first : first + SIGHT_STEPS, index] = camera.intrinsics.sea_half_plane(rotations)
+            here = np.searchsorted(frames, looked_at * cameras + index)
+            horizons[here] = camera.intrinsics.sea_half_plane(rotations)
             outlines = sight.outlines(camera.intrinsics, scene.vessels)
             points, count = rings(image_silhouettes(outlines, camera.intrinsics))
             keys.append((looked_at[outlines.frame] * cameras + index) * vessels + outlines.vessel)
             counts.append(count)
             corners.append(points)
-        progress(len(looked_at))
+        progress(len(some))
     found = positions(np.concatenate(keys), rows.truth_frame[shown] * vessels + rows.truth_vessel[shown])
     count, points = np.concatenate(counts), np.concatenate(corners)
     mine = np.where(found == NOBODY, 0, count[found] if len(count) else 0)
     begins = (np.cumsum(count) - count)[found] if len(count) else found
     within = np.arange(mine.sum()) - np.repeat(np.cumsum(mine) - mine, mine)
-    return _Geometry(horizons.reshape(-1, 3), points[np.repeat(begins, mine) + within], mine)
+    return _Geometry(horizons, points[np.repeat(begins, mine) + within], mine)
 
 
 def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Recording:
     scene, cameras = rows.scene, len(rows.scene.cameras)
     steps = np.arange(0, rows.steps, every)
-    frames = len(steps) * cameras
+    taken = rows.last_taken(steps)
+    numbered = np.where(taken == NOBODY, NOBODY, taken * cameras + np.arange(cameras)).ravel()
+    frames = np.unique(numbered[numbered != NOBODY])
     quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
     occluders = rows.occluders()
     known = occluders.row != NOBODY
     order = drawing_order(rows.truth_frame, rows.numbers("depth_m"), occluders.hidden[known], occluders.row[known])
-    shown = order[rows.truth_frame[order] // cameras % every == 0]
-    drawn = np.flatnonzero(rows.drawn_frame // cameras % every == 0)
+    shown = order[np.isin(rows.truth_frame[order], frames)]
+    drawn = np.flatnonzero(np.isin(rows.drawn_frame, frames))
     main_hider = np.full(len(order), NONE)
     least_first = np.argsort(occluders.px, kind="stable")
     main_hider[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last stays
-    geometry = _geometry(rows, steps, shown, progress)
-
-    def shown_frame(frame: Indices) -> Indices:
-        return frame // cameras // every * cameras + frame % cameras
-
-    columns = {
-        "state": rows.frame_state.reshape(-1, cameras)[::every].ravel().astype(np.uint8),
-        "horizon": geometry.horizons.astype(np.float32),
-        "truthStart": starts(shown_frame(rows.truth_frame[shown]), frames),
+    geometry = _geometry(rows, taken, frames, shown, progress)
+    state, horizons, pages = rows.states_of(frames), geometry.horizons, len(frames)
+    if np.any(numbered == NOBODY):  # what a camera shows before its first frame
+        state, horizons, pages = np.append(state, NO_STATE), np.vstack([horizons, ALL_SEA]), pages + 1
+    columns: dict[str, Column] = {
+        "state": state.astype(np.uint8),
+        "horizon": horizons.astype(np.float32),
+        "truthStart": starts(np.searchsorted(frames, rows.truth_frame[shown]), pages),
         "vessel": rows.truth_vessel[shown].astype(np.uint16),
         "flags": (rows.annotated[shown] + 2 * rows.detected[shown]).astype(np.uint8),
         "fraction": in_250ths(rows.numbers("visible_fraction")[shown]),
@@ -161,12 +174,17 @@ def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Re
         "visible": in_quanta(rows.boxes_px("visible")[shown], quantum),
         "cornerCount": geometry.corner_count.astype(np.uint16),
         "corners": in_quanta(geometry.corners_px, quantum),
-        "drawnStart": starts(shown_frame(rows.drawn_frame[drawn]), frames),
+        "drawnStart": starts(np.searchsorted(frames, rows.drawn_frame[drawn]), pages),
         "drawnVessel": np.where(rows.drawn_vessel < 0, NONE, rows.drawn_vessel)[drawn].astype(np.uint16),
         "label": indices(rows.drawn, "label", scene.detector.labels)[drawn].astype(np.uint16),
         "confidence": np.rint(1000 * numbers(rows.drawn, "confidence")[drawn]).astype(np.uint16),
         "box": in_quanta(rows.drawn_boxes_px()[drawn], quantum),
     }
+    if len(frames) < numbered.size:  # some are shown more than once
+        columns["frame"] = np.where(numbered == NOBODY, len(frames), np.searchsorted(frames, numbered)).astype(
+            np.uint32
+        )
+        columns["taken"] = taken.ravel().astype(np.int32)
     return Recording(_facts(scene, steps, quantum), columns)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
-from modsim3d.scene import Scene, Sight
+from modsim3d.scene import AtSea, Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette
 
@@ -96,18 +96,19 @@ class _Recorder:
 
     def space(self, steps: Indices) -> None:
         """Where cameras and vessels are at some steps."""
+        sea = self.scene.at_sea(steps)
         sights = [self.scene.sight(camera, steps) for camera in self.scene.cameras]
         for camera, sight in zip(self.scene.cameras, sights, strict=True):
             poses = sight.camera_poses
             world_R_camera = np.swapaxes(poses.camera_R_world, -1, -2)
             self._move(["world", "cameras", camera.name], steps, poses.positions_m, world_R_camera)
         for index in range(len(self.scene.vessels)):
-            self._vessel(index, steps, sights[0])
+            self._vessel(index, steps, sea)
 
-    def _vessel(self, index: int, steps: Indices, sight: Sight) -> None:
-        vessel, present = self.scene.vessels[index], sight.poses.present[:, index]
+    def _vessel(self, index: int, steps: Indices, sea: AtSea) -> None:
+        vessel, present = self.scene.vessels[index], sea.poses.present[:, index]
         path = ["world", "vessels", vessel.name]
-        self._move(path, steps[present], sight.poses.positions_m[present, index], sight.world_R_vessel[present, index])
+        self._move(path, steps[present], sea.poses.positions_m[present, index], sea.world_R_vessel[present, index])
         before = np.concatenate([self.there[index : index + 1], present[:-1]])
         for i in np.flatnonzero(before != present):
             self._at(int(steps[i]))
@@ -138,7 +139,7 @@ class _Recorder:
         names = self.scene.vessel_names
         for step, camera, truth, drawn in _frames(rows, steps):
             self._at(step)
-            self._state(camera, int(rows.frame_state[step * len(self.scene.cameras) + camera]))
+            self._state(camera, int(rows.states_of(np.array([step * len(self.scene.cameras) + camera]))[0]))
             name = self.scene.cameras[camera].name
             path = ["world", "cameras", name, "image"]
             vessels = rows.truth_vessel[truth]
@@ -174,10 +175,9 @@ class _Recorder:
 
 
 def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, slice]]:
-    """Step and camera of each frame at some steps, and its rows of the truth and of the detections."""
+    """Step and camera of each frame taken at some steps, and its rows of the truth and of the detections."""
     cameras = len(rows.scene.cameras)
-    for step in steps.tolist():
-        for camera in range(cameras):
-            frame = (step * cameras + camera, step * cameras + camera + 1)
-            truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.drawn_frame))
-            yield step, camera, slice(*truth), slice(*drawn)
+    for number in rows.frames[np.isin(rows.frames // cameras, steps)].tolist():
+        frame = (number, number + 1)
+        truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.drawn_frame))
+        yield number // cameras, number % cameras, slice(*truth), slice(*drawn)

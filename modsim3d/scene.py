@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,9 @@ from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.bodies import Bodies, vessel_bodies
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
 from modsim3d.detector.model import DetectorModel
+from modsim3d.earth import lowered
 from modsim3d.errors import InputError
+from modsim3d.frame_timing import takes_frame
 from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.kinematics import velocities
@@ -65,12 +67,13 @@ class Sight:
 
     Attributes:
         steps: Shape (S,).
-        poses: Of all V vessels.
+        poses: Of all V vessels, as the camera sees them: others lower where the sea is curved.
         world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
         others: Vessels that are there and do not carry the camera, shape (S, V).
         carriers: The vessel that carries the camera, shape (S, V).
         camera_poses: Of the camera.
         obstacles: Of the scene.
+        curved: Whether the sea is.
     """
 
     steps: Indices
@@ -80,6 +83,7 @@ class Sight:
     carriers: NDArray[np.bool_]
     camera_poses: CameraPoses
     obstacles: tuple[Obstacle, ...] = ()
+    curved: bool = False
 
     def outlines(self, intrinsics: Intrinsics, vessels: Sequence[Vessel], *, as_shoeboxes: bool = False) -> Outlines:
         """What is before the camera: the other vessels, the obstacles, and the hull that carries it if that has a mesh.
@@ -92,7 +96,7 @@ class Sight:
         bodies = self._bodies(vessels, self.others, as_shoeboxes=as_shoeboxes)
         if not as_shoeboxes:
             bodies += self._own_hull(vessels)
-        bodies += obstacle_bodies(self.obstacles, len(vessels), len(self.steps))
+        bodies += self._obstacle_bodies(vessels)
         return outline(intrinsics, self.camera_poses, bodies)
 
     def _own_hull(self, vessels: Sequence[Vessel]) -> list[Bodies]:
@@ -107,10 +111,14 @@ class Sight:
             vessels, present, self.poses.positions_m, self.world_R_vessel, as_shoeboxes=as_shoeboxes, boxed=boxed
         )
 
+    def _obstacle_bodies(self, vessels: Sequence[Vessel]) -> list[Bodies]:
+        cameras_m = self.camera_poses.positions_m if self.curved else None
+        return obstacle_bodies(self.obstacles, len(vessels), len(self.steps), cameras_m)
+
     def body_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
         """The first step (as an index) and occluder that the camera is inside of, or None."""
         bodies = self._bodies(vessels, self.others) + self._own_hull(vessels)
-        bodies += obstacle_bodies(self.obstacles, len(vessels), len(self.steps))
+        bodies += self._obstacle_bodies(vessels)
         return first_body_around(self.camera_poses.positions_m, bodies)
 
 
@@ -133,6 +141,7 @@ class Scene:
         detector: The statistical detector's parameters.
         copy: What it was read from.
         waves: How vessels move in waves, if they do.
+        sea: `flat`, or `curved` as the Earth is.
         obstacles: What stands still and hides vessels.
         imu: The inertial unit on board of each vessel that carries a camera.
         plugins: What other packages brought to it.
@@ -152,6 +161,7 @@ class Scene:
     detector: DetectorModel
     copy: SceneCopy
     waves: Waves | None = None
+    sea: str = "flat"
     obstacles: tuple[Obstacle, ...] = ()
     imu: Imu = PERFECT_IMU
     plugins: tuple[Plugin, ...] = ()
@@ -180,6 +190,30 @@ class Scene:
         start = float(self.poses.timestamps[0])
         return np.array([float(text) for text in self.timestamps(first, stop)]) - start
 
+    def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
+        """The steps first to stop − 1 at which a camera takes a frame, ascending; where a run is split changes nothing.
+
+        Args:
+            camera: One of the scene's.
+            first: First step.
+            stop: The step after the last.
+        """
+        if camera.frame_rate_hz is None and not camera.start_offset_s:
+            return np.arange(first, stop)
+        begin = max(first - 1, 0)
+        taken = takes_frame(self.times_s(begin, stop), camera.frame_rate_hz, camera.start_offset_s)
+        return first + np.flatnonzero(taken[first - begin :])
+
+    def last_frame(self, camera: Camera, stop: int) -> int | None:
+        """The last step before `stop` at which a camera takes a frame; None if there is none."""
+        looked_at = 16
+        while stop > 0:
+            first = max(stop - looked_at, 0)
+            if len(steps := self.frame_steps(camera, first, stop)):
+                return int(steps[-1])
+            stop, looked_at = first, 4 * looked_at
+        return None
+
     def sight(self, camera: Camera, steps: Indices) -> Sight:
         """What a camera has before it at some steps, and from where.
 
@@ -191,15 +225,20 @@ class Scene:
             InputError: The vessel that carries the camera is not there at a step.
         """
         sea = self.at_sea(steps)
+        camera_poses, poses = self._camera_poses(camera, sea, steps), sea.poses
         carrier = np.array(self.vessel_names) == camera.mount.vessel
+        if self.sea == "curved":
+            lower = lowered(poses.positions_m, camera_poses.positions_m[:, None])
+            poses = replace(poses, positions_m=np.where(carrier[:, None], poses.positions_m, lower))
         return Sight(
             steps,
-            sea.poses,
+            poses,
             sea.world_R_vessel,
-            others=sea.poses.present & ~carrier,
-            carriers=sea.poses.present & carrier,
-            camera_poses=self._camera_poses(camera, sea, steps),
+            others=poses.present & ~carrier,
+            carriers=poses.present & carrier,
+            camera_poses=camera_poses,
             obstacles=self.obstacles,
+            curved=self.sea == "curved",
         )
 
     def at_sea(self, steps: Indices) -> AtSea:
@@ -241,6 +280,8 @@ class Scene:
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
         """The side of the horizon on which the sea lies in a camera's images at some steps, shape (S, 3)."""
+        if not len(steps):
+            return np.empty((0, 3))
         return camera.intrinsics.sea_half_plane(self.sight(camera, steps).camera_poses.camera_R_world)
 
     def _poses_at(self, steps: Indices) -> Poses:

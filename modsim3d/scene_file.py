@@ -65,6 +65,8 @@ class CameraKeys(Strict):
     skew: Pixels = 0.0
     near_clip_m: NearClip = 0.1
     distortion: DistortionKeys | None = None
+    frame_rate_hz: Interval | None = None
+    start_offset_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)] = 0.0
     pose: PoseKeys | None = None
     mount: MountKeys | None = Field(default=None, validate_default=True)
 
@@ -205,6 +207,7 @@ class SceneKeys(Strict):
     poses: dict[str, object]
     cameras: dict[str, CameraKeys]
     waves: WavesKeys | None = None
+    sea: Literal["flat", "curved"] = "flat"
     obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
     imu: ImuKeys | None = None
     annotation: AnnotationKeys = AnnotationKeys()

@@ -183,6 +183,7 @@ class _Reader:
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             copy=copy,
+            sea=keys.sea,
             obstacles=obstacles,
             waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
             imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
@@ -204,6 +205,7 @@ class _Reader:
             )
         self._check_lenses(scene)
         if not scene.live:
+            self._check_frames(scene)
             self._check_places(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
@@ -361,6 +363,25 @@ class _Reader:
             pose_files=None if recorded is None else recorded.keys.files,
         )
 
+    def _check_frames(self, scene: Scene) -> None:
+        """Whether the scene's steps give each camera its frames. Most of its steps count: a log may have gaps."""
+        for camera in scene.cameras:
+            if camera.frame_rate_hz is None and not camera.start_offset_s:
+                continue
+            times_s = scene.times_s(0, scene.steps)
+            interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+            rate = camera.frame_rate_hz
+            if rate is not None and rate * interval_s > 1 + 1e-6:
+                self.problems.append(
+                    f"cameras.{camera.name}.frame_rate_hz: {rate:g} frames a second are more than the scene's steps of "
+                    f"{interval_s:g} s give: at most {1 / interval_s:g}, or leave it out for a frame at every step"
+                )
+            elif not len(scene.frame_steps(camera, 0, scene.steps)):
+                self.problems.append(
+                    f"cameras.{camera.name}.start_offset_s: the scene ends {times_s[-1]:g} s after its first step, "
+                    f"before the first frame is due ({camera.start_offset_s:g} s): no frame would be taken"
+                )
+
     def _check_lenses(self, scene: Scene) -> None:
         for camera in scene.cameras:
             if problem := camera.intrinsics.lens_problem():
@@ -407,4 +428,4 @@ def _camera(name: str, keys: CameraKeys) -> Camera:
     )
     place = keys.mount or keys.pose
     values: Mapping[str, Any] = place.model_dump() if place is not None else {}
-    return Camera(name, intrinsics, Mount(**values))
+    return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)

@@ -20,6 +20,21 @@ NEAR_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
+class Shown:
+    """What cameras show at a step: each the last frame that it took.
+
+    Attributes:
+        step: Of the scene.
+        timestamp: The text of its time.
+        frames: One for each camera; None before its first.
+    """
+
+    step: int
+    timestamp: str
+    frames: tuple[Frame | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Selection:
     """Frames of a stored run.
 
@@ -40,17 +55,27 @@ class Selection:
         """Names of the cameras."""
         return tuple(self.run.scene.cameras[index].name for index in self.cameras)
 
-    def frames(self) -> Iterator[list[Frame]]:
-        """For each step its frames, one for each camera."""
-        wanted = set(self.steps)
-        together: list[Frame] = []
-        for frame in self.run.frames(self.steps[0], self.steps[-1] + 1):
-            if frame.step not in wanted:
-                continue
-            together.append(frame)
-            if len(together) == len(self.run.scene.cameras):
-                yield [together[index] for index in self.cameras]
-                together = []
+    def shown(self) -> Iterator[Shown]:
+        """What the cameras show at each step."""
+        scene, names = self.run.scene, self.camera_names
+        first, stop = self.steps[0], self.steps[-1] + 1
+        last = {name: self._frame_before(index, first) for name, index in zip(names, self.cameras, strict=True)}
+        coming = self.run.frames(first, stop)
+        frame = next(coming, None)
+        for step in self.steps:
+            while frame is not None and frame.step <= step:
+                last[frame.camera] = frame
+                frame = next(coming, None)
+            yield Shown(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
+
+    def _frame_before(self, camera: int, step: int) -> Frame | None:
+        """The last frame that a camera took before a step; None too if it takes one at that step."""
+        scene = self.run.scene
+        taken = scene.last_frame(scene.cameras[camera], step + 1)
+        if taken is None or taken == step:
+            return None
+        frames = self.run.frames(taken, taken + 1)
+        return next(frame for frame in frames if frame.camera == scene.cameras[camera].name)
 
 
 def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
@@ -97,7 +122,7 @@ def select(
     found = Selection(run, cameras, tuple(steps.tolist()), durations)
     if not only_with_vessels:
         return found
-    seen = np.array([any(len(frame.truth) for frame in frames) for frames in found.frames()])
+    seen = np.array([any(frame and len(frame.truth) for frame in shown.frames) for shown in found.shown()])
     if not seen.any():
         names = ", ".join(found.camera_names)
         raise ModsimError(f"no vessel is in an image of {names} in {len(steps)} frames; {span(run)}")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion, Truth, concatenate
+from modsim3d.annotate.record import Occlusion, Truth, concatenate, no_truth
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
@@ -51,7 +51,7 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
 
 
 def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
-    """What all cameras see at steps first to stop − 1.
+    """What all cameras see in the frames that they take at steps first to stop − 1.
 
     Args:
         scene: The scene.
@@ -62,10 +62,9 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
     Raises:
         ModsimError: The vessel that carries a camera is missing.
     """
-    steps = np.arange(first, stop)
-    return concatenate(
-        [_camera_truth(scene, index, camera, steps, renderer) for index, camera in enumerate(scene.cameras)]
-    )
+    taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
+    seen = [_camera_truth(scene, index, camera, steps, renderer) for index, camera, steps in taken if len(steps)]
+    return concatenate(seen) if seen else no_truth()
 
 
 def _camera_truth(
@@ -110,7 +109,7 @@ class DetectorInput:
     Attributes:
         truth: The camera's rows.
         rows: Those of them that are annotated, shape (n,).
-        frames: The camera's frames.
+        frames: Those that the camera takes.
         targets: The annotated vessels.
     """
 
@@ -128,17 +127,17 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
     for number, camera in enumerate(scene.cameras):
         seen = truth.take(truth.camera == number)
         rows = np.flatnonzero(seen.annotated)
-        camera_poses = scene.sight(camera, np.arange(first, stop)).camera_poses
+        steps, before = scene.frame_steps(camera, first, stop), scene.last_frame(camera, first)
         frames = Frames(
             camera=camera.name,
-            steps=np.arange(first, stop),
-            times_s=times_s,
+            steps=steps,
+            times_s=times_s[steps - first],
             image_size_px=camera.intrinsics.image_size_px,
-            sea_half_planes=camera.intrinsics.sea_half_plane(camera_poses.camera_R_world),
-            previous_s=float(scene.times_s(first - 1, first)[0]) if first else -math.inf,
+            sea_half_planes=scene.sea_half_planes(camera, steps),
+            previous_s=-math.inf if before is None else float(scene.times_s(before, before + 1)[0]),
         )
         targets = Targets(
-            frame=seen.step[rows] - first,
+            frame=np.searchsorted(steps, seen.step[rows]),
             vessel=seen.vessel[rows],
             label=labels[seen.vessel[rows]],
             boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
@@ -171,7 +170,13 @@ class Simulation:
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
         parts = tuple(
-            CameraBlock(index, part.truth, part.rows, self._detector.detect(part.frames, part.targets))
+            CameraBlock(
+                index,
+                part.frames.steps,
+                part.truth,
+                part.rows,
+                self._detector.detect(part.frames, part.targets),
+            )
             for index, part in enumerate(detector_inputs(self.scene, truth, first, stop))
         )
         return Block(first, self.scene.timestamps(first, stop), parts)
@@ -216,7 +221,7 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
         scene: From `load_scene`.
 
     Yields:
-        Each camera's frame at each step; of a live scene before the next step is waited for.
+        Each camera's frame at each step at which it takes one; of a live scene before the next step is waited for.
     """
     with open_renderer(scene) as renderer:
         truths: Iterable[tuple[Truth, int, int]]

@@ -100,6 +100,22 @@ def test_a_live_run_writes_the_bytes_of_a_run_from_a_pose_file(tmp_path, stdin, 
     assert {frozenset(entries) for entries in truth.values()} >= {frozenset({"own"}), frozenset({"own", "a", "b"})}
 
 
+def test_a_live_camera_has_its_own_frame_rate(tmp_path, stdin):
+    def slow(poses):
+        path = scene_of(tmp_path, poses)
+        data = json.loads(path.read_text())
+        data["cameras"]["shore"] |= {"frame_rate_hz": 3, "start_offset_s": 0.2}
+        path.write_text(json.dumps(data))
+        return load_scene(path)
+
+    stdin("".join(lines()))
+    run_scene(slow({"stream": "-"}), tmp_path / "live")
+    run_scene(slow({"file": "live/poses.jsonl"}), tmp_path / "file")
+    assert content(tmp_path / "live") == content(tmp_path / "file")
+    steps = [0.2, 0.6, 0.9, 1.2]
+    assert [float(text) for text in json.loads((tmp_path / "live" / "detections_shore.json").read_text())][:4] == steps
+
+
 def test_run_json_of_a_live_run_tells_how_many_steps_came_and_which_poses(tmp_path, stdin):
     runs = []
     for name, count in (("first", 4), ("same", 4), ("other", 5)):

@@ -219,6 +219,28 @@ ROW_COLUMNS = tuple(
 )
 
 
+def no_truth() -> Truth:
+    """The record of no frame."""
+    integers, numbers, boxes = np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 4))
+    return Truth(
+        step=integers,
+        camera=integers,
+        vessel=integers,
+        full_boxes_px=boxes,
+        visible_boxes_px=boxes,
+        silhouette_px=numbers,
+        visible_px=numbers,
+        visible_fraction=numbers,
+        in_frame_fraction=numbers,
+        depth_m=numbers,
+        occluder_offsets=np.zeros(1, dtype=np.int64),
+        occluder=integers,
+        occluder_px=numbers,
+        annotated=np.empty(0, dtype=bool),
+        intersections=np.empty((0, 4), dtype=np.int64),
+    )
+
+
 def concatenate(parts: Sequence[Truth]) -> Truth:
     """The rows of several records in order of step, camera and vessel.
 

@@ -24,7 +24,7 @@ FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT)
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """A run of S frames of one camera, one after another.
+    """A run of S frames of one camera, one after another; a camera need not take one at each of the scene's steps.
 
     Attributes:
         camera: The camera's ID.

@@ -91,8 +91,8 @@ def read_frames(folder: Path, scene: Scene, first: int, stop: int) -> Iterator[F
     if first >= stop:
         return
     cameras = {camera.name: camera for camera in scene.cameras}
-    steps = np.arange(first, stop)
-    horizons = {name: scene.sea_half_planes(camera, steps) for name, camera in cameras.items()}
+    taken = {name: scene.frame_steps(camera, first, stop) for name, camera in cameras.items()}
+    horizons = {name: scene.sea_half_planes(camera, taken[name]) for name, camera in cameras.items()}
     for row in frames.to_pylist():
         key = row["step"], row["camera"]
         yield Frame(
@@ -103,7 +103,7 @@ def read_frames(folder: Path, scene: Scene, first: int, stop: int) -> Iterator[F
             truth=_frame_truth(truth(key), scene),
             detections=_frame_detections(detections(key)),
             image_size_px=cameras[row["camera"]].intrinsics.image_size_px,
-            sea_half_plane=horizons[row["camera"]][row["step"] - first],
+            sea_half_plane=horizons[row["camera"]][np.searchsorted(taken[row["camera"]], row["step"])],
             scene_vessels=scene.vessel_names,
         )
 

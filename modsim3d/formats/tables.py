@@ -63,18 +63,19 @@ DETECTIONS = pa.schema(
 
 
 def frame_table(block: Block, scene: Scene) -> pa.Table:
-    """One row for each step and camera: state and counts."""
+    """One row for each frame that a camera took: state and counts."""
     states = [state.name for state in scene.detector.states]
-    length = len(block.timestamps)
     return _in_order(
         FRAMES,
         [
             {
-                **_keys(block, part, scene, np.arange(length)),
+                **_keys(block, part, scene, part.steps),
                 "state": _named(states, part.detections.states),
-                "n_annotated": np.bincount(part.truth.step[part.target_rows] - block.first, minlength=length),
-                "n_detected": _count(part, ~part.detections.false(), length),
-                "n_false": _count(part, part.detections.false(), length),
+                "n_annotated": np.bincount(
+                    np.searchsorted(part.steps, part.truth.step[part.target_rows]), minlength=len(part.steps)
+                ),
+                "n_detected": _count(part, ~part.detections.false()),
+                "n_false": _count(part, part.detections.false()),
             }
             for part in block.cameras
         ],
@@ -89,7 +90,7 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
         truth = part.truth
         tables.append(
             {
-                **_keys(block, part, scene, truth.step - block.first),
+                **_keys(block, part, scene, truth.step),
                 "vessel": _named(scene.vessel_names, truth.vessel),
                 "label": _named(labels, truth.vessel),
                 **_box_columns("full", truth.full_boxes_px),
@@ -117,7 +118,7 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
         tables.append(
             {
-                **_keys(block, part, scene, drawn.frame),
+                **_keys(block, part, scene, part.steps[drawn.frame]),
                 "detection": np.arange(len(drawn)) - starts,
                 "label": _named(scene.detector.labels, drawn.label),
                 "confidence": drawn.confidence,
@@ -134,15 +135,15 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
     return _in_order(DETECTIONS, tables)
 
 
-def _count(part: CameraBlock, chosen: NDArray[np.bool_], length: int) -> NDArray[np.int64]:
-    return np.bincount(part.detections.frame[chosen], minlength=length)
+def _count(part: CameraBlock, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    return np.bincount(part.detections.frame[chosen], minlength=len(part.steps))
 
 
-def _keys(block: Block, part: CameraBlock, scene: Scene, frame: NDArray[np.int64]) -> dict[str, Any]:
+def _keys(block: Block, part: CameraBlock, scene: Scene, step: NDArray[np.int64]) -> dict[str, Any]:
     return {
-        "camera": _named([camera.name for camera in scene.cameras], np.full(len(frame), part.camera)),
-        "step": frame + block.first,
-        "timestamp": _named(block.timestamps, frame),
+        "camera": _named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
+        "step": step,
+        "timestamp": _named(block.timestamps, step - block.first),
     }
 
 

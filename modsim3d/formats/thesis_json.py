@@ -1,6 +1,6 @@
 """The thesis's JSON: annotations and detections by timestamp and vessel (Jessen & Mohr (2023), Figure 7.17).
 
-A file is written as JSON Lines while a run goes on, one line a time step, and becomes one JSON object at the end:
+A file is written as JSON Lines while a run goes on, one line a frame, and becomes one JSON object at the end:
 the lines without their outer braces, joined by commas.
 """
 
@@ -30,26 +30,25 @@ def centre_form(boxes_px: Array) -> Array:
 
 
 def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
-    """One line a step: timestamp → vessel ID → label and box with depth."""
+    """One line a frame: timestamp → vessel ID → label and box with depth."""
     truth, rows = part.truth, part.target_rows
     boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows]).tolist()
     vessels, depths = truth.vessel[rows].tolist(), truth.depth_m[rows].tolist()
     names, labels = scene.vessel_names, [vessel.label for vessel in scene.vessels]
-    entries: list[dict[str, Any]] = [{} for _ in block.timestamps]
-    for frame, vessel, box, depth in zip(
-        (truth.step[rows] - block.first).tolist(), vessels, boxes, depths, strict=True
-    ):
+    entries: list[dict[str, Any]] = [{} for _ in part.steps]
+    frames = np.searchsorted(part.steps, truth.step[rows]).tolist()
+    for frame, vessel, box, depth in zip(frames, vessels, boxes, depths, strict=True):
         entries[frame][names[vessel]] = {"label": labels[vessel], "bbox": {**_bbox(box), "depth": depth}}
-    return _lines(block, entries)
+    return _lines(block, part, entries)
 
 
 def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
-    """One line a step: timestamp → vessel ID or `false_positive_<n>` → label, confidence, box."""
+    """One line a frame: timestamp → vessel ID or `false_positive_<n>` → label, confidence, box."""
     drawn, labels = part.detections, scene.detector.labels
     boxes, confidence = centre_form(drawn.boxes_px).tolist(), drawn.confidence.tolist()
     sources, frames, label_of = part.truth_row().tolist(), drawn.frame.tolist(), drawn.label.tolist()
     names, vessels = scene.vessel_names, part.truth.vessel
-    entries: list[dict[str, Any]] = [{} for _ in block.timestamps]
+    entries: list[dict[str, Any]] = [{} for _ in part.steps]
     second = np.isin(drawn.kind, (DUPLICATE, FRAGMENT))
     for i in np.argsort(second, kind="stable").tolist():  # a vessel's own detection takes its name
         entry, row, label = entries[frames[i]], sources[i], label_of[i]
@@ -58,7 +57,7 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[b
             "confidenceScore": confidence[i],
             "bbox": _bbox(boxes[i]),
         }
-    return _lines(block, entries)
+    return _lines(block, part, entries)
 
 
 def _free_key(entry: dict[str, Any], vessel: str | None) -> str:
@@ -75,10 +74,9 @@ def _bbox(box: list[float]) -> dict[str, Any]:
     return {"centre": {"x": box[0], "y": box[1]}, "height": box[3], "width": box[2]}
 
 
-def _lines(block: Block, entries: list[dict[str, Any]]) -> Iterator[bytes]:
-    return (
-        orjson.dumps({timestamp: entry}) + b"\n" for timestamp, entry in zip(block.timestamps, entries, strict=True)
-    )
+def _lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) -> Iterator[bytes]:
+    timestamps = [block.timestamps[step - block.first] for step in part.steps.tolist()]
+    return (orjson.dumps({timestamp: entry}) + b"\n" for timestamp, entry in zip(timestamps, entries, strict=True))
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:

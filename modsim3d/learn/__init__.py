@@ -1,1 +1,1 @@
-"""From what a detector put out to its statistics: does a run obey its detector file?"""
+"""What a detector's output says about the detector: a detector file out of it, and whether a run obeys one."""

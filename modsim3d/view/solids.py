@@ -88,8 +88,8 @@ class Solids:
         corners = window.to_picture(self.triangles.corners_px) * samples
         return drawer.draw(corners, self.triangles.inverse_depth, values, enlarged)
 
-    def light(self) -> Array:
-        """How light each triangle is, by its side of the solid: from `DIMMEST` to 1, shape (T,)."""
+    def normals_camera(self) -> Array:
+        """Unit vectors across each triangle in CCF, from the side that is turned to the camera, shape (T, 3)."""
         depth = self.intrinsics.near_clip_m / self.triangles.inverse_depth
         corners = self.intrinsics.unproject(self.triangles.corners_px, depth)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -97,7 +97,12 @@ class Solids:
         away = np.einsum("ij,ij->i", normals, corners[:, 0]) > 0
         normals[away] *= -1
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        world = (normals / np.where(length > 0, length, 1.0)) @ self.sight.camera_poses.camera_R_world[0]
+        unit: Array = normals / np.where(length > 0, length, 1.0)
+        return unit
+
+    def light(self) -> Array:
+        """How light each triangle is, by its side of the solid: from `DIMMEST` to 1, shape (T,)."""
+        world = self.normals_camera() @ self.sight.camera_poses.camera_R_world[0]
         light: Array = DIMMEST + (1 - DIMMEST) * (0.5 + 0.5 * world @ (SUN / np.linalg.norm(SUN)))
         return light
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from modsim3d.run import run_scene
 from modsim3d.run_report import write_report
+from modsim3d.scene_reader import load_scene
 from modsim3d.stored_run import open_run
 from modsim3d.view import palette
 from tests.report.browser import Browser
 from tests.report.conftest import HOSTILE, STEPS
+from tests.scenes import crossing
 
 
 def pixels(browser: Browser, canvas: str = "picture") -> NDArray[np.uint8]:
@@ -214,3 +218,27 @@ def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
     assert browser.run("document.images.length") == 0
     assert HOSTILE in browser.run("document.querySelector('#vessels').textContent")
     assert "{{columns}} & ${name}" in browser.run("document.querySelector('section:nth-of-type(3)').textContent")
+
+
+def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tmp_path):
+    path = crossing(tmp_path, 12)
+    scene = json.loads(path.read_text())
+    scene["cameras"]["slow"] = {**scene["cameras"]["C0"], "frame_rate_hz": 0.25, "start_offset_s": 2}
+    scene["annotation"]["source"] = "analytic"
+    path.write_text(json.dumps(scene))
+    run_scene(load_scene(path), tmp_path / "run")
+    browser.open(write_report(open_run(tmp_path / "run")))
+    browser.run("player.look(1)")
+
+    def status(step: int) -> str:
+        browser.run(f"player.go({step})")
+        return str(browser.run("document.querySelector('#status').textContent"))
+
+    assert "no frame yet" in status(1)
+    assert browser.run("player.recording.truths(1, 1).length") == 0
+    assert "frame" not in status(2)
+    held, there = status(5), browser.run("JSON.stringify(player.recording.truths(5, 1).map(({ full }) => full))")
+    assert "frame of step 2" in held
+    assert there == browser.run("JSON.stringify(player.recording.truths(2, 0).map(({ full }) => full))")
+    assert "frame" not in status(6)
+    assert browser.run("document.querySelector('#failure').hidden")

@@ -288,9 +288,9 @@ class Player {
     $('slider').setAttribute('aria-valuetext', `${facts.timestamps[index]} seconds`);
     const words = [
       `${facts.timestamps[index]} s`, `step ${facts.steps[index]} of ${facts.steps[length - 1]}`,
-      `detector ${this.recording.state(index, camera)}`, `${frame.truths.length} in the image`, `${drawn.length} detected`,
+      this.recording.age(index, camera), `detector ${this.recording.state(index, camera)}`, `${frame.truths.length} in the image`, `${drawn.length} detected`,
       `${missed} missed`, `${wrong} false`,
-    ].join(' · ');
+    ].filter((word) => word).join(' · ');
     $('status').textContent = words;
     $('picture').setAttribute('aria-label', `Image of ${facts.cameras[camera].name}: ${words}`);
     const byVessel = new Map(frame.truths.map((truth) => [truth.vessel, truth]));

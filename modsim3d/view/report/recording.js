@@ -1,7 +1,7 @@
 // The recording: columns of numbers and what they mean. Its other side is recording.py.
 
 const NONE = 0xffff, UNKNOWN_FRACTION = 255, WHOLE = 250;
-const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array };
+const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, int32: Int32Array, float32: Float32Array };
 
 async function openRecording() {
   const facts = JSON.parse(document.getElementById('facts').textContent);
@@ -26,9 +26,20 @@ class Recording {
     columns.cornerCount.forEach((count, row) => { this.cornerStart[row + 1] = this.cornerStart[row] + count; });
   }
 
-  frame(index, camera) { return index * this.facts.cameras.length + camera; }
+  // The frame that a camera shows at a step: the last that it took.
+  frame(index, camera) {
+    const cell = index * this.facts.cameras.length + camera;
+    return this.columns.frame ? this.columns.frame[cell] : cell;
+  }
 
-  state(index, camera) { return this.facts.states[this.columns.state[this.frame(index, camera)]]; }
+  // When that frame was taken, in words, if it was not at this very step.
+  age(index, camera) {
+    if (!this.columns.taken) return '';
+    const step = this.columns.taken[index * this.facts.cameras.length + camera];
+    return step < 0 ? 'no frame yet' : step === this.facts.steps[index] ? '' : `frame of step ${step}`;
+  }
+
+  state(index, camera) { return this.facts.states[this.columns.state[this.frame(index, camera)]] ?? '–'; }
 
   // The side of the horizon on which the sea lies: a x + b y + c >= 0.
   horizon(index, camera) {

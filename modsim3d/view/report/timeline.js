@@ -69,6 +69,7 @@ class Timeline {
     this.text(context, 'detector', 0, STATE_PX / 2, this.left - 6);
     for (let from = 0, to = 0; from < length; from = to) {
       while (to < length && state[to] === state[from]) to++;
+      if (state[from] >= facts.states.length) continue; // no frame yet
       const x = this.x(from), wide = ((to - from) * this.wide) / length;
       context.fillStyle = stateColour(state[from], facts.states.length);
       context.fillRect(x, 0, wide + 0.3, STATE_PX);

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from modsim3d.film_plan import FilmPlan
     from modsim3d.selection import Selection
     from modsim3d.stored_run import StoredRun
+    from modsim3d.view.look import Look
 
 INTERRUPTED = 130
 LEAST_WIDTH_PX, MOST_WIDTH_PX = 160, 8192
@@ -26,7 +27,15 @@ class Film(str, Enum):  # noqa: UP042 (typer shows the plain values)
     scene = "scene"
     ids = "ids"
     corners = "corners"
+    map = "map"
     all = "all"
+
+
+class Style(str, Enum):  # noqa: UP042
+    """How a scene looks."""
+
+    shaded = "shaded"
+    plain = "plain"
 
 
 class Format(str, Enum):  # noqa: UP042
@@ -43,6 +52,10 @@ def view_command(
     frame: Annotated[
         str | None, typer.Option(metavar="STEP|TIME", help="One PNG in place of a film: 255, or 51.0 or 51s.")
     ] = None,
+    map_: Annotated[bool, typer.Option("--map", help="The scene from above, as PNG, SVG or PDF.")] = False,
+    at: Annotated[
+        str | None, typer.Option(metavar="STEP|TIME", help="When, with --map.", show_default="the last step")
+    ] = None,
     sheet: Annotated[bool, typer.Option("--sheet", help="Draw contact_sheet.png again.")] = False,
     camera: Annotated[list[str] | None, typer.Option(help="May be repeated.", show_default="all")] = None,
     from_: Annotated[float | None, typer.Option("--from", metavar="S", help="First time, in seconds.")] = None,
@@ -54,6 +67,13 @@ def view_command(
     layers: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Layers to draw.", show_default="those of the film")
     ] = None,
+    look: Annotated[
+        Style | None, typer.Option(help="Of scene and detections.", show_default="scene: shaded, detections: plain")
+    ] = None,
+    visibility: Annotated[
+        float | None, typer.Option(metavar="M", help="Fog, in shaded pictures; for illustration only.")
+    ] = None,
+    night: Annotated[bool, typer.Option("--night", help="Dark, in shaded pictures; for illustration only.")] = False,
     crop: Annotated[
         str | None, typer.Option(metavar="X0,Y0,X1,Y1|vessels", help="A part of the image, or where vessels are.")
     ] = None,
@@ -73,16 +93,24 @@ def view_command(
     """
     from modsim3d.stored_run import open_run
 
-    if film is None and frame is None and not sheet:
-        raise ModsimError("what is to be drawn? --film detections, --frame 255 or --sheet")
+    if film is None and frame is None and not sheet and not map_:
+        raise ModsimError("what is to be drawn? --film detections, --frame 255, --map or --sheet")
+    if at is not None and not map_:
+        raise ModsimError(f"--at {at} is for --map; one picture of a camera's image is --frame {at}")
+    if map_ and (film is not None or frame is not None):
+        raise ModsimError("--map is a picture of its own, with --at TIME; a film of maps is --film map")
+    looks = _look(film, look, visibility, night)
     opened = open_run(run)
     if sheet:
         _draw_sheet(opened, overwrite)
-    if film is None and frame is None:
+    if film is None and frame is None and not map_:
         return
     from modsim3d.selection import find_step, select, select_cameras
 
     cameras = select_cameras(opened, camera or [])
+    if map_:
+        _draw_map(opened, cameras, at, width, out, overwrite)
+        return
     if frame is not None:
         from modsim3d.selection import times_of
 
@@ -95,25 +123,80 @@ def view_command(
 
         typer.echo(f"modsim3d: {span(opened)}", err=True)
     kind = film or Film.detections
-    plan = _plan(selection, kind, layers, crop, width)
+    plan = _plan(selection, kind, layers, crop, width, *looks)
     if frame is not None:
         _draw_picture(selection, plan, kind, out, overwrite)
     else:
         _draw_film(selection, plan, kind, format_, speed, workers, out, overwrite)
 
 
-def _plan(selection: Selection, film: Film, layers: str | None, crop: str | None, width: int | None) -> FilmPlan:
+def _look(film: Film | None, style: Style | None, visibility: float | None, night: bool) -> tuple[Look, bool]:
+    """How scenes look, and whether boxes are drawn on such pictures too."""
+    from modsim3d.errors import RendererError
+    from modsim3d.render.context import choose_backend
+    from modsim3d.view.look import PLAIN, PLAIN_LOOK, SHADED, Look
+
+    weather = visibility is not None or night
+    asked = style is Style.shaded or (weather and style is None)
+    if (weather or style is not None) and film not in (None, Film.scene, Film.detections, Film.all):
+        raise ModsimError(
+            f"--film {film.value} has no look: --look, --visibility and --night are for scene, detections, all"
+        )
+    look = Look(PLAIN if style is Style.plain else SHADED, visibility, night)
+    if look.shaded and (asked or film in (Film.scene, Film.all)):
+        try:
+            choose_backend()
+        except RendererError as error:
+            if asked:
+                raise RendererError(f"shaded pictures need OpenGL, --look plain does not: {error}") from error
+            return PLAIN_LOOK, False
+    # Without being asked for, boxes stay on the plain style, in which they are seen best.
+    return (look if asked or film in (Film.scene, Film.all) else PLAIN_LOOK), asked
+
+
+def _draw_map(
+    run: StoredRun, cameras: tuple[int, ...], at: str | None, width: int | None, out: Path | None, overwrite: bool
+) -> None:
+    from modsim3d.film_plan import WIDTH_PX
+    from modsim3d.selection import find_step, span, times_of
+    from modsim3d.view.birds_eye import BirdsEye
+    from modsim3d.view.map_picture import FORMATS, check_matplotlib, save_map
+
+    step = len(times_of(run)) - 1 if at is None else find_step(run, at)
+    path = out or run.folder / f"map_{step:06d}.png"
+    if path.suffix.lower() not in FORMATS:
+        raise ModsimError(f"{path}: a map is written as {', '.join(FORMATS)}; its name must end so")
+    check_matplotlib()
+    _check_free(path, overwrite)
+    if not run.finished:
+        typer.echo(f"modsim3d: {span(run)}", err=True)
+    typer.echo(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
+
+
+def _plan(
+    selection: Selection,
+    film: Film,
+    layers: str | None,
+    crop: str | None,
+    width: int | None,
+    look: Look,
+    boxes_on_scene: bool,
+) -> FilmPlan:
     from modsim3d.film_plan import ALL, SEVERAL_WIDTH_PX, WIDTH_PX, FilmPlan, crop_to_vessels, parse_crop
     from modsim3d.view.layers import Layers
 
     kinds = ALL if film is Film.all else (film.value,)
-    several = len(kinds) > 1 or len(selection.cameras) > 1
+    several = film is not Film.map and (len(kinds) > 1 or len(selection.cameras) > 1)
     wide = width or (SEVERAL_WIDTH_PX if several else WIDTH_PX)
     if wide % 2:
         raise ModsimError(f"--width {wide}: films have an even width: {wide - 1} or {wide + 1}")
     chosen = Layers.of(name.strip() for name in layers.split(",")) if layers is not None else None
     crops = crop_to_vessels(selection) if crop == "vessels" else parse_crop(selection, crop) if crop else ()
-    return FilmPlan(kinds, selection.cameras, wide, chosen, crops)
+    if film is Film.map:
+        from modsim3d.view.map_picture import check_matplotlib
+
+        check_matplotlib()
+    return FilmPlan(kinds, selection.cameras, wide, chosen, crops, look, boxes_on_scene, selection.run.steps)
 
 
 def _draw_sheet(run: StoredRun, overwrite: bool) -> None:

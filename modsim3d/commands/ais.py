@@ -1,0 +1,70 @@
+"""The command `modsim3d ais`: a scene from real traffic."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modsim3d.commands.shared import print_rows
+
+
+class Labels(str, Enum):  # noqa: UP042
+    """What vessels from AIS are labelled by."""
+
+    vessel = "vessel"
+    type = "type"
+
+
+def ais_command(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs: CSV or NMEA, also gzipped.")],
+    out: Annotated[Path, typer.Option(help="Scene folder to make.")],
+    origin: Annotated[str | None, typer.Option(metavar="LAT,LON", show_default="median position")] = None,
+    region: Annotated[str | None, typer.Option(metavar="LAT1,LON1,LAT2,LON2", help="Leave out the rest.")] = None,
+    start: Annotated[str | None, typer.Option(metavar="TIME", help="UTC.", show_default="first report")] = None,
+    end: Annotated[str | None, typer.Option(metavar="TIME", help="UTC.", show_default="last report")] = None,
+    duration: Annotated[float | None, typer.Option(metavar="SECONDS", help="In place of --end.")] = None,
+    time_step: Annotated[float, typer.Option(metavar="SECONDS", help="Between steps.")] = 1.0,
+    max_gap: Annotated[float, typer.Option(metavar="SECONDS", help="Away between reports further apart.")] = 400.0,
+    max_speed: Annotated[float, typer.Option(metavar="KNOTS", help="Faster is a jump, and dropped.")] = 60.0,
+    labels: Annotated[Labels, typer.Option(help="One label for all, or one for each group of ship types.")] = (
+        Labels.vessel
+    ),
+    label: Annotated[list[str] | None, typer.Option(metavar="GROUP=LABEL", help="Label of one group.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a scene folder that is there.")] = False,
+) -> None:
+    """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
+
+    Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --duration 600 --out scenes/sound
+    """
+    from rich.console import Console
+
+    from modsim3d.ais import options as given
+    from modsim3d.ais.conversion import read_traffic
+    from modsim3d.ais.report import summary_rows
+    from modsim3d.ais.scene_folder import SCENE, check_free, write_scene
+    from modsim3d.shipped import data_folder
+
+    options = given.Options(
+        origin=given.parse_origin(origin) if origin else None,
+        region=given.parse_region(region) if region else None,
+        start_s=given.parse_time(start, "--start") if start else None,
+        end_s=given.parse_time(end, "--end") if end else None,
+        duration_s=duration,
+        time_step_s=time_step,
+        max_gap_s=max_gap,
+        max_speed_kn=max_speed,
+        labels_by_type=labels is Labels.type,
+        labels=given.parse_labels(label or ()),
+    )
+    check_free(out, overwrite)
+    traffic = read_traffic(files, options)
+    write_scene(traffic, out, data_folder("scenes") / "detectors" / "thesis.yaml", overwrite)
+    console = Console()
+    for title, rows in summary_rows(traffic):
+        if rows:
+            print_rows(console, title, rows)
+    scene = out / SCENE
+    console.print(f"\nscene folder  {out}\nrun it with   modsim3d run {scene}", highlight=False, soft_wrap=True)

@@ -1,0 +1,63 @@
+"""The command `modsim3d compare`: sources of truth side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modsim3d.commands.shared import SceneArgument, print_rows
+from modsim3d.errors import ModsimError
+from modsim3d.progress import progress_bar
+
+
+def compare_command(
+    scene: SceneArgument,
+    steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Look at every K-th step.")] = 1,
+    supersample: Annotated[int | None, typer.Option(min=1, max=8, help="In place of the scene's.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write compare.json and compare.html here.")] = None,
+) -> None:
+    """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
+
+    Exit status 1 if a difference is unexplained.
+
+    Example: modsim3d compare simulation_1 --every 5 --out runs/compared
+    """
+    from rich.console import Console
+
+    from modsim3d import compare_report
+    from modsim3d.compare import compare_sources
+    from modsim3d.scene_reader import load_scene
+    from modsim3d.simulate import open_renderer
+
+    loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)  # better now than after all the work
+    with open_renderer(loaded) as renderer:
+        if renderer is None:
+            raise ModsimError("the rendered source is needed to compare with")
+        with progress_bar() as bar:
+            task = bar.add_task(loaded.name, total=-(-loaded.steps // every))
+            report = compare_sources(
+                loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
+            )
+        if out is not None:
+            compare_report.write_report(report, loaded, renderer, out)
+    figures = report.figures()
+    console = Console()
+    for title, rows in (
+        ("rendered against analytic", compare_report.figure_rows(figures)),
+        ("verdicts: full box, visible part", compare_report.verdict_rows(figures)),
+        ("rectangle rule against rendered", compare_report.rule_rows(figures)),
+        ("shoebox against mesh", compare_report.looseness_rows(figures)),
+        ("time per frame", compare_report.time_rows(figures)),
+        ("intersecting boxes", compare_report.intersection_rows(figures)),
+    ):
+        if rows:
+            print_rows(console, title, rows)
+    if out is not None:
+        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
+    if report.unexplained:
+        raise typer.Exit(1)

@@ -1,0 +1,186 @@
+"""The commands `modsim3d learn` and `modsim3d export`: from a detector's output to a detector file."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modsim3d.errors import InputError, ModsimError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from modsim3d.learn.labelled import Labelled
+    from modsim3d.learn_report import Report
+
+
+class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
+    """How boxes are matched."""
+
+    confidence = "confidence"
+    optimal = "optimal"
+    centre = "centre"
+    provenance = "provenance"
+
+
+class Clutter(str, Enum):  # noqa: UP042
+    """Which model of false positives."""
+
+    auto = "auto"
+    calibrated = "calibrated"
+    per_image = "per_image"
+
+
+def learn_command(
+    out: Annotated[Path, typer.Option(help="Detector file to write.")],
+    truth: Annotated[list[Path] | None, typer.Option(help="COCO JSON, MOT gt.txt or YOLO folder; repeatable.")] = None,
+    detections: Annotated[list[Path] | None, typer.Option(help="COCO results, MOT det.txt, YOLO folder.")] = None,
+    condition: Annotated[list[str] | None, typer.Option(help="Name of each pair, in order.")] = None,
+    run: Annotated[list[Path] | None, typer.Option(metavar="RUN", help="A run directory in place of files.")] = None,
+    state: Annotated[list[str] | None, typer.Option(metavar="NAME=COND,...", help="Conditions of a state.")] = None,
+    states: Annotated[int | None, typer.Option(min=1, help="So many states, by clustering conditions on F1.")] = None,
+    sequence: Annotated[Path | None, typer.Option(help="Text with a state a line: how they follow.")] = None,
+    interval: Annotated[float | None, typer.Option(metavar="S", help="Seconds between entries of a sequence.")] = None,
+    match: Annotated[Match, typer.Option(help="How boxes are matched.")] = Match.confidence,
+    iou: Annotated[float, typer.Option(min=0.01, max=1, help="Least IoU of a match.")] = 0.5,
+    distance: Annotated[float, typer.Option(metavar="PX", help="Most between centres, for --match centre.")] = 50.0,
+    confidence: Annotated[float, typer.Option(min=0, max=1, help="Least confidence that counts.")] = 0.2,
+    clutter: Annotated[Clutter, typer.Option(help="Model of false positives.")] = Clutter.auto,
+    level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Of the intervals.")] = 0.95,
+    replicates: Annotated[int, typer.Option(min=20, help="Of the bootstrap.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    beta: Annotated[float, typer.Option(min=0.01, help="Of F-beta.")] = 2.0,
+    bias: Annotated[bool, typer.Option("--bias", help="Find what the matching does, by simulating.")] = False,
+    correct: Annotated[bool, typer.Option("--correct", help="Take that off what is written; one step.")] = False,
+    labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
+    image_size: Annotated[str | None, typer.Option(metavar="W,H", help="YOLO; MOT without seqinfo.ini.")] = None,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out entries that are wrong.")] = False,
+    page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
+) -> None:
+    """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
+
+    Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
+    """
+    from rich.console import Console
+
+    from modsim3d.formats.detector_yaml import detector_text
+    from modsim3d.learn.labelled import joined
+    from modsim3d.learn.learned import Settings
+    from modsim3d.learn.matching import Rule
+    from modsim3d.learn_detector import Asked, learn_detector
+    from modsim3d.learn_report import lead, tables, write_page
+    from modsim3d.validation import read_text
+
+    given = _given(labels, image_size, skip_bad)
+    parts, interval_s = _sets(truth or [], detections or [], condition or [], run or [], given)
+    rule = Rule(match.value, least_iou=iou, most_distance_px=distance)
+    settings = Settings(rule, confidence, replicates, seed, clutter.value)
+    asked = Asked(
+        states=tuple(state or ()),
+        clusters=states,
+        sequence=read_text(sequence, "sequence") if sequence else None,
+        interval_s=interval if interval is not None else interval_s,
+        level=level,
+        beta=beta,
+        bias=bias or correct,
+    )
+    report = learn_detector(joined(parts), settings, asked)
+    values = report.bias.corrected() if correct and report.bias else None
+    comments = [f"Learned by modsim3d learn. {lead(report)}"]
+    comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
+    comments += ["Corrected once for the bias of the matching."] if correct else []
+    comments += [f"Left simple: {note}" for note in report.learned.form.notes]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(detector_text(report.learned.detector(values), comments), encoding="utf-8", newline="\n")
+    page = out.with_suffix(".html") if page is None else page
+    write_page(report, page)
+    console = Console()
+    console.print(lead(report), highlight=False)
+    for table in tables(report):
+        _print(console, table.title, table.header, table.rows)
+    _say_notes(console, report)
+    console.print(f"\nwritten  {out}, {page}", highlight=False, soft_wrap=True)
+
+
+def _given(labels: str | None, image_size: str | None, skip_bad: bool):  # type: ignore[no-untyped-def]
+    from modsim3d.learn.reading.pair import Given
+
+    names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
+    size = None
+    if image_size is not None:
+        try:
+            width, height = (float(part) for part in image_size.replace("x", ",").split(","))
+        except ValueError:
+            raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{image_size}')"]) from None
+        if not (width > 0 and height > 0):
+            raise InputError("--image-size", [f"both sides must be above 0 (got '{image_size}')"])
+        size = (width, height)
+    return Given(names, size, skip_bad)
+
+
+def _sets(  # type: ignore[no-untyped-def]
+    truth: Sequence[Path], detections: Sequence[Path], conditions: Sequence[str], runs: Sequence[Path], given
+) -> tuple[list[Labelled], float | None]:
+    """All sets, and the time between transitions where runs name one."""
+    from modsim3d.learn.reading.pair import read_pair
+
+    if len(truth) != len(detections):
+        raise ModsimError(
+            f"--truth is given {len(truth)} and --detections {len(detections)} times: give one pair for each condition"
+        )
+    if conditions and len(conditions) != len(truth):
+        raise ModsimError(
+            f"--condition is given {len(conditions)} times, with {len(truth)} pairs of --truth and --detections: "
+            "name each pair, in their order"
+        )
+    if not truth and not runs:
+        raise ModsimError("nothing to learn from: give --truth and --detections, or --run")
+    names = conditions or (["usual"] if len(truth) == 1 else [f"condition_{k + 1}" for k in range(len(truth))])
+    parts = [read_pair(*pair, given) for pair in zip(names, truth, detections, strict=True)]
+    interval_s = None
+    for folder in runs:
+        from modsim3d.learn_sets import labelled_run
+
+        labelled, opened = labelled_run(folder)
+        parts.append(labelled)
+        interval_s = opened.scene.detector.transition_interval_s
+    return parts, interval_s
+
+
+def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    for place, name in enumerate(header):
+        table.add_column(name, justify="left" if place == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    console.print()
+    console.print(table)
+
+
+def _say_notes(console: Console, report: Report) -> None:
+    console.print("\n[bold]Left simple, and why[/bold]")
+    for note in report.learned.form.notes or ("nothing: there was enough of everything",):
+        console.print(f"  {note}", highlight=False, markup=False)
+
+
+def export_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
+    coco: Annotated[Path, typer.Option(help="Folder for COCO's gt.json and dt.json.")],
+) -> None:
+    """Write a run's truth and detections in another program's format.
+
+    Example: modsim3d export runs/first --coco exported
+    """
+    from modsim3d.formats.coco import write_coco
+    from modsim3d.learn_sets import labelled_run
+
+    labelled, _ = labelled_run(run)
+    written = write_coco(labelled, coco)
+    typer.echo(f"written  {written[0]}, {written[1]}")

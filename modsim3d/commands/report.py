@@ -1,0 +1,51 @@
+"""The commands `modsim3d report` and `modsim3d rerun`: a run to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modsim3d.progress import progress_bar
+
+
+def report_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")],
+    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="RUN/report.html")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Show every K-th step; the tables count all.")] = 1,
+) -> None:
+    """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
+
+    Example: modsim3d report runs/first
+    """
+    from modsim3d.run_report import write_report
+    from modsim3d.stored_run import open_run
+
+    opened = open_run(run)
+    with progress_bar() as bar:
+        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
+        written = write_report(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
+    if not opened.finished:
+        typer.echo(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
+    typer.echo(f"written  {written}  ({written.stat().st_size / 1e6:.1f} MB)")
+
+
+def rerun_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")],
+    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="RUN/run.rrd")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Only every K-th step.")] = 1,
+) -> None:
+    """Write a run as a recording for the Rerun viewer: cameras, vessels and boxes in space and time.
+
+    Example: modsim3d rerun runs/first --out first.rrd
+    """
+    from modsim3d.run_rerun import write_recording
+    from modsim3d.stored_run import open_run
+
+    opened = open_run(run)
+    out = run / "run.rrd" if out is None else out
+    with progress_bar() as bar:
+        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
+        write_recording(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
+    typer.echo(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")

@@ -1,0 +1,84 @@
+"""The command `modsim3d run`."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from modsim3d.commands.run_summary import summarise
+from modsim3d.commands.shared import INTERRUPTED, SceneArgument
+from modsim3d.progress import progress_bar
+
+
+class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
+    """Where the truth comes from."""
+
+    rendered = "rendered"
+    analytic = "analytic"
+    rectangles = "rectangles"
+
+
+class Render(str, Enum):  # noqa: UP042
+    """How much of an image is drawn."""
+
+    regions = "regions"
+    full = "full"
+
+
+def run_command(
+    scene: SceneArgument,
+    out: Annotated[Path | None, typer.Option(help="Run directory.", show_default="runs/SCENE")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
+    seed: Annotated[int | None, typer.Option(min=0, help="In place of the scene's.")] = None,
+    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the scene's.")] = None,
+    detector_seed: Annotated[int | None, typer.Option(min=0, help="Of the detector alone.")] = None,
+    mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
+    source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
+    render: Annotated[Render | None, typer.Option(help="Draw only where vessels overlap, or whole images.")] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that share the work; the files stay the same.")] = 1,
+    sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
+) -> None:
+    """Run a scene: truth, detections and a contact sheet into a run directory.
+
+    Example: modsim3d run simulation_1 --mode 2 --out runs/first
+    """
+
+    from modsim3d.run import run_scene
+    from modsim3d.scene_reader import load_scene
+
+    loaded = load_scene(
+        scene,
+        seed=seed,
+        detector=detector,
+        detector_seed=detector_seed,
+        steps=steps,
+        mode=mode,
+        source=source.value if source else None,
+        render=render.value if render else None,
+    )
+    folder = out if out is not None else Path("runs") / loaded.name
+    try:
+        with progress_bar() as bar:
+            task = bar.add_task(loaded.name, total=None if loaded.live else loaded.steps)
+            result = run_scene(
+                loaded,
+                folder,
+                overwrite=overwrite,
+                resume=resume,
+                workers=workers,
+                progress=lambda steps: bar.update(task, advance=steps, refresh=True),
+            )
+    except KeyboardInterrupt:
+        kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
+        typer.echo(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    if sheet:
+        from modsim3d.draw_run import draw_contact_sheet
+
+        draw_contact_sheet(loaded, folder, result.reference)
+    summarise(loaded, result, sheet)

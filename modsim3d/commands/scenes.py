@@ -1,0 +1,34 @@
+"""The commands `modsim3d check` and `modsim3d scenes`."""
+
+from __future__ import annotations
+
+import typer
+
+from modsim3d.commands.shared import SceneArgument
+
+
+def check_command(scene: SceneArgument) -> None:
+    """Read a scene and every file that it names, and say all that is wrong.
+
+    Example: modsim3d check my/scene.yaml
+    """
+    from modsim3d.scene_reader import load_scene
+
+    loaded = load_scene(scene)
+    steps = "as they come" if loaded.live else loaded.steps
+    typer.echo(
+        f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
+        f"steps: {steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
+    )
+
+
+def scenes_command() -> None:
+    """List the scenes that come with modsim3d.
+
+    Example: modsim3d scenes
+    """
+    from modsim3d.scene_reader import shipped_scenes
+
+    for name, path in shipped_scenes().items():
+        first = path.read_text(encoding="utf-8").partition("\n")[0]
+        typer.echo(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")

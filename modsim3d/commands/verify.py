@@ -1,0 +1,78 @@
+"""The command `modsim3d verify`: does a run obey its detector file?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modsim3d.learn.parameters import Verdict
+
+
+WIDE = 150  # columns of a table that goes into a file
+
+
+def verify_command(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
+    detector: Annotated[Path | None, typer.Option(help="Hold it against this file, not the run's own.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for verify.json and verify.html.", show_default="RUN")
+    ] = None,
+) -> None:
+    """Does a run obey its detector file? Every parameter, asked and measured, with a verdict.
+
+    Exit status 1 if a verdict is against the run.
+
+    Example: modsim3d verify runs/first
+    """
+    from rich.console import Console
+
+    from modsim3d import verify_report
+    from modsim3d.stored_run import open_run
+    from modsim3d.verify_run import verify_run
+
+    verified = verify_run(open_run(run), detector)
+    folder = run if out is None else out
+    verify_report.write_report(verified, folder)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDE)
+    for group, verdicts in verify_report.groups_of(verified.verification).items():
+        _print_verdicts(console, group, verdicts)
+    for note in verify_report.notes_of(verified.verification):
+        console.print(note, style="dim", highlight=False, markup=False)
+    obeys = verified.verification.obeys
+    console.print(
+        f"\n{verify_report.conclusion(verified.verification)}",
+        style="bold" if obeys else "bold red",
+        highlight=False,
+        markup=False,
+    )
+    written = f"written  {folder / 'verify.html'}, {folder / 'verify.json'}"
+    console.print(f"\n{written}", highlight=False, soft_wrap=True)
+    if not obeys:
+        raise typer.Exit(1)
+
+
+def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from modsim3d.verify_report import HEADER, row_of
+
+    # Numbers that wrap cannot be read: a narrow terminal gets fewer of them, the files have all.
+    left_out = {name for name, least in (("interval", 120), ("noticed from", 100)) if console.width < least}
+    shown = [i for i, name in enumerate(HEADER) if name not in left_out]
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
+    for i in shown:
+        table.add_column(HEADER[i], no_wrap=HEADER[i] == "parameter", overflow="fold")
+    for verdict in verdicts:
+        cells = row_of(verdict)
+        table.add_row(*(escape(cells[i]) for i in shown), style="bold red" if verdict.fails else None)
+    console.print()
+    console.print(table)

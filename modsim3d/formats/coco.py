@@ -1,0 +1,78 @@
+"""COCO ground truth and results out of a labelled set.
+
+Beside COCO's own keys an image has `condition`, `sequence` and `time_s`, and an annotation `track_id`,
+`visible_fraction` and `distance_m`, where they are known. Results name nobody.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from modsim3d.learn.labelled import Labelled
+
+
+def write_coco(labelled: Labelled, folder: Path) -> tuple[Path, Path]:
+    """Write `gt.json` and `dt.json`.
+
+    Args:
+        labelled: What to write.
+        folder: Made where it is not there.
+
+    Returns:
+        The two files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    truth, results = folder / "gt.json", folder / "dt.json"
+    truth.write_bytes(orjson.dumps(ground_truth(labelled)))
+    results.write_bytes(orjson.dumps(coco_results(labelled)))
+    return truth, results
+
+
+def ground_truth(labelled: Labelled) -> dict[str, Any]:
+    """The content of a ground truth; IDs begin at 1."""
+    images, truth = labelled.images, labelled.truth
+    sizes, times = images.sizes_px.tolist(), images.time_s.tolist()
+    entries = []
+    for k, name in enumerate(images.names):
+        entry: dict[str, Any] = {"id": k + 1, "file_name": name, "width": sizes[k][0], "height": sizes[k][1]}
+        entry["condition"] = labelled.conditions[images.condition[k]]
+        entry["sequence"] = int(images.sequence[k])
+        if math.isfinite(times[k]):
+            entry["time_s"] = times[k]
+        entries.append(entry)
+    boxes = truth.boxes_px.tolist()
+    annotations = []
+    for row, (image, label) in enumerate(zip(truth.image.tolist(), truth.label.tolist(), strict=True)):
+        box = _sides(boxes[row])
+        entry = {"id": row + 1, "image_id": image + 1, "category_id": label + 1, "bbox": box, "area": box[2] * box[3]}
+        entry["iscrowd"] = int(truth.crowd[row])
+        if truth.ignored[row] and not truth.crowd[row]:
+            entry["ignore"] = 1
+        if truth.identity[row] >= 0:
+            entry["track_id"] = int(truth.identity[row])
+        for key in ("visible_fraction", "distance_m"):
+            value = float(getattr(truth, key)[row])
+            if math.isfinite(value):
+                entry[key] = value
+        annotations.append(entry)
+    categories = [{"id": k + 1, "name": name} for k, name in enumerate(labelled.labels)]
+    return {"images": entries, "annotations": annotations, "categories": categories}
+
+
+def coco_results(labelled: Labelled) -> list[dict[str, Any]]:
+    """The content of a results file."""
+    found = labelled.found
+    columns = found.image.tolist(), found.label.tolist(), found.boxes_px.tolist(), found.confidence.tolist()
+    return [
+        {"image_id": image + 1, "category_id": label + 1, "bbox": _sides(box), "score": score}
+        for image, label, box, score in zip(*columns, strict=True)
+    ]
+
+
+def _sides(corners: list[float]) -> list[float]:
+    x_min, y_min, x_max, y_max = corners
+    return [x_min, y_min, x_max - x_min, y_max - y_min]

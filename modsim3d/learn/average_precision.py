@@ -1,0 +1,117 @@
+"""Precision against recall, and the area under it (Jessen & Mohr (2023), section 5.7).
+
+Every detection counts here, whatever its confidence: the curve runs over all thresholds. COCO's own tools average the
+interpolated precision at 101 levels of recall; the sum over all points (eq. 5.44) is the exact area under the same
+interpolated curve, and 11 points (eq. 5.43) a coarser average.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.records import Array, Indices
+from modsim3d.learn.labelled import Labelled, Mask
+from modsim3d.learn.matching import Matched
+
+COCO_POINTS, FEW_POINTS = 101, 11
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Precision and recall at falling confidence.
+
+    Attributes:
+        recall: Not falling, shape (m,).
+        precision: Shape (m,).
+        confidence: At which, shape (m,).
+    """
+
+    recall: Array
+    precision: Array
+    confidence: Array
+
+    @property
+    def interpolated(self) -> Array:
+        """Largest precision at this recall or a larger one (eq. 5.45), shape (m,)."""
+        highest: Array = np.maximum.accumulate(self.precision[::-1])[::-1]
+        return highest
+
+    def at_points(self, points: int) -> float:
+        """Mean interpolated precision at evenly spaced levels of recall (eq. 5.43 with 11 points)."""
+        place = np.searchsorted(self.recall, np.linspace(0, 1, points), side="left")
+        return float(np.append(self.interpolated, 0.0)[place].mean())
+
+    def all_points(self) -> float:
+        """Area under the interpolated curve (eq. 5.44)."""
+        return float(np.sum(np.diff(self.recall, prepend=0.0) * self.interpolated))
+
+    def area(self) -> float:
+        """Area under the curve itself, by trapezia from the first point on; level before it."""
+        if not len(self.recall):
+            return 0.0
+        recall, precision = np.append(0.0, self.recall), np.append(self.precision[0], self.precision)
+        return float(np.trapezoid(precision, recall))
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Detections of one label, the surest first.
+
+    Attributes:
+        image: Shape (m,).
+        right: Whether each is of a truth, shape (m,).
+        confidence: Shape (m,).
+        truth_image: Image of each truth that is to be found, shape (T,).
+    """
+
+    image: Indices
+    right: Mask
+    confidence: Array
+    truth_image: Indices
+
+    @classmethod
+    def of(cls, labelled: Labelled, matched: Matched, label: int, images: Mask) -> Ranking:
+        """Those of a label in some of the images.
+
+        Args:
+            labelled: What was found.
+            matched: Label by label, at any confidence.
+            label: Which.
+            images: Which images, shape (I,).
+        """
+        found, truth = labelled.found, labelled.truth
+        rows = np.flatnonzero(matched.counts & (found.label == label) & images[found.image])
+        rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
+        sought = matched.truth_counts & (truth.label == label) & images[truth.image]
+        return cls(found.image[rows], matched.truth[rows] >= 0, found.confidence[rows], truth.image[sought])
+
+    def curve(self, weights: Array | None = None) -> Curve | None:
+        """The curve, of images with weights of shape (I,); None if there is nothing to find."""
+        each = np.ones(len(self.image)) if weights is None else weights[self.image]
+        total = len(self.truth_image) if weights is None else float(weights[self.truth_image].sum())
+        if total <= 0:
+            return None
+        right = np.cumsum(np.where(self.right, each, 0.0))
+        every = np.cumsum(each)
+        some = every > 0
+        return Curve(right[some] / total, right[some] / every[some], self.confidence[some])
+
+
+NUMBERS = ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC")
+
+
+def average_precisions(ranking: Ranking, weights: Array) -> Array:
+    """The numbers of `NUMBERS` for each row of weights, shape (rows, 4); NaN where there is nothing to find."""
+    result = np.full((len(weights), len(NUMBERS)), np.nan)
+    for row, weight in enumerate(weights):
+        curve = ranking.curve(None if row == 0 and np.all(weight == 1) else weight)
+        if curve is not None:
+            result[row] = (
+                curve.all_points(),
+                curve.at_points(FEW_POINTS),
+                curve.at_points(COCO_POINTS),
+                curve.area(),
+            )
+    return result

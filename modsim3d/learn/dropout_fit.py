@@ -1,0 +1,178 @@
+"""How misses follow what a thing looks like: logistic regression with an intercept for each state and label."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from modsim3d.detector.records import Array, Indices
+from modsim3d.learn.labelled import Mask
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.resampling import Resampling
+
+MISSES_FOR_EACH = 20
+"""Misses, and finds, that a regression must have for each effect (after Peduzzi et al. (1996), who ask for 10)."""
+_STEPS = 60
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One attribute in the odds of a miss.
+
+    Attributes:
+        attribute: Of the detector file: `visible_fraction`, `size_px` or `distance_m`.
+        reference: Where it changes nothing.
+    """
+
+    attribute: str
+    reference: float
+
+    @property
+    def doublings(self) -> bool:
+        """Whether it goes by doublings: sizes and distances do."""
+        return self.attribute != "visible_fraction"
+
+    def of(self, values: Array) -> Array:
+        """Units or doublings beyond the reference; none where unknown, shape (n,)."""
+        known = np.where(np.isfinite(values), values, self.reference)
+        if self.doublings:
+            changed: Array = np.log2(np.maximum(known, 1.0) / self.reference)
+            return changed
+        return known - self.reference
+
+
+def attribute_values(observed: Observed) -> dict[str, Array]:
+    """What is known of each truth that counts, shapes (n,)."""
+    truth = observed.labelled.truth
+    return {
+        "visible_fraction": truth.visible_fraction[observed.rows],
+        "size_px": truth.size_px[observed.rows],
+        "distance_m": truth.distance_m[observed.rows],
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class MissFit:
+    """A regression of misses.
+
+    Attributes:
+        slopes: Log-odds for each unit or doubling, first the estimate, shape (1 + replicates, effects).
+        errors: Standard errors of the estimate, shape (effects,).
+        rates: Of misses of each state and label, as a mean over all truth of that label whatever state held, shape
+            (1 + replicates, states, k): what `anchor: state_rate` holds; NaN where nothing was.
+        chance: Of a miss of each truth in the state that held, shape (n,).
+    """
+
+    slopes: Array
+    errors: Array
+    rates: Array
+    chance: Array
+
+
+def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resampling) -> MissFit | None:
+    """Fit intercepts and slopes by largest likelihood; replicates by one step along its curvature.
+
+    Returns:
+        None where the misses do not determine them.
+    """
+    states, k = len(observed.states), len(observed.labelled.labels)
+    values = attribute_values(observed)
+    x = np.empty((len(observed.rows), len(effects)))
+    for column, effect in enumerate(effects):
+        x[:, column] = effect.of(values[effect.attribute])
+    group = observed.state * k + observed.label
+    missed = observed.missed.astype(np.float64)
+    number = np.bincount(group, minlength=states * k)
+    hits = np.bincount(group, weights=missed, minlength=states * k)
+    usable = (hits > 0) & (hits < number)  # the rest have a rate of 0 or 1, whatever the looks
+    fitted = usable[group]
+    place = np.cumsum(usable) - 1
+    count, p = int(usable.sum()), int(usable.sum()) + len(effects)
+    if count == 0:
+        return None
+    intercepts = special.logit(hits[usable] / number[usable])
+    theta = np.concatenate([intercepts, np.zeros(len(effects))])
+    xf, gf, yf, image = x[fitted], place[group[fitted]], missed[fitted], observed.image[fitted]
+    for _ in range(_STEPS):
+        chance = special.expit(theta[gf] + xf @ theta[count:])
+        information = _information(chance * (1 - chance), gf, xf, count)
+        if not np.all(np.isfinite(information)) or np.linalg.cond(information) > 1e12:
+            return None
+        residual = yf - chance
+        score = np.concatenate([np.bincount(gf, weights=residual, minlength=count), xf.T @ residual])
+        step = np.linalg.solve(information, score)
+        theta = theta + step * min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
+        if np.abs(step).max() < 1e-9:
+            break
+    inverse: Array = np.linalg.inv(information).astype(np.float64)
+    scores = np.zeros((len(yf), p))
+    scores[np.arange(len(yf)), gf] = residual
+    scores[:, count:] = residual[:, None] * xf
+    curvature = _weighted_information(chance * (1 - chance), gf, xf, count, image, resampling)
+    thetas = theta + _steps(curvature, resampling.sums(image, scores), inverse)
+    every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
+    full = np.where(fitted, 0.0, every[group])
+    full[fitted] = chance
+    rates = _anchored(observed, x, thetas, usable, every, resampling)
+    return MissFit(thetas[:, count:], np.sqrt(np.diag(inverse))[count:], rates, full)
+
+
+def _information(weight: Array, group: Array, x: Array, count: int) -> Array:
+    size = count + x.shape[1]
+    matrix = np.zeros((size, size))
+    matrix[:count, :count] = np.diag(np.bincount(group, weights=weight, minlength=count))
+    for j in range(x.shape[1]):
+        matrix[:count, count + j] = np.bincount(group, weights=weight * x[:, j], minlength=count)
+        matrix[count + j, :count] = matrix[:count, count + j]
+    matrix[count:, count:] = (x * weight[:, None]).T @ x
+    return matrix
+
+
+def _weighted_information(
+    weight: Array, group: Indices, x: Array, count: int, image: Indices, resampling: Resampling
+) -> Array:
+    """`_information` under each row of weights, shape (rows, p, p)."""
+    size = count + x.shape[1]
+    columns = [(group, np.ones(len(group)))]
+    columns += [(np.full(len(group), count + j), x[:, j]) for j in range(x.shape[1])]
+    cells = [(a * size + b, weight * u * v) for a, u in columns for b, v in columns]
+    return resampling.counts(
+        np.tile(image, len(cells)),
+        np.concatenate([cell for cell, _ in cells]),
+        (size, size),
+        np.concatenate([amount for _, amount in cells]),
+    )
+
+
+def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
+    """One step towards the largest likelihood under each row of weights; the first, at the largest already, is none.
+
+    By each row's own curvature: the estimate's would make effects that few images decide look better known than they
+    are. Where a row's curvature is singular, for it has no misses of a kind, the estimate's has to do.
+    """
+    ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
+    steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]
+    sound = np.linalg.cond(curvature + ridge) < 1e6
+    bounded = np.clip(steps, -5, 5)
+    return np.where(sound[:, None], bounded, scores @ inverse)
+
+
+def _anchored(observed: Observed, x: Array, thetas: Array, usable: Mask, every: Array, resampling: Resampling) -> Array:
+    """Mean chance of a miss in each state over all truth of a label; replicates to first order."""
+    states, k = len(observed.states), len(observed.labelled.labels)
+    rates = np.full((len(thetas), states, k), np.nan)
+    count = int(usable.sum())
+    for place, cell in enumerate(np.flatnonzero(usable)):
+        ours = observed.label == cell % k
+        chance = special.expit(thetas[0, place] + x[ours] @ thetas[0, count:])
+        change = chance * (1 - chance)
+        sums = resampling.sums(observed.image[ours], np.column_stack([np.ones(len(chance)), chance]))
+        moved = thetas - thetas[0]
+        slope = moved[:, place] * change.mean() + moved[:, count:] @ (change[:, None] * x[ours]).mean(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rates[:, cell // k, cell % k] = np.clip(sums[:, 1] / sums[:, 0] + slope, 1e-9, 1 - 1e-9)
+    flat = rates.reshape(len(thetas), -1)
+    flat[:, ~usable] = every[~usable]
+    return rates

@@ -1,0 +1,1 @@
+"""Labelled sets from the files that other programs write."""

@@ -1,0 +1,48 @@
+"""Which reader a pair of files is for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from modsim3d.errors import InputError
+from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.reading.coco import read_coco
+from modsim3d.learn.reading.mot import read_mot
+from modsim3d.learn.reading.yolo import read_yolo
+
+
+@dataclass(frozen=True)
+class Given:
+    """What files do not say themselves.
+
+    Attributes:
+        labels: Names of the classes, for MOT and YOLO.
+        image_size_px: Width and height, for MOT without `seqinfo.ini` and for YOLO.
+        skip_bad: Leave out entries that something is wrong with.
+    """
+
+    labels: tuple[str, ...] = ()
+    image_size_px: tuple[float, float] | None = None
+    skip_bad: bool = False
+
+
+def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> Labelled:
+    """One condition: folders are YOLO's, `.txt` is MOT, anything else COCO.
+
+    Raises:
+        InputError: Something is wrong with the files, or they are of two kinds.
+    """
+    kinds = [_kind(path) for path in (truth, detections)]
+    if kinds[0] != kinds[1]:
+        raise InputError(
+            f"condition {condition}", [f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"]
+        )
+    if kinds[0] == "COCO":
+        return read_coco(condition, truth, detections, given.skip_bad)
+    read = read_mot if kinds[0] == "MOT" else read_yolo
+    return read(condition, truth, detections, given.labels, given.image_size_px, given.skip_bad)
+
+
+def _kind(path: Path) -> str:
+    return "YOLO" if path.is_dir() else "MOT" if path.suffix in (".txt", ".csv") else "COCO"

@@ -1,0 +1,161 @@
+"""Which conditions make a performance state, and how states follow each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.records import Array, Indices
+from modsim3d.errors import InputError
+from modsim3d.learn.labelled import Images
+from modsim3d.learn.transitions import Transitions, count_transitions
+from modsim3d.validation import nearest
+
+NAMES = {
+    1: ("usual",),
+    2: ("good", "bad"),
+    3: ("excellent", "good", "bad"),
+    4: ("excellent", "good", "bad", "terrible"),
+}
+"""Of clusters, in order of falling F1; the thesis's for four."""
+
+
+@dataclass(frozen=True)
+class StateMap:
+    """States and their conditions.
+
+    Attributes:
+        states: Name → names of its conditions, in their order.
+    """
+
+    states: Mapping[str, tuple[str, ...]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the states."""
+        return tuple(self.states)
+
+    def of_images(self, images: Images, conditions: Sequence[str]) -> Indices:
+        """State of each image, −1 where its condition is in none, shape (I,)."""
+        of = {condition: k for k, names in enumerate(self.states.values()) for condition in names}
+        return np.array([of.get(condition, -1) for condition in conditions], dtype=np.int64)[images.condition]
+
+
+def parse_states(given: Sequence[str], conditions: Sequence[str]) -> StateMap:
+    """From texts such as `good=day,cloudy`; conditions that are left out take no part.
+
+    Raises:
+        InputError: A condition is unknown or in two states, or the form is another.
+    """
+    problems, states, used = [], {}, {}  # type: ignore[var-annotated]
+    for text in given:
+        name, equals, listed = text.partition("=")
+        parts = tuple(part.strip() for part in listed.split(",") if part.strip())
+        if not name.strip() or not equals or not parts:
+            problems.append(f"--state {text}: must be NAME=CONDITION,CONDITION,...")
+            continue
+        if name.strip() in states:
+            problems.append(f"--state {text}: state '{name.strip()}' is given twice")
+        for part in parts:
+            if part not in conditions:
+                problems.append(f"--state {text}: unknown condition '{part}' ({nearest(part, conditions)})")
+            elif part in used:
+                problems.append(f"--state {text}: condition '{part}' is already in state '{used[part]}'")
+            used[part] = name.strip()
+        states[name.strip()] = parts
+    if problems:
+        raise InputError("states", problems)
+    return StateMap(states)
+
+
+def each_its_own(conditions: Sequence[str]) -> StateMap:
+    """A state for each condition."""
+    return StateMap({condition: (condition,) for condition in conditions})
+
+
+def cluster(f1: Mapping[str, float], count: int) -> StateMap:
+    """States by F1: the split into intervals with the least sum of squares within, found exactly.
+
+    On a line the best clusters are intervals, so all splits are tried by dynamic programming (Fisher (1958)): the
+    answer is always the same, unlike that of k-means from random starts.
+
+    Args:
+        f1: Of each condition.
+        count: How many states.
+
+    Raises:
+        InputError: There are fewer conditions.
+    """
+    if count > len(f1):
+        raise InputError("states", [f"--states {count}: there are only {len(f1)} conditions"])
+    names = sorted(f1, key=lambda name: (-f1[name], name))
+    values = np.array([f1[name] for name in names])
+    edges = _best_split(values, count)
+    titles = NAMES.get(count) or tuple(f"state_{k + 1}" for k in range(count))
+    return StateMap({title: tuple(names[a:b]) for title, (a, b) in zip(titles, edges, strict=True)})
+
+
+def _best_split(values: Array, count: int) -> list[tuple[int, int]]:
+    """Intervals of sorted values, each not empty."""
+    n = len(values)
+
+    def cost(a: int, b: int) -> float:
+        return float(((values[a:b] - values[a:b].mean()) ** 2).sum())
+
+    best = [[np.inf] * (n + 1) for _ in range(count + 1)]
+    cut = [[0] * (n + 1) for _ in range(count + 1)]
+    best[0][0] = 0.0
+    for k in range(1, count + 1):
+        for b in range(k, n + 1):
+            best[k][b], cut[k][b] = min((best[k - 1][a] + cost(a, b), a) for a in range(k - 1, b))
+    edges, b = [], n
+    for k in range(count, 0, -1):
+        edges.append((cut[k][b], b))
+        b = cut[k][b]
+    return edges[::-1]
+
+
+def transitions_of(images: Images, image_state: Indices, states: int, interval_s: float | None = None) -> Transitions:
+    """From frames whose conditions change while they run; sets of one condition say nothing about changes.
+
+    Cameras that have had the same states at the same times share a chain, and count once.
+
+    Args:
+        images: The images.
+        image_state: Shape (I,).
+        states: How many there are.
+        interval_s: Time between transitions; None for one each frame.
+    """
+    sequences: dict[tuple[bytes, bytes, int], Indices] = {}
+    changing = [s for s in np.unique(images.source) if len(np.unique(image_state[images.source == s])) > 1]
+    for sequence in np.unique(images.sequence):
+        rows = np.flatnonzero((images.sequence == sequence) & np.isfinite(images.time_s) & (image_state >= 0))
+        if not len(rows) or images.source[rows[0]] not in changing:
+            continue
+        rows = rows[np.argsort(images.time_s[rows], kind="stable")]
+        if interval_s is not None:
+            number = np.floor(images.time_s[rows] / interval_s + 1e-6).astype(np.int64)
+            rows = rows[np.unique(number, return_index=True)[1]]
+        ours = image_state[rows]
+        key = (images.time_s[rows].tobytes(), ours.tobytes(), int(images.source[rows[0]]))
+        sequences[key] = ours
+    return count_transitions(list(sequences.values()), states, interval_s)
+
+
+def parse_sequence(text: str, states: Sequence[str], source: str) -> Indices:
+    """States of a text, a name a line.
+
+    Raises:
+        InputError: A name is unknown; each problem names its line.
+    """
+    lines = [line.strip() for line in text.splitlines()]
+    problems = [
+        f"line {k + 1}: unknown state '{line}' ({nearest(line, states)})"
+        for k, line in enumerate(lines)
+        if line and line not in states
+    ]
+    if problems:
+        raise InputError(source, problems[:20])
+    return np.array([list(states).index(line) for line in lines if line], dtype=np.int64)

@@ -1,0 +1,224 @@
+"""A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
+
+For looking at. Which pixel shows which vessel is as in the ID buffer of the same size; light, fog and night are
+illustration, and nothing in the simulation knows of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from PIL import Image
+
+from modsim3d.camera import CameraPoses, Intrinsics
+from modsim3d.frames import Array
+from modsim3d.render.id_pass import SUBPIXELS, Region
+from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
+from modsim3d.vessels import Vessel
+from modsim3d.view import palette
+from modsim3d.view.look import Look
+from modsim3d.view.navigation_lights import glow, lights
+from modsim3d.view.pen import Pen, font, text_size
+from modsim3d.view.plain import owner_colour
+from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
+from modsim3d.view.solids import SUN, Solids
+from modsim3d.view.window import Window
+
+SAMPLES = 2
+"""Solids are drawn this much larger and shrunk, so that their edges have no steps."""
+REFLECTION = 0.8
+"""Share of a vessel's light that a calm sea would show."""
+SMEAR = 6
+"""Pixels, at a width of 1280, by which ripples move a reflection."""
+OVERHEAD = np.array([0.2, -0.3, 1.0])
+"""Where the brightest part of the sky is that is not the sun."""
+
+
+class ShadedPainter:
+    """Draws shaded pictures in one look; keeps what all pictures of a camera share."""
+
+    def __init__(self, renderer: ShadedRenderer, look: Look) -> None:
+        """Take the renderer, which lives as long as its context."""
+        self.look = look
+        self._renderer = renderer
+        self._rays: dict[tuple[Intrinsics, Window], Rays] = {}
+        self._behind: dict[tuple[Intrinsics, Window], tuple[Array, Backdrop]] = {}
+
+    def picture(
+        self, solids: Solids, window: Window, vessels: tuple[Vessel, ...] = (), samples: int = SAMPLES
+    ) -> Image.Image:
+        """A shaded picture.
+
+        Args:
+            solids: What stands before the camera.
+            window: What of its image to show, and how large.
+            vessels: Of the scene, whose lights are shown by night.
+            samples: Buffer pixels for each pixel of the window and axis; 1 blends no edge.
+        """
+        poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
+        rays = self._rays_of(intrinsics, window)
+        behind = self._backdrop(rays, poses, intrinsics, window)
+        canvas = behind.colour.copy()
+        faces = lit_faces(solids)
+        if len(faces.colours):
+            self._reflect(canvas, behind, faces, solids, window)
+            depth_m = self._stand(canvas, rays, faces, solids, window, samples)
+            if self.look.night and vessels:
+                self._lights(canvas, depth_m, solids, window, vessels)
+        canvas[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
+        picture = Image.fromarray((np.clip(canvas, 0, 1) * 255 + 0.5).astype(np.uint8))
+        if self.look.caption:
+            _write(picture, self.look.caption)
+        return picture
+
+    def _backdrop(self, rays: Rays, poses: CameraPoses, intrinsics: Intrinsics, window: Window) -> Backdrop:
+        """Sea and sky; those of the picture before if the camera has not moved."""
+        pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
+        known = self._behind.get((intrinsics, window))
+        if known is None or not np.array_equal(known[0], pose):
+            focal_px = intrinsics.focal_px[0] * window.scale
+            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.look)
+            known = self._behind[intrinsics, window] = pose, behind
+        return known[1]
+
+    def _rays_of(self, intrinsics: Intrinsics, window: Window) -> Rays:
+        if (intrinsics, window) not in self._rays:
+            self._rays[intrinsics, window] = Rays.of(intrinsics, window)
+        return self._rays[intrinsics, window]
+
+    def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
+        """Faces in a region of a window."""
+        to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
+        to_picture[:2, 2] = -samples * np.array(
+            [window.x * window.scale + region.x, window.y * window.scale + region.y]
+        )
+        lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.look)
+        size = (region.width * samples, region.height * samples)
+        pixels = to_picture @ solids.intrinsics.matrix
+        return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
+
+    def _stand(
+        self, canvas: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int
+    ) -> Floats:
+        """The solids themselves; gives their depth at each pixel."""
+        depth_m = np.full(canvas.shape[:2], np.inf, np.float32)
+        region = _region(faces, solids, window)
+        if not region.width or not region.height:
+            return depth_m
+        lit = self._lit(faces, solids, window, region, samples)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        colour: Floats = lit.colour.astype(np.float32) / np.float32(255)
+        drawn = lit.drawn[..., None].astype(np.float32)
+        if self.look.extinction_per_m:
+            along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
+            colour = fogged(colour, np.where(lit.drawn, lit.depth_m, 0) / along, self.look) * drawn
+        cover = _reduced(drawn, samples)
+        canvas[here] = canvas[here] * (1 - cover) + _reduced(colour, samples)
+        depth_m[here] = lit.depth_m[::samples, ::samples]
+        return depth_m
+
+    def _lights(
+        self, canvas: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
+    ) -> None:
+        """The lights of vessels that nothing hides."""
+        places, colours = lights(solids.sight, vessels)
+        seen = solids.sight.camera_poses.to_camera(places[None])[0]
+        pixels = window.to_picture(solids.intrinsics.project(seen))
+        width, height = window.size
+        for place, colour, pixel in zip(seen, colours, pixels, strict=True):
+            x, y = float(pixel[0]), float(pixel[1])
+            if not (0 <= x < width and 0 <= y < height) or depth_m[int(y), int(x)] < 0.98 * place[2]:
+                continue
+            bright = np.exp(-self.look.extinction_per_m * np.linalg.norm(place))
+            radius = max(1.0, window.size[0] / 1280 * float(np.clip(400 / place[2], 1.2, 4)))
+            glow(canvas, np.array([x, y]), colour * bright, radius)
+
+    def _reflect(self, canvas: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
+        """What the sea shows of the solids upside down, moved by ripples."""
+        mirrored = _mirrored(faces, solids)
+        if not len(mirrored.colours):
+            return
+        region = _region(mirrored, solids, window, margin_px=2 * SMEAR)
+        if not region.width or not region.height:
+            return
+        lit = self._lit(mirrored, solids, window, region, 1)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
+        unit = SMEAR * window.size[0] / 1280
+        from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
+        drawn = lit.drawn[from_row, columns] & behind.sea[here]
+        share = (drawn * behind.mirror[here] * REFLECTION)[..., None]
+        seen = lit.colour[from_row, columns].astype(np.float32) / 255
+        if self.look.extinction_per_m:
+            depth = np.where(drawn, lit.depth_m[from_row, columns], 0)
+            seen = fogged(seen, depth, self.look)
+            share = share * np.exp(-self.look.extinction_per_m * depth)[..., None]
+        canvas[here] = canvas[here] * (1 - share) + seen * share
+
+
+def _reduced(image: Floats, samples: int) -> Floats:
+    """Means of blocks, shape (h / samples, w / samples, n)."""
+    total: Floats = np.zeros_like(image[::samples, ::samples])
+    for i in range(samples):
+        for j in range(samples):
+            total += image[i::samples, j::samples]
+    return total / np.float32(samples**2)
+
+
+def lit_faces(solids: Solids) -> LitFaces:
+    """The solids' triangles as the image of a pinhole shows them: of a lens that distorts, as it bends them."""
+    triangles, intrinsics = solids.triangles, solids.intrinsics
+    snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
+    depth = intrinsics.near_clip_m / triangles.inverse_depth
+    flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
+    vessels = len(solids.extents_m)
+    colours = np.array([owner_colour(owner, vessels) for owner in solids.owners.tolist()]).reshape(-1, 3)
+    return LitFaces(flat * depth[..., None], solids.normals_camera(), colours[triangles.row] / 255)
+
+
+def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
+    """What is above the sea, turned over about it, but for faces that the near plane would cut."""
+    poses = solids.sight.camera_poses
+    rotation, place = poses.camera_R_world[0], poses.positions_m[0]
+    world = faces.corners_camera @ rotation + place
+    flip = np.array([1.0, 1.0, -1.0])
+    turned = (world * flip - place) @ rotation.T
+    # What is under water stands, turned over, within its own vessel's outline, and is drawn over: it is not cut off.
+    kept = (world[..., 2] > 0).any(axis=1) & (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
+    normals = (faces.normals_camera[kept] @ rotation * flip) @ rotation.T
+    return LitFaces(turned[kept], normals, faces.colours[kept])
+
+
+def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:
+    """The pixels of a window that faces may touch."""
+    flat = faces.corners_camera @ solids.intrinsics.matrix.T
+    pixels = window.to_picture(flat[..., :2] / flat[..., 2:]).reshape(-1, 2)
+    return Region.around(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), window.size, margin_px)
+
+
+def _lamps(camera_R_world: Array, look: Look) -> tuple[list[Lamp], tuple[float, float, float]]:
+    """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
+
+    def turned(world: Iterable[float]) -> tuple[float, float, float]:
+        x, y, z = (camera_R_world @ np.array(list(world))).tolist()
+        return x, y, z
+
+    if look.night:
+        moon = Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.3)
+        return [moon], (0.022, 0.026, 0.036)
+    sun = Lamp(turned(SUN), (1.0, 0.96, 0.88), 2.3)
+    sky = Lamp(turned(OVERHEAD), (0.75, 0.87, 1.0), 0.7)
+    fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
+    return [sun, sky, fill], (0.20, 0.22, 0.25)
+
+
+def _write(picture: Image.Image, text: str) -> None:
+    """A small line at the bottom left."""
+    pen = Pen(picture)
+    size = max(10, round(0.8 * pen.text_px))
+    left, top, right, bottom = text_size(text, size)
+    pad = size // 3
+    y = picture.height - (bottom - top) - 2 * pad
+    pen.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
+    pen.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))

@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
+from modsim3d.learn.dropout_fit import Effect, fit_misses
+from modsim3d.learn.error_shares import KINDS, error_shares
+from modsim3d.learn.figures import figures
+from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.matching import Rule, match
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.persistence_fit import correlation_time
+from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
+from modsim3d.learn.states import transitions_of
+from modsim3d.learn.transitions import Transitions, count_transitions
+from tests.learning.labelled_sets import found, images, random_set, truth
+
+
+def figures_of(labelled, replicates=50, threshold=0.0, beta=2.0):
+    matched = match(labelled, Rule(), threshold)
+    by_label = match(labelled, Rule(by_label=True))
+    everything = np.ones(len(labelled.images), dtype=bool)
+    return figures("all", labelled, matched, by_label, resample(labelled.images, replicates, 1), everything, beta)
+
+
+def sailboats_and_kayaks():
+    """The counts of Table 5.4: 15 and 16 right, 4 and 1 mixed up, 1 and 3 missed, 2 and 2 of nothing."""
+    cells = [(0, 0)] * 15 + [(0, 1)] * 4 + [(0, None)] + [(1, 0)] + [(1, 1)] * 16 + [(1, None)] * 3
+    boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(len(cells))]
+    seen = [(box, label) for box, (_, label) in zip(boxes, cells, strict=True) if label is not None]
+    seen += [([100.0 * k, 500, 100.0 * k + 50, 550], k // 2) for k in range(4)]
+    count, scores = len(cells), np.linspace(0.9, 0.5, len(seen)).tolist()
+    return Labelled(
+        ("sailboat", "kayak"),
+        ("all",),
+        images(1, (9000, 900)),
+        truth([0] * count, [label for label, _ in cells], boxes),
+        found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores),
+    )
+
+
+def test_confusion_matrix_is_tables_5_4_and_5_5():
+    got = figures_of(sailboats_and_kayaks())
+    assert got.counts.tolist() == [[15, 1, 2], [4, 16, 2], [1, 3, 0]]
+    table = [[0.75, 0.05], [0.2, 0.8], [0.05, 0.15]]
+    np.testing.assert_allclose(got.columns["confusion"].estimate, table)
+    assert got.columns["false labels"].estimate.tolist() == [0.5, 0.5]
+    # "the false positives ... for class sailboat amount to 1 + 2 = 3", "false negatives ... 4 + 1 = 5"
+    np.testing.assert_allclose(got.columns["precision"].estimate[0], 15 / 18)
+    np.testing.assert_allclose(got.columns["FDR"].estimate[0], 3 / 18)
+    np.testing.assert_allclose(got.columns["FNR"].estimate[0], 5 / 20)
+    np.testing.assert_allclose(got.columns["any FNR"].estimate, 4 / 40)
+    np.testing.assert_allclose(got.columns["any FDR"].estimate, 4 / 40)
+    precision, recall = 15 / 18, 15 / 20
+    np.testing.assert_allclose(got.columns["F1"].estimate[0], 2 * precision * recall / (precision + recall))
+    np.testing.assert_allclose(got.columns["F-beta"].estimate[0], 5 * precision * recall / (4 * precision + recall))
+    np.testing.assert_allclose(got.columns["mean recall"].estimate, (15 / 20 + 16 / 20) / 2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_columns_of_confusion_sum_to_one_and_rates_complete_each_other(seed):
+    got = figures_of(random_set(seed), replicates=5)
+    total = got.columns["confusion"].values.sum(axis=1)
+    assert np.all(np.isclose(total, 1) | np.isnan(total))
+    for one, other in (("precision", "FDR"), ("recall", "FNR")):
+        both = got.columns[one].values + got.columns[other].values
+        assert np.all(np.isclose(both, 1) | np.isnan(both))
+    for name in ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC"):
+        values = got.columns[name].values
+        assert np.all(np.isnan(values) | ((values >= 0) & (values <= 1 + 1e-12)))
+
+
+def test_error_moments_are_those_of_numpy():
+    rng = np.random.default_rng(3)
+    boxes = np.tile([1000.0, 1000, 1400, 1300], (300, 1))
+    moved = boxes + rng.normal(0, 5, (300, 4)) @ rng.normal(0, 1, (4, 4))
+    image = np.repeat(np.arange(60), 5)
+    boxes[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
+    moved[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
+    labelled = Labelled(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
+                        found(image, image * 0, moved, np.full(300, 0.9)))  # fmt: skip
+    got = figures_of(labelled, 200)
+    change = moved - boxes
+    errors = np.concatenate([(change[:, :2] + change[:, 2:]) / 2, change[:, 2:] - change[:, :2]], axis=1)
+    np.testing.assert_allclose(got.columns["error mean"].estimate, errors.mean(axis=0))
+    np.testing.assert_allclose(got.covariance(), np.cov(errors.T), rtol=1e-9)
+    low, high = got.columns["error mean"].interval(0.95, got.units)
+    width = 1.96 * errors.std(axis=0) / np.sqrt(300)
+    np.testing.assert_allclose(high - low, 2 * width, rtol=0.25)  # replicates: 5 %, images: 9 %
+
+
+def test_cross_entropy_of_labels_where_probabilities_are_given():
+    boxes = [[0, 0, 10, 10], [50, 0, 60, 10], [0, 50, 10, 60]]
+    chances = np.array([[0.5, 0.5], [0.9, 0.1], [np.nan, np.nan]])
+    labelled = Labelled(("a", "b"), ("all",), images(1), truth([0] * 3, [0, 1, 0], boxes),
+                        found([0] * 3, [0, 0, 0], boxes, [0.8, 0.7, 0.6], chances))  # fmt: skip
+    got = figures_of(labelled)
+    assert got.columns["label cross-entropy"].estimate == pytest.approx(-(np.log(0.5) + np.log(0.1)) / 2)
+    assert got.columns["confidence cross-entropy"].estimate == pytest.approx(-np.log([0.8, 0.7, 0.6]).mean())
+
+
+def test_intervals_of_shares_of_few_are_jeffreys_and_end_where_they_must():
+    values = np.concatenate([[[0.0, 0.5, 1.0]], np.tile([0.0, 0.5, 1.0], (40, 1))])
+    low, high = Column(values, "share", np.full(3, 10.0)).interval(0.95, 10**9)
+    # Brown, Cai & DasGupta (2001), Jeffreys interval of 5 in 10: 0.224 to 0.776; of 0 in 10: 0 to 0.217
+    np.testing.assert_allclose(low, [0, 0.224, 0.783], atol=6e-4)
+    np.testing.assert_allclose(high, [0.217, 0.776, 1], atol=6e-4)
+
+
+@given(value=st.floats(0.001, 0.999), kind=st.sampled_from(["share", "fraction", "mean", "positive", "correlation"]))
+def test_scales_go_there_and_back(value, kind):
+    assert from_scale(to_scale(np.array(value), kind), kind) == pytest.approx(value)
+
+
+def test_runs_of_frames_are_drawn_together():
+    frames = images(40, time_s=np.arange(40) * 0.5)
+    drawn = resample(frames, 30, 0, run_s=5.0)
+    assert drawn.weights.shape == (31, 40) and np.all(drawn.weights[0] == 1)
+    assert np.all(drawn.weights[1:].reshape(30, 4, 10).std(axis=2) == 0)
+    assert np.all(drawn.weights.sum(axis=1) == 40)
+    assert np.any(resample(frames, 30, 0).weights[1:].reshape(30, 4, 10).std(axis=2) > 0)
+
+
+def test_clipped_scores_have_the_normal_behind_them():
+    rng = np.random.default_rng(4)
+    values = np.clip(rng.normal(0.45, 0.2, 40_000), 0.2, 1)
+    mean, std = fit_clipped(clipped_sums(values, 0.2, 1.0).sum(axis=0)[None], 0.2, 1.0)
+    assert mean[0] == pytest.approx(0.45, abs=4 * 0.2 / 200)
+    assert std[0] == pytest.approx(0.2, abs=4 * 0.2 / 200)
+    assert values.mean() - 0.45 > 0.005  # which the mean of the clipped ones is not
+
+
+def missed_by_size(seed, slope=-1.0, count=6000):
+    """Truths of two labels in images of one state, missed by their size."""
+    rng = np.random.default_rng(seed)
+    side = 2 ** rng.uniform(3, 7, count)
+    label = rng.integers(0, 2, count)
+    chance = 1 / (1 + np.exp(-(np.array([-1.5, -0.8])[label] + slope * np.log2(side / 32))))
+    seen = rng.random(count) > chance
+    place = np.arange(count) % 10 * 300.0
+    boxes = np.stack([place, 0 * place, place + side, side], axis=1)
+    image = np.arange(count) // 10
+    labelled = Labelled(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
+                        found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9)))  # fmt: skip
+    state = np.zeros(count // 10, dtype=np.int64)
+    return Observed.of(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
+
+
+def test_misses_follow_size_as_they_were_made_to():
+    observed, chance = missed_by_size(5)
+    fit = fit_misses(observed, (Effect("size_px", 32.0),), resample(observed.labelled.images, 200, 0))
+    assert abs(fit.slopes[0, 0] + 1.0) < 4 * fit.errors[0]
+    assert fit.slopes[1:].std() == pytest.approx(fit.errors[0], rel=0.25)
+    for label in range(2):
+        ours = observed.label == label
+        assert fit.rates[0, 0, label] == pytest.approx(observed.missed[ours].mean(), abs=1e-6)
+    assert np.abs(fit.chance - chance).max() < 0.06
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_a_correlation_time_comes_back(even):
+    rng, n = np.random.default_rng(6), 20_000
+    gaps = np.full(n, 0.2) if even else rng.uniform(0.1, 0.6, n)
+    kept = np.exp(-gaps / 0.8)
+    value = np.empty(n + 1)
+    value[0] = rng.normal()
+    fresh = rng.normal(size=n)
+    for k in range(n):
+        value[k + 1] = kept[k] * value[k] + np.sqrt(1 - kept[k] ** 2) * fresh[k]
+    products = value[1:] * value[:-1]
+    place = np.zeros(n, dtype=np.int64)
+    once = resample(images(1), 0, 0)
+    time = correlation_time(once, place, products, np.ones(n), gaps)
+    assert time[0] == pytest.approx(0.8, rel=0.09)  # four standard errors
+
+
+def test_transitions_are_counted_with_one_made_up_of_each():
+    chain = count_transitions([np.array([0, 0, 1, 1, 1, 0])], 2)
+    assert chain.counts.tolist() == [[1, 1], [1, 2]]  # to the row from the column
+    np.testing.assert_allclose(chain.matrix, [[2 / 4, 2 / 5], [2 / 4, 3 / 5]])
+    np.testing.assert_allclose(chain.matrix.sum(axis=0), 1)
+    low, high = chain.interval(0.9)
+    assert np.all((low < chain.matrix) & (chain.matrix < high))
+    nothing = count_transitions([], 2)
+    assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
+    assert isinstance(chain, Transitions)
+
+
+def test_cameras_that_share_a_chain_count_once():
+    frames = images(8, time_s=np.tile(np.arange(4) * 0.5, 2))
+    frames = type(frames)(**{**vars(frames), "sequence": np.repeat([0, 1], 4)})
+    state = np.array([0, 0, 1, 1, 0, 0, 1, 1])
+    assert transitions_of(frames, state, 2).counts.tolist() == [[1, 0], [1, 1]]
+    assert transitions_of(frames, state, 2, interval_s=1.0).counts.tolist() == [[0, 0], [1, 0]]
+    assert not transitions_of(frames, np.zeros(8, dtype=int), 2).observed
+
+
+def test_error_shares_name_each_kind():
+    boxes = [[1000.0 * k, 0, 1000.0 * k + 100, 100] for k in range(6)]
+    seen = [
+        (boxes[0], 0, 0.9),  # right
+        (boxes[1], 1, 0.8),  # another label
+        ([2000, 0, 2030, 100], 0, 0.7),  # ill placed
+        ([3000, 0, 3030, 100], 1, 0.6),  # both
+        (boxes[0], 0, 0.5),  # again
+        ([9000, 0, 9100, 100], 0, 0.4),  # of nothing
+    ]
+    labelled = Labelled(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
+                        found([0] * 6, [label for _, label, _ in seen], [box for box, _, _ in seen],
+                              [score for _, _, score in seen]))  # fmt: skip
+    shares = error_shares(labelled, np.ones(1, dtype=bool))
+    assert shares.counts == dict.fromkeys(KINDS, 1) | {"missed": 3}
+    assert shares.average_precision == pytest.approx(1 / 6)
+    assert shares.gains["classification"] == pytest.approx(100 / 6)
+    # mended, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
+    assert shares.gains["localisation"] == pytest.approx(100 / 6)
+    assert shares.gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
+    assert shares.gains["duplicate"] == shares.gains["background"] == shares.gains["both"] == 0

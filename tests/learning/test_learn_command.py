@@ -1,0 +1,268 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modsim3d.cli import app
+from modsim3d.detector import load_detector
+from modsim3d.detector.loader import parse_detector
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.formats.coco import write_coco
+from modsim3d.learn.gate_bias import bias_of, simulated
+from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.matching import Rule
+from modsim3d.learn.reading.coco import read_coco
+from modsim3d.learn.states import each_its_own, transitions_of
+from modsim3d.learn.transitions import Transitions
+from modsim3d.learn_sets import labelled_run
+from modsim3d.stored_run import open_run
+from modsim3d.verify_run import verify_run
+from tests.learning.labelled_sets import found, images, truth
+from tests.learning.round_trip import DETECTOR, asked_of, outside, simulate
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return simulate("simulation_1", tmp_path_factory.mktemp("run"), mode=0, steps=700)
+
+
+@pytest.fixture(scope="module")
+def exported(run):
+    folder = run.parent / "coco"
+    result = CliRunner().invoke(app, ["export", str(run), "--coco", str(folder)], catch_exceptions=False)
+    assert "gt.json" in result.output
+    return folder
+
+
+def command(*parts):
+    return CliRunner().invoke(app, ["learn", *map(str, parts)], catch_exceptions=False, env={"COLUMNS": "300"})
+
+
+def test_exported_coco_is_the_run(run, exported):
+    first, _ = labelled_run(run)
+    again = read_coco("all", exported / "gt.json", exported / "dt.json")
+    assert again.conditions == ("clear", "haze") or again.conditions == ("haze", "clear")
+    names = [again.conditions[k] for k in again.images.condition]
+    assert names == [first.conditions[k] for k in first.images.condition]
+    np.testing.assert_array_equal(again.truth.identity >= 0, True)
+    for part in ("truth", "found"):
+        for column in ("image", "label", "boxes_px"):
+            np.testing.assert_allclose(
+                getattr(getattr(again, part), column), getattr(getattr(first, part), column), atol=1e-6
+            )
+    np.testing.assert_array_equal(again.images.time_s, first.images.time_s)
+
+
+@pytest.mark.parametrize("method", ["confidence", "optimal", "provenance"])
+def test_every_number_comes_back_inside_its_interval(method, run, exported):
+    labelled = labelled_run(run)[0]
+    if method != "provenance":
+        labelled = read_coco("all", exported / "gt.json", exported / "dt.json")
+    states = each_its_own(("clear", "haze"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
+    learned = learn(labelled, states.names, image_state, transitions, Settings(Rule(method), replicates=150))
+    asked = asked_of()
+    total = sum(value.size for value in asked.values())
+    assert total == 90
+    assert outside(asked, learned.intervals(1 - 0.01 / total)) == {}
+    model = parse_detector(learned.detector())
+    assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and model.dropout.anchored
+    # And not because they are as wide as can be.
+    low, high = learned.intervals(0.95)["states.clear.box_error_std"]
+    assert np.all(high / low < 1.25)
+
+
+def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
+    out = tmp_path / "detector.yaml"
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
+    result = command(*files, "--out", out, "--replicates", 40, "--correct")
+    assert result.exit_code == 0
+    model = load_detector(out)
+    assert {state.name for state in model.states} == {"clear", "haze"}
+    assert model.transition_interval_s == 1
+    text = out.read_text()
+    assert text.startswith("# Learned by modsim3d learn. 700 images, ")
+    assert "Corrected once for the bias of the matching." in text
+    for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
+                  "points gained if mended", "Bias of the matching", "Left simple"):  # fmt: skip
+        assert title in result.output
+    page = out.with_suffix(".html").read_text()
+    assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
+
+
+def test_the_same_data_give_the_same_bytes(exported, tmp_path):
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--replicates", 20]
+    for name in ("first", "second"):
+        command(*files, "--out", tmp_path / f"{name}.yaml")
+    assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
+    assert (tmp_path / "first.html").read_bytes() == (tmp_path / "second.html").read_bytes()
+
+
+def test_a_run_is_learned_by_provenance(run, tmp_path):
+    result = command("--run", run, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
+    assert result.exit_code == 0 and "matched by provenance" in result.output
+    assert load_detector(tmp_path / "d.yaml").transition_interval_s == 1  # the run knows
+
+
+def pairs_of_conditions(tmp_path, count):
+    """Conditions with ever more misses."""
+    rng = np.random.default_rng(8)
+    arguments = []
+    for number in range(count):
+        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (60, 1))
+        image = np.repeat(np.arange(60), 2)
+        seen = rng.random(120) > 0.05 + 0.1 * number
+        moved = boxes + rng.normal(0, 2, boxes.shape)
+        sure = 0.5 + rng.random(sum(seen)) / 2
+        labelled = Labelled(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
+                            found(image[seen], image[seen] * 0, moved[seen], sure))  # fmt: skip
+        gt, dt = write_coco(labelled, tmp_path / f"c{number}")
+        arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
+    return arguments
+
+
+def test_states_from_conditions_and_from_clusters(tmp_path):
+    out, arguments = tmp_path / "d.yaml", pairs_of_conditions(tmp_path, 4)
+    named = command(*arguments, "--state", "good=c0,c1", "--state", "bad=c2", "--out", out, "--replicates", 30)
+    assert "States: good = c0, c1" in out.read_text()
+    model = load_detector(out)
+    assert [state.name for state in model.states] == ["good", "bad"]
+    assert model.transition_matrix.tolist() == [[1, 0], [0, 1]]
+    assert "had 0 transitions" in named.output
+    assert "persistence: none; had 0 sightings" in named.output
+    (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
+    command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
+            "--replicates", 30)  # fmt: skip
+    model = load_detector(out)
+    assert [state.name for state in model.states] == ["excellent", "good", "bad"]
+    assert model.transition_interval_s == 5
+    np.testing.assert_allclose(model.transition_matrix[:, 0], [11 / 23, 1 / 23, 11 / 23], atol=1e-7)
+
+
+def test_what_does_not_fit_together_is_refused(tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 2)
+    out = ["--out", tmp_path / "d.yaml"]
+    with pytest.raises(ModsimError, match="nothing to learn from"):
+        command(*out)
+    with pytest.raises(ModsimError, match="--truth is given 1 and --detections 0 times"):
+        command("--truth", arguments[3], *out)
+    with pytest.raises(ModsimError, match="--condition is given 1 times, with 2 pairs"):
+        command(*arguments[2:], *out)
+    with pytest.raises(ModsimError, match="give --state, which names"):
+        command(*arguments, "--state", "a=c0", "--states", 2, *out)
+    with pytest.raises(ModsimError, match="needs simulated runs"):
+        command(*arguments, "--match", "provenance", *out)
+    with pytest.raises(InputError, match=r"must be W,H in pixels"):
+        command(*arguments, "--image-size", "big", *out)
+    empty = tmp_path / "empty.json"
+    empty.write_text(json.dumps({"images": [], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}))
+    nothing = tmp_path / "nothing.json"
+    nothing.write_text("[]")
+    with pytest.raises(ModsimError, match="there is no truth"):
+        command("--truth", empty, "--detections", nothing, *out)
+
+
+def blank(count=1500, side=60.0):
+    """Two boats in every image, and nothing detected."""
+    image = np.repeat(np.arange(count), 2)
+    boxes = np.tile([[200.0, 200, 200 + side, 200 + side], [500.0, 500, 500 + side, 500 + side]], (count, 1))
+    return Labelled(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
+                    found([], [], [], []))  # fmt: skip
+
+
+def one_state(std_px):
+    return {
+        "labels": ["boat"],
+        "confidence_threshold": 0.2,
+        "initial_state": "usual",
+        "transition_matrix": [[1.0]],
+        "states": {
+            "usual": {
+                "confusion": [[0.85], [0.15]],
+                "false_positive_labels": [1.0],
+                "false_discovery_rate": 0.1,
+                "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": (std_px**2 * np.eye(4)).tolist()},
+                "confidence": {"mean": 0.6, "std": 0.1},
+            }
+        },
+    }
+
+
+def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
+    state = np.zeros(1500, dtype=np.int64)
+    settings = Settings(Rule(), replicates=20, clutter="calibrated")
+    labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=3)
+    labelled = replace(labelled, found=replace(labelled.found, origin=None))
+    learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), settings)
+    bias = bias_of(learned, labelled, state, settings, repeats=5)
+    values, corrected = learned.values(), bias.corrected()
+    for path, asked in (
+        ("states.usual.confusion", [[0.85], [0.15]]),
+        ("states.usual.box_error_std", [8.0] * 4),
+        ("states.usual.false_discovery_rate", 0.1),
+    ):
+        before = np.abs(values[path] - asked).mean()
+        assert before > 0.02  # the gate cuts off errors, and makes a miss and a false detection of each
+        assert np.abs(corrected[path] - asked).mean() < 0.75 * before
+    assert np.all(bias.significant("states.usual.confusion"))
+
+
+def test_without_a_gate_there_is_no_bias():
+    state = np.zeros(1500, dtype=np.int64)
+    settings = Settings(Rule("provenance"), replicates=20, clutter="calibrated")
+    labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=4)
+    learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), settings)
+    bias = bias_of(learned, labelled, state, settings, repeats=5)
+    for path in ("confusion", "false_discovery_rate", "box_error_mean", "box_error_std"):
+        assert not np.any(bias.significant(f"states.usual.{path}"))
+        low, high = learned.intervals(0.9999)[f"states.usual.{path}"]
+        asked = {"confusion": [[0.85], [0.15]], "false_discovery_rate": 0.1, "box_error_mean": 0, "box_error_std": 8}
+        assert np.all((low <= asked[path]) & (asked[path] <= high))
+
+
+def test_the_detector_of_the_round_trip_can_be_read():
+    assert load_detector(DETECTOR).dropout.anchored
+
+
+def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(run, exported, tmp_path):
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
+    command(*files, "--out", tmp_path / "learned.yaml", "--replicates", 20)
+    # Shorter than what was learned from: verify counts the noise of the run alone, not that of learning.
+    again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=tmp_path / "learned.yaml")
+    verified = verify_run(open_run(again), DETECTOR).verification
+    assert [verdict.parameter.name for verdict in verified.failed] == []
+    assert len(verified.verdicts) > 80
+
+
+TRUTH = {
+    "images": [{"id": 1, "width": 640, "height": 480}],
+    "categories": [{"id": 3, "name": "boat"}, {"id": 9, "name": "buoy"}],
+    "annotations": [{"image_id": 1, "category_id": 3, "bbox": [10, 10, 50, 40]}],
+}
+
+
+@pytest.mark.parametrize(
+    "results",
+    [
+        [],
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.9}],
+        [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
+    ],
+    ids=["nothing", "one", "only false ones", "below the threshold"],
+)
+def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_path):
+    for name, content in (("gt", TRUTH), ("dt", results)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--replicates", 20]
+    result = command(*files, "--out", tmp_path / "d.yaml")
+    assert result.exit_code == 0 and "needs 20" in result.output
+    model = load_detector(tmp_path / "d.yaml")
+    np.testing.assert_allclose(model.states[0].confusion.sum(axis=0), 1)
+    assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()

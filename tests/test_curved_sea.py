@@ -1,0 +1,123 @@
+"""On a curved sea what is far away lies lower; on a flat one a run says where that would be seen."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from modsim3d import cli, simulate
+from modsim3d.compare import compare_sources
+from modsim3d.earth import RADIUS_M, drop_m, shift_px
+from modsim3d.run import run_scene
+from modsim3d.scene_reader import load_scene
+from modsim3d.simulate import simulate_frames
+from tests.scenes import write_scene
+
+LONG_LENS = {
+    "focal_length_m": 0.05,
+    "pixel_size_m": [1e-5, 1e-5],
+    "principal_point_px": [900, 600],
+    "image_size_px": [1800, 1200],
+    "pose": {"position_m": [0, 0, 20]},
+}
+SHIPS = {
+    "near": ([40, 10, 12], [[0, 2000, 50], [10, 2000, 60]]),
+    "far": ([40, 10, 12], [[0, 5000, -100], [10, 5000, -90]]),
+}
+
+
+def far_scene(folder, steps=4, **keys):
+    keys = {"cameras": {"C0": LONG_LENS}, "annotation": {"mode": 0, "source": "analytic"}, **keys}
+    return write_scene(folder, SHIPS, steps, **keys)
+
+
+def test_two_metres_of_drop_at_five_kilometres():
+    # By hand: 5000² / (2 · 6 371 000) = 25 000 000 / 12 742 000 = 1.962 m
+    place, camera = np.array([3000.0, 4000.0, 7.0]), np.array([0.0, 0.0, 20.0])
+    assert drop_m(place, camera) == pytest.approx(1.962, abs=5e-4)
+    # The exact sphere, R − √(R² − d²), is the same to a hundredth of a millimetre.
+    exact = RADIUS_M - np.sqrt(RADIUS_M**2 - 5000.0**2)
+    assert drop_m(place, camera) == pytest.approx(exact, abs=1e-5)
+
+
+def test_the_50_mm_lens_of_simulation_1_sees_the_curvature_beyond_2548_m():
+    # By hand: f = 0.05 m / 0.01 mm = 5000 px, and 5000 d / 12 742 000 = 1 at d = 2548.4 m.
+    scene = load_scene("simulation_1", steps=1)
+    focal = scene.cameras[0].intrinsics.focal_px
+    assert focal == pytest.approx((5000.0, 5000.0))
+    assert shift_px(np.array([2548.0, 2549.0]), focal) == pytest.approx([1.0, 1.0], abs=3e-4)
+    # Its vessels are within 489 m of (1000, 1000), so at most 1933 m away: 0.76 px. Nothing is warned of.
+    assert shift_px(np.array([1933.0]), focal) == pytest.approx([0.759], abs=1e-3)
+
+
+def test_boxes_on_a_curved_sea_are_lower_by_what_the_formula_says(tmp_path):
+    flat = list(simulate_frames(load_scene(far_scene(tmp_path))))
+    curved = list(simulate_frames(load_scene(far_scene(tmp_path, sea="curved"))))
+    for a, b in zip(flat, curved, strict=True):
+        assert a.truth.vessels == b.truth.vessels == ("near", "far")
+        moved = b.truth.full_boxes_px - a.truth.full_boxes_px
+        np.testing.assert_allclose(moved[:, [0, 2]], 0, atol=1e-9)
+        distances = np.array([np.hypot(2000, 55), np.hypot(5000, 95)])
+        # The bottom corners nearest to the camera are 5 m nearer than the centre that gives the drop.
+        expected = 5000 * distances**2 / (2 * RADIUS_M) / (np.array([2000.0, 5000.0]) - 5)
+        np.testing.assert_allclose(moved[:, 3], expected, rtol=2e-3)
+        assert expected[1] > 1.9
+
+
+def test_obstacles_are_lowered_by_their_centre_and_own_ship_is_not(tmp_path):
+    island = {"polygon_m": [[5990, -30], [6010, -30], [6010, 30], [5990, 30]], "height_m": 30}
+    mounted = {key: value for key, value in LONG_LENS.items() if key != "pose"}
+    mounted["mount"] = {"vessel": "near", "position_m": [-30, 0, 40]}
+    keys = {"cameras": {"C0": mounted}, "obstacles": {"rock": island}}
+    flat, curved = (load_scene(far_scene(tmp_path, sea=sea, **keys)) for sea in ("flat", "curved"))
+    (camera,), steps = flat.cameras, np.arange(3)
+    before, after = flat.sight(camera, steps), curved.sight(camera, steps)
+    np.testing.assert_array_equal(before.camera_poses.positions_m, after.camera_poses.positions_m)
+    own, other = (before.poses.positions_m - after.poses.positions_m)[..., 2].T
+    assert (own == 0).all()
+    places = before.poses.positions_m[:, 1]
+    np.testing.assert_allclose(other, drop_m(places, before.camera_poses.positions_m), rtol=1e-12)
+    (rock,) = after._obstacle_bodies(curved.vessels)
+    expected = drop_m(np.array([6000.0, 0.0]), before.camera_poses.positions_m)
+    np.testing.assert_allclose(rock.positions_m[:, 0, 2], -expected)
+    assert np.all(rock.positions_m[:, 0, :2] == 0)
+
+
+def test_sources_agree_on_a_curved_sea(tmp_path, renderer):
+    island = {"polygon_m": [[3000, -200], [3030, -200], [3010, 30]], "height_m": 9}
+    keys = {"sea": "curved", "obstacles": {"rock": island}, "annotation": {"mode": 2, "source": "rendered"}}
+    report = compare_sources(load_scene(far_scene(tmp_path, **keys)), renderer)
+    assert report.vessel_frames == 8
+    assert report.occluded > 0
+    assert report.unexplained == 0
+
+
+def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys):
+    def said(sea):
+        path = far_scene(tmp_path, sea=sea)
+        arguments = ["modsim3d", "run", str(path), "--out", str(tmp_path / sea), "--no-sheet"]
+        monkeypatch.setattr(sys, "argv", arguments)
+        with pytest.raises(SystemExit) as stopped:
+            cli.main()
+        assert stopped.value.code == 0
+        return capsys.readouterr().out, json.loads((tmp_path / sea / "run.json").read_text())["counts"]
+
+    out, counts = said("flat")
+    # `far` in each of four frames, by 5000 px · 5000 m / 12 742 000 m = 1.96 px; `near` by 0.8 px is not worth a word.
+    assert "the sea is flat: 4 of 8 vessels in images are drawn too high, by up to 2.0 px; set sea: curved" in out
+    assert counts["off_by_curvature"] == 4
+    assert counts["largest_curvature_px"] == pytest.approx(1.962, abs=1e-3)
+    out, counts = said("curved")
+    assert "sea" not in out
+    assert (counts["off_by_curvature"], counts["largest_curvature_px"]) == (0, 0)
+
+
+@pytest.mark.parametrize("sea", ["flat", "curved"])
+def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, sea):
+    scene = load_scene(far_scene(tmp_path, steps=5, sea=sea))
+    run_scene(scene, tmp_path / "whole")
+    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 1)
+    run_scene(scene, tmp_path / "single")
+    for name in ("run.json", "truth.parquet", "detections.parquet"):
+        assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

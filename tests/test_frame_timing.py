@@ -1,0 +1,258 @@
+"""Each camera at its own frame rate: which steps give a frame, and that everything made of frames follows."""
+
+import json
+import math
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d import simulate
+from modsim3d.draw_film import Draughtsman, open_drawer
+from modsim3d.errors import InputError
+from modsim3d.film_plan import FilmPlan
+from modsim3d.frame_timing import takes_frame
+from modsim3d.run import run_scene
+from modsim3d.run_report import write_report
+from modsim3d.scene_reader import data_folder, load_scene
+from modsim3d.selection import select
+from modsim3d.simulate import detector_inputs, simulate_frames, truth_block
+from modsim3d.stored_run import open_run
+from tests.scenes import CAMERA_HEIGHT_M, write_scene
+
+STEP_S, STEPS = 0.1, 60
+LENS = {
+    "focal_length_m": 0.01,
+    "pixel_size_m": [1e-5, 1e-5],
+    "principal_point_px": [400, 300],
+    "image_size_px": [800, 600],
+    "pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]},
+}
+BOATS = {
+    "boat": ([10, 4, 3], [[0, 150, 10], [400, 150, 12]]),
+    "sail": ([12, 4, 16], [[0, 120, -10], [400, 122, -10]]),
+    "ship": ([60, 10, 12], [[0, 75, 60], [6, 90, -60]]),
+}
+
+
+def rig(folder: Path, *, detector: str = "thesis", **timing: dict[str, float]) -> Path:
+    """A scene of 6 s in steps of 0.1 s, with a camera for each keyword."""
+    cameras = {name: {**LENS, **keys} for name, keys in timing.items()}
+    keys = {"annotation": {"mode": 2, "source": "analytic"}, "cameras": cameras}
+    folder.mkdir(parents=True, exist_ok=True)
+    path = write_scene(folder, BOATS, STEPS, time_step_s=STEP_S, **keys)
+    if detector == "rich":
+        data = yaml.safe_load((data_folder("scenes") / "detectors" / "rich.yaml").read_text())
+        data["labels"], data["dropout"]["anchor"] = ["Vessel", "motorboat", "ferry"], "none"
+        (folder / "detector.yaml").write_text(json.dumps(data))
+    return path
+
+
+def due_by_hand(step: str, steps: int, rate: str, offset: str) -> list[int]:
+    """The first step at or after each due time, in exact decimals."""
+    taken, k = [], 0
+    while True:
+        due = Fraction(offset) + k / Fraction(rate)
+        index = math.ceil(due / Fraction(step))
+        if index >= steps:
+            return sorted(set(taken))
+        taken.append(index)
+        k += 1
+
+
+@given(
+    st.sampled_from(["0.1", "0.2", "0.04", "0.033", "1"]),
+    st.sampled_from(["10", "5", "4", "3", "2.5", "1", "0.7", "0.1"]),
+    st.sampled_from(["0", "0.3", "0.05", "0.7", "2"]),
+)
+def test_each_frame_is_taken_at_the_first_step_that_is_not_too_early(step, rate, offset):
+    times = np.array([float(Fraction(step) * k) for k in range(400)])
+    found = np.flatnonzero(takes_frame(times, float(rate), float(offset)))
+    assert found.tolist() == due_by_hand(step, 400, rate, offset)
+
+
+def test_no_frame_is_late_by_rounding_and_no_step_gives_two():
+    # (0.3 − 0.1) · 10 is 1.9999999999999998 in binary; two frames have passed all the same.
+    assert takes_frame(np.array([0.0, 0.1, 0.2, 0.3, 0.1 * 3]), 10.0, 0.1).tolist() == [False, *[True] * 3, False]
+    assert takes_frame(np.arange(5) * 0.1, None, 0.2).tolist() == [False, False, True, True, True]
+
+
+@pytest.mark.parametrize("keys", [{}, {"frame_rate_hz": 3}, {"frame_rate_hz": 0.4, "start_offset_s": 0.75},
+                                  {"start_offset_s": 2.2}])  # fmt: skip
+def test_frames_are_the_same_however_the_steps_are_asked_for(tmp_path, keys):
+    scene = load_scene(rig(tmp_path, C0=keys))
+    (camera,) = scene.cameras
+    whole = scene.frame_steps(camera, 0, STEPS)
+    for size in (1, 7):
+        parts = [scene.frame_steps(camera, first, min(first + size, STEPS)) for first in range(0, STEPS, size)]
+        np.testing.assert_array_equal(np.concatenate(parts), whole)
+    for stop in range(STEPS + 1):
+        before = whole[whole < stop]
+        assert scene.last_frame(camera, stop) == (before[-1] if len(before) else None)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("rig")
+    scene = rig(folder, fast={}, slow={"frame_rate_hz": 4, "start_offset_s": 0.75})
+    run_scene(load_scene(scene), folder / "run")
+    return folder / "run"
+
+
+SLOW = due_by_hand("0.1", STEPS, "4", "0.75")
+
+
+def test_a_cameras_files_hold_its_own_frames(finished):
+    assert SLOW[:4] == [8, 10, 13, 15]
+    frames = pq.read_table(finished / "frames.parquet").to_pylist()
+    assert [row["step"] for row in frames if row["camera"] == "slow"] == SLOW
+    assert [row["step"] for row in frames if row["camera"] == "fast"] == list(range(STEPS))
+    truth = pq.read_table(finished / "truth.parquet").to_pylist()
+    assert {row["step"] for row in truth if row["camera"] == "slow"} <= set(SLOW)
+    timestamps = [f"{step / 10}" for step in SLOW]
+    for kind in ("annotations", "detections"):
+        assert list(json.loads((finished / f"{kind}_slow.json").read_text())) == timestamps
+        assert len(json.loads((finished / f"{kind}_fast.json").read_text())) == STEPS
+    counts = json.loads((finished / "run.json").read_text())["counts"]
+    assert counts["frames"] == STEPS + len(SLOW)
+    assert counts["detected"] == sum(row["n_detected"] for row in frames)
+
+
+@pytest.mark.parametrize("detector", ["thesis", "rich"])
+def test_a_slow_cameras_frames_are_those_of_a_fast_one_at_these_steps(tmp_path, detector):
+    slow = load_scene(rig(tmp_path / "slow", detector=detector, C0={"frame_rate_hz": 2.5}, C1={}))
+    fast = load_scene(rig(tmp_path / "fast", detector=detector, C0={}, C1={}))
+    taken = set(slow.frame_steps(slow.cameras[0], 0, STEPS).tolist())
+    expected = [frame for frame in simulate_frames(fast) if frame.camera == "C1" or frame.step in taken]
+    for a, b in zip(simulate_frames(slow), expected, strict=True):
+        assert (a.camera, a.step, a.timestamp, a.state) == (b.camera, b.step, b.timestamp, b.state)
+        np.testing.assert_array_equal(a.truth.visible_boxes_px, b.truth.visible_boxes_px)
+        np.testing.assert_array_equal(a.detections.boxes_px, b.detections.boxes_px)
+        np.testing.assert_array_equal(a.detections.confidence, b.detections.confidence)
+        np.testing.assert_array_equal(a.sea_half_plane, b.sea_half_plane)
+
+
+@pytest.mark.parametrize("detector", ["thesis", "rich"])
+def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector):
+    cameras = {"C0": {"frame_rate_hz": 2.5, "start_offset_s": 1.0}, "C1": {"frame_rate_hz": 4, "start_offset_s": 0.7}}
+    scene = load_scene(rig(tmp_path, detector=detector, **cameras))
+    run_scene(scene, tmp_path / "whole")
+    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 1)  # the first have no frame of any camera
+    run_scene(scene, tmp_path / "single")
+    names = sorted(path.name for path in (tmp_path / "whole").iterdir() if path.is_file() and path.name != "run.log")
+    assert len(names) == 8
+    for name in names:
+        assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_frames_read_back_are_those_of_the_simulation(finished):
+    run = open_run(finished)
+    for a, b in zip(run.frames(), simulate_frames(run.scene), strict=True):
+        assert (a.camera, a.step, a.state, a.truth.vessels) == (b.camera, b.step, b.state, b.truth.vessels)
+        np.testing.assert_allclose(a.detections.boxes_px, b.detections.boxes_px, atol=1e-9)
+        np.testing.assert_array_equal(a.sea_half_plane, b.sea_half_plane)
+
+
+def test_the_detector_knows_when_the_camera_took_its_frame_before(finished):
+    scene = open_run(finished).scene
+    _, slow = detector_inputs(scene, truth_block(scene, 12, 20, None), 12, 20)
+    assert slow.frames.steps.tolist() == [13, 15, 18]
+    assert slow.frames.previous_s == pytest.approx(1.0)
+    _, slow = detector_inputs(scene, truth_block(scene, 0, 8, None), 0, 8)
+    assert len(slow.frames) == 0
+    assert slow.frames.previous_s == -math.inf
+
+
+def test_films_show_the_last_frame_that_a_camera_took(finished):
+    run = open_run(finished)
+    for first in (0, 7, 9, 20):
+        for shown in select(run, (0, 1), from_s=first / 10).shown():
+            fast, slow = shown.frames
+            assert fast.step == shown.step
+            before = [step for step in SLOW if step <= shown.step]
+            assert (slow and slow.step) == (before[-1] if before else None)
+    selection = select(run, (0, 1), to_s=1.0)
+    plan = FilmPlan(("detections",), (0, 1), 640)
+    with open_drawer(run.scene) as drawer:
+        pictures = {
+            shown.step: np.asarray(Draughtsman(run.scene, plan, drawer).draw(shown)) for shown in selection.shown()
+        }
+    right = {step: picture[60:200, 330:] for step, picture in pictures.items()}  # the slow camera's, below its title
+    np.testing.assert_array_equal(right[8], right[9])
+    assert np.any(right[9] != right[10])
+    assert np.ptp(right[7].reshape(-1, 3), axis=0).max() == 0  # nothing yet
+
+
+def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path, monkeypatch):
+    from modsim3d import run_report
+
+    kept = []
+    monkeypatch.setattr(run_report, "report_page", lambda page: kept.append(page) or "")
+    for every in (1, 3):
+        write_report(open_run(finished), tmp_path / "page.html", every)
+    whole, thinned = (page.recording.columns for page in kept)
+    taken = whole["taken"].reshape(STEPS, 2)
+    assert taken[:, 0].tolist() == list(range(STEPS))
+    assert taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
+    assert len(whole["state"]) == STEPS + len(SLOW) + 1  # and one for no frame yet
+    frame, count = whole["frame"].reshape(STEPS, 2), np.diff(whole["truthStart"])
+    assert frame[7, 1] == STEPS + len(SLOW)
+    assert count[frame[7, 1]] == 0
+    assert frame[9, 1] == frame[8, 1] != frame[10, 1]
+    truth = pq.read_table(finished / "truth.parquet").to_pylist()
+    for step, camera in ((9, 8), (30, 30)):
+        assert count[frame[step, 1]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
+    assert thinned["taken"].reshape(-1, 2)[3:5].tolist() == [[9, 8], [12, 10]]
+    assert {name: text for name, text, _ in kept[0].overall}["Images"] == str(STEPS + len(SLOW))
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"frame_rate_hz": 25}, r"cameras\.C0\.frame_rate_hz: 25 frames a second .* steps of 0\.1 s give: at most 10"),
+        ({"start_offset_s": 6.0}, r"cameras\.C0\.start_offset_s: the scene ends 5\.9 s .* no frame would be taken"),
+        ({"frame_rate_hz": 0}, r"cameras\.C0\.frame_rate_hz"),
+        ({"start_offset_s": -1}, r"cameras\.C0\.start_offset_s"),
+    ],
+)
+def test_a_rate_or_offset_that_the_scene_cannot_give_is_refused(tmp_path, keys, says):
+    with pytest.raises(InputError, match=says):
+        load_scene(rig(tmp_path, C0=keys))
+
+
+def test_box_errors_have_the_correlation_time_asked_for_at_any_frame_rate(tmp_path):
+    """e^(−Δt/τ) from frame to frame, with the camera's own Δt, through the whole pipeline (docs/detector.md)."""
+    tau, steps, boats = 0.9, 1500, 16
+    lying = {f"v{i}": ([10, 6, 5], [[0, 200, 5.0 * i - 40], [1e4, 201, 5.0 * i - 40]]) for i in range(boats)}
+    cameras = {"fast": LENS, "slow": {**LENS, "frame_rate_hz": 2}}
+    keys = {"annotation": {"mode": 0, "source": "analytic"}, "cameras": cameras}
+    path = write_scene(tmp_path, lying, steps, time_step_s=STEP_S, **keys)
+    state = {
+        "confusion": [[1.0], [0.0]],
+        "false_positive_labels": [1.0],
+        "false_discovery_rate": 0.0,
+        "box_error": {"unit": "px", "mean": [0] * 4, "covariance": (4 * np.eye(4)).tolist()},
+        "confidence": {"mean": 0.67, "std": 0.1},
+    }
+    detector = {
+        "labels": ["Vessel"], "confidence_threshold": 0.2, "initial_state": "one", "transition_matrix": [[1.0]],
+        "false_positives": {"model": "calibrated"}, "persistence": {"box_s": tau}, "states": {"one": state},
+    }  # fmt: skip
+    (tmp_path / "detector.yaml").write_text(json.dumps(detector))
+    run_scene(load_scene(path), tmp_path / "run")
+    table = pq.read_table(tmp_path / "run" / "detections.parquet").sort_by(
+        [("vessel", "ascending"), ("step", "ascending")]
+    )
+    for camera, interval in (("fast", 0.1), ("slow", 0.5)):
+        ours = table["camera"].to_numpy(zero_copy_only=False) == camera
+        errors = table["e_x_px"].to_numpy()[ours].reshape(boats, -1)
+        assert errors.shape[1] == round(steps * STEP_S / interval)
+        kept = math.exp(-interval / tau)
+        standard_error = math.sqrt((1 - kept**2) / errors.size)  # of a first-order process, known variance aside
+        correlation = np.mean(errors[:, 1:] * errors[:, :-1]) / np.mean(errors**2)
+        assert abs(correlation - kept) < 4 * standard_error

@@ -1,0 +1,252 @@
+"""Shaded pictures: outlines as in the ID buffer, and properties of light; what they look like has been looked at."""
+
+import gc
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from modsim3d.annotate.comparison import ROUNDING_PX
+from modsim3d.errors import ModsimError
+from modsim3d.render.context import open_context
+from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer
+from modsim3d.scene_reader import load_scene
+from modsim3d.view import palette, shaded_picture
+from modsim3d.view.look import Look
+from modsim3d.view.navigation_lights import GREEN, RED, WHITE, lights
+from modsim3d.view.sea_and_sky import DAY, fogged
+from modsim3d.view.shaded_picture import ShadedPainter
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Window
+from tests.scenes import crossing
+
+DAYLIGHT = Look("shaded")
+CAMERAS = {
+    "plain": {},
+    "skew, pixels that are not square, roll": {
+        "pixel_size_m": [1e-5, 0.7e-5],
+        "skew": 60.0,
+        "pose": {"position_m": [0, 0, 20], "roll_rad": 0.15, "pitch_rad": 0.05, "yaw_rad": -0.03},
+    },
+    "lens": {"distortion": {"k1": -0.15, "k2": 0.03, "p1": 0.001}},
+}
+
+
+def scene_with(folder, keys=None):
+    """The crossing with a ferry for a ship, an island, and other keys of its camera."""
+    path = crossing(folder)
+    scene = json.loads(path.read_text())
+    scene["cameras"]["C0"].update(keys or {})
+    scene["vessels"]["ship"]["mesh"] = "ferry"
+    scene["obstacles"] = {"island": {"polygon_m": [[300, 20], [380, 10], [350, 90]], "height_m": 12}}
+    path.write_text(json.dumps(scene))
+    return load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def shaded(renderer):
+    """In the same context as the ID pass."""
+    with open_context() as context:
+        shaded = ShadedRenderer(context)
+        yield shaded
+        shaded.close()
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return scene_with(tmp_path_factory.mktemp("shaded"))
+
+
+@pytest.fixture(scope="module")
+def solids(scene):
+    return Solids.at(scene, scene.cameras[0], 3)
+
+
+def edges_at(solids, window):
+    corners = window.to_picture(solids.triangles.corners_px)
+    return shapely.multilinestrings(
+        shapely.linestrings(np.stack([corners, np.roll(corners, -1, 1)], 2).reshape(-1, 2, 2))
+    )
+
+
+def vessel_pixels(painter, solids, window, monkeypatch):
+    """Where the picture changes with the colour of everything that stands in it."""
+    pictures = []
+    monkeypatch.setattr(shaded_picture, "REFLECTION", 0.0)
+    for colour in ((0, 0, 0), (255, 255, 255)):
+        monkeypatch.setattr(shaded_picture, "owner_colour", lambda owner, vessels, colour=colour: colour)
+        pictures.append(np.asarray(painter.picture(solids, window, samples=1)).astype(int))
+    return np.abs(pictures[1] - pictures[0]).max(axis=-1) > 0
+
+
+@pytest.mark.parametrize(("name", "width"), [*((name, 800) for name in CAMERAS), ("plain", 500)])
+def test_outline_equals_the_id_buffer(renderer, shaded, tmp_path, monkeypatch, name, width):
+    scene = scene_with(tmp_path, CAMERAS[name])
+    solids = Solids.at(scene, scene.cameras[0], 5)
+    window = Window.whole((800, 600), width)
+    ids = solids.ids(window, renderer)
+    drawn = vessel_pixels(ShadedPainter(shaded, DAYLIGHT), solids, window, monkeypatch)
+    assert (ids > 0).sum() > 1000
+    rows, columns = np.nonzero(drawn != (ids > 0))
+    away = shapely.distance(edges_at(solids, window), shapely.points(columns + 0.5, rows + 0.5))
+    assert (away <= ROUNDING_PX).all()
+    assert len(rows) <= 3
+
+
+def test_each_vessel_shows_where_its_id_is(renderer, shaded, solids):
+    """Every vessel in a colour of its own, without lamps: who is in front is who has the pixel."""
+    window = Window.whole((800, 600), 800)
+    ids = solids.ids(window, renderer)
+    own = np.linspace(0, 1, 7)[solids.owners[solids.triangles.row] + 1]
+    faces = replace(shaded_picture.lit_faces(solids), colours=np.column_stack([own, own, own]))
+    matrix, near = solids.intrinsics.matrix, solids.intrinsics.near_clip_m
+    lit = shaded.draw(faces, matrix, near, (800, 600), [], (1.0, 1.0, 1.0))
+    assert len(np.unique(ids)) >= 4
+    assert (np.rint(lit.colour[..., 0] / 255 * 6) != ids).sum() <= 3
+    np.testing.assert_array_equal(solids.ids(window, renderer), ids)  # and the ID pass is not disturbed
+
+
+def test_the_id_pass_goes_on_when_a_shaded_renderer_is_closed_or_forgotten(renderer, solids):
+    window = Window.whole((800, 600), 400)
+    before = solids.ids(window, renderer)
+    for close in (True, False):
+        shaded = ShadedRenderer(renderer.context)
+        ShadedPainter(shaded, DAYLIGHT).picture(solids, window)
+        if close:
+            shaded.close()
+        del shaded
+        gc.collect()
+        np.testing.assert_array_equal(solids.ids(window, renderer), before)
+
+
+def test_depth_is_that_of_the_face(shaded):
+    corners = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]])
+    faces = LitFaces(corners, np.array([[0.0, 0.0, -1.0]]), np.ones((1, 3)))
+    matrix = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
+    lit = shaded.draw(faces, matrix, 0.1, (100, 100), [], (1, 1, 1))
+    assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
+    assert lit.drawn[48, 50]
+    assert not lit.drawn[10, 10]
+
+
+def test_a_face_is_lightest_turned_to_the_lamp(shaded):
+    corners = np.array([[[-5.0, -5.0, 5.0], [5.0, -5.0, 5.0], [0.0, 5.0, 5.0]]])
+    matrix, found = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]]), []
+    for normal in ((0, 0, -1), (0.6, 0, -0.8), (1, 0, 0)):
+        faces = LitFaces(corners, np.array([normal], dtype=float), np.full((1, 3), 0.5))
+        lamp = Lamp((0.0, 0.0, -1.0), (1, 1, 1), 2.0)
+        found.append(int(shaded.draw(faces, matrix, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1)).colour[50, 50, 0]))
+    assert found[0] > found[1] > found[2] > 0
+
+
+def test_sky_is_above_the_horizon_and_sea_below(shaded, scene, solids):
+    window = Window.whole((800, 600), 640)
+    picture = np.asarray(ShadedPainter(shaded, DAYLIGHT).picture(solids, window)).astype(int)
+    assert picture.shape == (480, 640, 3)
+    a, b, c = solids.sea_half_plane
+    horizon = round(-(a * 400 + c) / b * 0.8)
+    assert picture[horizon - 30, 5].sum() > picture[horizon + 30, 5].sum() + 100
+    high, deep = picture[3, 320], picture[-3, 320]
+    assert np.abs(high - 255 * np.array(DAY.zenith)).max() < 90
+    assert deep.sum() < 0.6 * high.sum()
+    assert deep[2] > deep[0]
+
+
+def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, tmp_path):
+    pictures = []
+    used = ShadedPainter(shaded, DAYLIGHT)
+    for pitch in (0.0, 0.1):
+        (folder := tmp_path / f"{pitch}").mkdir()
+        scene = scene_with(folder, {"pose": {"position_m": [0, 0, 20], "pitch_rad": pitch}})
+        solids, window = Solids.at(scene, scene.cameras[0], 3), Window.whole((800, 600), 320)
+        pictures.append(np.asarray(used.picture(solids, window)))
+        np.testing.assert_array_equal(pictures[-1], ShadedPainter(shaded, DAYLIGHT).picture(solids, window))
+        np.testing.assert_array_equal(pictures[-1], used.picture(solids, window))
+    assert (pictures[0] != pictures[1]).any()
+
+
+def test_vessels_keep_their_hue(renderer, shaded, solids):
+    window = Window.whole((800, 600), 800)
+    picture = np.asarray(ShadedPainter(shaded, DAYLIGHT).picture(solids, window)).astype(float)
+    ids = solids.ids(window, renderer)
+    colours = {value: palette.vessel_colour(value - 1) for value in (1, 2, 3) if (ids == value).sum() > 50}
+    assert len(colours) >= 2
+    for value, colour in colours.items():
+        mean = picture[ids == value].mean(axis=0)
+        others = [np.array(other, float) for number, other in colours.items() if number != value]
+        nearness = [mean @ np.array(c, float) / np.linalg.norm(mean) / np.linalg.norm(c) for c in (colour, *others)]
+        assert nearness[0] == max(nearness)
+
+
+def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shaded, tmp_path):
+    scene = scene_with(tmp_path, {**CAMERAS["lens"], "pose": {"position_m": [0, 0, 20], "pitch_rad": -0.1}})
+    solids = Solids.at(scene, scene.cameras[0], 0)
+    window = Window.whole((800, 600), 800)
+    rays = ShadedPainter(shaded, DAYLIGHT)._rays_of(solids.intrinsics, window).camera
+    exact = solids.intrinsics.unproject(np.array([[20.5, 30.5], [400.5, 300.5], [780.5, 580.5]]), np.ones(3))
+    exact /= np.linalg.norm(exact, axis=1, keepdims=True)
+    np.testing.assert_allclose(rays[[30, 300, 580], [20, 400, 780]], exact, atol=2e-5)
+
+
+def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility():
+    """Koschmieder (1924); WMO takes 0.05 for the optical range, 0.02 gives 3.912 / V."""
+    look = Look("shaded", visibility_m=800.0)
+    assert look.extinction_per_m == pytest.approx(3.912 / 800, rel=1e-4)
+    air = fogged(np.zeros((1, 3)), np.array([1e9]), look)
+    at_visibility = fogged(np.zeros((1, 3)), np.array([800.0]), look)
+    np.testing.assert_allclose((air - at_visibility) / air, 0.02, rtol=1e-4)
+    np.testing.assert_array_equal(fogged(np.ones((1, 3)), np.array([0.0]), look), 1)
+
+
+def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids):
+    window = Window.whole((800, 600), 400)
+    clear, fog, night = (
+        np.asarray(ShadedPainter(shaded, look).picture(solids, window, scene.vessels)).astype(float)
+        for look in (DAYLIGHT, Look("shaded", 100.0), Look("shaded", night=True))
+    )
+    far = solids.ids(window, renderer) == len(scene.vessels) + 1  # the island, 300 m away
+    assert far.sum() > 20
+    assert np.ptp(fog[far].mean(axis=-1)) < 6
+    assert clear[far].mean() < fog[far].mean() - 30
+    assert night.mean() < 0.35 * clear.mean()
+
+
+def test_weather_is_said_to_be_an_illustration(shaded, solids):
+    assert Look("shaded").caption == ""
+    assert "illustration: visibility 800 m, night" in Look("shaded", 800.0, True).caption
+    window = Window.whole((800, 600), 640)
+    calm = np.asarray(ShadedPainter(shaded, DAYLIGHT).picture(solids, window))
+    foggy = np.asarray(ShadedPainter(shaded, Look("shaded", 1e12)).picture(solids, window))  # fog that is nowhere
+    rows, columns = np.nonzero((np.abs(calm.astype(int) - foggy) > 8).any(axis=-1))
+    assert rows.min() > 440
+    assert columns.min() == 0
+
+
+@pytest.mark.parametrize(("heading_deg", "colours"), [(90, [WHITE, RED]), (-90, [WHITE, GREEN]), (0, [WHITE])])
+def test_lights_are_red_to_port_and_green_to_starboard(tmp_path, heading_deg, colours):
+    """The camera is at the origin, the boat right ahead of it on w1: heading w2 it shows its port side."""
+    heading = math.radians(heading_deg)
+    path = crossing(tmp_path)
+    scene = json.loads(path.read_text())
+    step = 100 * np.array([math.cos(heading), math.sin(heading)])
+    scene["poses"]["tracks"] = {"boat": [[0, 250, 0], [100, 250 + step[0], step[1]]]}
+    path.write_text(json.dumps(scene))
+    loaded = load_scene(path)
+    places, shown = lights(loaded.sight(loaded.cameras[0], np.array([0])), loaded.vessels)
+    assert shown.tolist() == [list(colour) for colour in colours]
+    assert places[0, 2] == pytest.approx(3, abs=0.1)
+
+
+@pytest.mark.parametrize("value", [0.0, -5.0, math.inf, math.nan])
+def test_a_visibility_is_a_positive_distance(value):
+    with pytest.raises(ModsimError, match="--visibility"):
+        Look("shaded", value)
+
+
+def test_an_empty_sea_is_drawn_too(shaded, scene, solids):
+    nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
+    picture = ShadedPainter(shaded, DAYLIGHT).picture(nobody, Window.whole((800, 600), 320))
+    assert picture.size == (320, 240)

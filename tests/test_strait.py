@@ -1,0 +1,76 @@
+"""The strait: meshes, obstacles, waves and two cameras of different rates in one shipped scene."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+
+from modsim3d.compare import compare_sources
+from modsim3d.frames import world_R_vehicle
+from modsim3d.scene_reader import data_folder, load_scene
+from modsim3d.simulate import truth_block
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("strait")
+
+
+@pytest.fixture(scope="module")
+def footprints(scene):
+    """Of all vessels at every fifth step, shape (S, V)."""
+    steps = np.arange(0, scene.steps, 5)
+    poses = scene.poses.poses(0, scene.steps)
+    assert poses.present.all()
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
+    extents = np.array([vessel.extents_m[:2] for vessel in scene.vessels])
+    turns = world_R_vehicle(poses.headings_rad[steps])[..., :2, :2]
+    places = poses.positions_m[steps][..., None, :2]
+    return shapely.polygons((corners * extents[:, None]) @ np.swapaxes(turns, -1, -2) + places)
+
+
+def test_no_two_vessels_ever_touch(footprints):
+    first, second = np.array(list(combinations(range(footprints.shape[1]), 2))).T
+    assert shapely.distance(footprints[:, first], footprints[:, second]).min() > 5
+
+
+def test_no_vessel_touches_land_or_the_bridge(scene, footprints):
+    keys = yaml.safe_load((data_folder("scenes") / "strait.yaml").read_text(encoding="utf-8"))["obstacles"]
+    highest = max(vessel.air_draft_m for vessel in scene.vessels)
+    for name, obstacle in keys.items():
+        if obstacle.get("base_m", 0) > highest + 3:
+            assert name == "bridge_deck"
+            assert shapely.intersects(footprints, shapely.Polygon(obstacle["polygon_m"])).any()  # they pass below it
+            continue
+        assert shapely.distance(footprints, shapely.Polygon(obstacle["polygon_m"])).min() > 5, name
+
+
+def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, renderer):
+    vessels = yaml.safe_load((data_folder("scenes") / "strait.yaml").read_text(encoding="utf-8"))["vessels"]
+    shapes = {"ferry", "sailboat", "motorboat", "fishing_vessel", "container_ship", "kayak"}
+    assert {entry.get("mesh") for entry in vessels.values()} == {*shapes, None}
+    hiders = set()
+    for first in range(0, scene.steps, 20):
+        truth = truth_block(scene, first, first + 2, renderer)
+        hiders |= {scene.occluder_names[index] for index in truth.occluder}
+    assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
+    bow = scene.cameras[0]
+    outlines = scene.sight(bow, np.arange(3)).outlines(bow.intrinsics, scene.vessels)
+    own = outlines.vessel == scene.vessel_names.index("own")
+    assert own.sum() == 3  # its own foredeck, in each frame
+    assert not outlines.boxed[own].any()
+
+
+def test_the_cameras_run_at_their_own_rates(scene):
+    bow, quay = (scene.frame_steps(camera, 0, scene.steps) for camera in scene.cameras)
+    assert len(bow) == 300
+    assert quay.tolist() == list(range(1, 300, 2))
+
+
+def test_compare_finds_nothing_unexplained(scene, renderer):
+    report = compare_sources(scene, renderer, every=20)
+    assert report.frames == 15 + 8
+    assert report.vessel_frames > 80
+    assert report.unexplained == 0
