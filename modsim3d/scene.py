@@ -95,10 +95,14 @@ class Sight:
         """
         bodies = self._bodies(vessels, self.others, as_shoeboxes=as_shoeboxes)
         if not as_shoeboxes:
-            with_mesh = np.array([vessel.has_mesh for vessel in vessels])
-            bodies += self._bodies(vessels, self.carriers & with_mesh, boxed=False)
+            bodies += self._own_hull(vessels)
         bodies += self._obstacle_bodies(vessels)
         return outline(intrinsics, self.camera_poses, bodies)
+
+    def _own_hull(self, vessels: Sequence[Vessel]) -> list[Bodies]:
+        """The vessel that carries the camera, if it has a mesh: it hides others, and has no box."""
+        with_mesh = np.array([vessel.has_mesh for vessel in vessels])
+        return self._bodies(vessels, self.carriers & with_mesh, boxed=False)
 
     def _bodies(
         self, vessels: Sequence[Vessel], present: NDArray[np.bool_], *, as_shoeboxes: bool = False, boxed: bool = True
@@ -113,7 +117,8 @@ class Sight:
 
     def body_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
         """The first step (as an index) and occluder that the camera is inside of, or None."""
-        bodies = self._bodies(vessels, self.others) + self._obstacle_bodies(vessels)
+        bodies = self._bodies(vessels, self.others) + self._own_hull(vessels)
+        bodies += self._obstacle_bodies(vessels)
         return first_body_around(self.camera_poses.positions_m, bodies)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import orjson
@@ -57,20 +59,31 @@ class SceneMeshes:
         return replace(solid, convex=False, closed=is_closed(solid.faces))
 
     def copied(self, entry: object, folder: Path) -> object:
-        """The entry as it stands in a copy of the scene, where the file has a name of its own."""
+        """The entry as it stands in a copy of the scene, where the file lies in a folder of its own."""
         file = entry.get("file") if isinstance(entry, dict) else entry
         if not isinstance(file, str):
             return entry
-        if file in shipped_meshes() and not isinstance(entry, dict):
-            self.files.setdefault(f"meshes/{file}.glb", shipped_meshes()[file])
-            return f"meshes/{file}.glb"
+        if isinstance(entry, str) and entry in shipped_meshes():
+            return self._name_of(shipped_meshes()[entry])
         if not Path(file).suffix:
             return entry  # a plug-in's
-        source = folder / file
-        known = next((name for name, path in self.files.items() if path == source), None)
-        name = known or f"meshes/{len(self.files)}_{source.name}"
-        self.files[name] = source
+        name = self._name_of(folder / file)
         return {**entry, "file": name} if isinstance(entry, dict) else name
+
+    def copied_all(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
+        """Vessels or obstacles with their meshes under the names that these have in a copy of the scene."""
+        return {
+            name: {**entry, "mesh": self.copied(entry["mesh"], folder)} if entry.get("mesh") else entry
+            for name, entry in entries.items()
+        }
+
+    def _name_of(self, source: Path) -> str:
+        """The name of a mesh file in the copy: its own unless that is taken, so that a copy of the copy has it too."""
+        name, number = f"meshes/{source.name}", 0
+        while self.files.setdefault(name, source) != source:
+            number += 1
+            name = f"meshes/{number}_{source.name}"
+        return name
 
 
 def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, scene: Path, truth_source: str) -> Obstacle:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from modsim3d.annotate.modes import Annotation
 from modsim3d.camera import Camera, Intrinsics, Mount
@@ -20,19 +19,20 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.lens import Distortion
-from modsim3d.obstacles import PREFIX, Obstacle
+from modsim3d.obstacles import Obstacle
 from modsim3d.plugins import Plugin
 from modsim3d.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.scene import Scene, Waves
-from modsim3d.scene_copy import SceneCopy
-from modsim3d.scene_file import MAX_STEPS, AnnotationKeys, CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_copy import SceneCopy, copy_scene
+from modsim3d.scene_file import MAX_STEPS, CameraKeys, SceneKeys, WavesKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
+from modsim3d.scene_places import place_problems
+from modsim3d.shipped import data_folder
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.wave_levels import find_level
 from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 
-Indices = NDArray[np.int64]
 Axes = tuple[Axis, Axis, Axis]
 T = TypeVar("T")
 
@@ -50,13 +50,6 @@ OVERRIDES = {
     "detector_seed": ("detector_seed",),
 }
 """What a caller may change in a scene file without editing it, and where it stands."""
-
-
-def data_folder(kind: str) -> Path:
-    """The folder of shipped `scenes` or `meshes`: in the installed package, or at the top of the repository."""
-    package = Path(__file__).resolve().parent
-    installed = package / "_data" / kind
-    return installed if installed.is_dir() else package.parent / kind
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -175,7 +168,7 @@ class _Reader:
         if keys is None or vessels is None or detector is None or poses is None or self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         annotation = keys.annotation
-        copy = self._copy(keys, entries or {}, isinstance(poses, LivePoses))
+        copy = self._copy(keys, entries or {}, None if isinstance(poses, LivePoses) else source)
         scene = Scene(
             name=self.path.stem,
             path=self.path,
@@ -359,6 +352,17 @@ class _Reader:
                 self.problems += problems
                 found.add(name)
 
+    def _copy(self, keys: SceneKeys, entries: dict[Any, Any], recorded: NamedSource | None) -> SceneCopy:
+        return copy_scene(
+            self.path,
+            self.data,
+            keys,
+            vessels=self.meshes.copied_all(entries, self._vessels_folder()),
+            obstacles=self.meshes.copied_all(self.data.get("obstacles") or {}, self.folder),
+            mesh_files=self.meshes.files,
+            pose_files=None if recorded is None else recorded.keys.files,
+        )
+
     def _check_frames(self, scene: Scene) -> None:
         """Whether the scene's steps give each camera its frames. Most of its steps count: a log may have gaps."""
         for camera in scene.cameras:
@@ -382,78 +386,6 @@ class _Reader:
         for camera in scene.cameras:
             if problem := camera.intrinsics.lens_problem():
                 self.problems.append(f"cameras.{camera.name}.distortion: {problem}")
-
-    def _copy(self, keys: SceneKeys, entries: dict[Any, Any], live: bool) -> SceneCopy:
-        """The scene with every file that it names under a plain name beside it."""
-        files = {f"detector{Path(keys.detector).suffix}": self.folder / keys.detector}
-        document = {**self.data, "vessels": self._copied(entries, self._vessels_folder())}
-        document["detector"] = next(iter(files))
-        if "obstacles" in self.data:
-            document["obstacles"] = self._copied(self.data["obstacles"], self.folder)
-        files |= self.meshes.files
-        recorded = keys.poses.get("file")
-        if live:
-            document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps what came in
-            document.pop("steps", None)
-        elif isinstance(recorded, str):
-            name = "poses" + "".join(Path(recorded).suffixes[-2:])
-            files[name] = self.folder / recorded
-            document["poses"] = {"file": name}
-        if document.get("detector_seed") == keys.seed:
-            del document["detector_seed"]  # says nothing
-        # In one order, whether the caller or the file set a key; vessels and cameras keep theirs, which has a meaning.
-        if isinstance(document.get("annotation"), dict):
-            document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
-        return SceneCopy(self.path.stem, _ordered(document, SceneKeys), files)
-
-    def _copied(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
-        """Vessels or obstacles with their meshes under the names that these have in the copy."""
-        return {
-            name: {**entry, "mesh": self.meshes.copied(entry["mesh"], folder)} if entry.get("mesh") else entry
-            for name, entry in entries.items()
-        }
-
-
-def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
-    """A section with its keys in the order of its model."""
-    return {name: keys[name] for name in model.model_fields if name in keys}
-
-
-def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
-    """What is wrong with the place of each camera at some steps: none, or inside a vessel.
-
-    Args:
-        scene: The scene.
-        steps: Ascending.
-        leave_out: Names of cameras that are not looked at.
-    """
-    found = {}
-    for camera in scene.cameras:
-        if camera.name not in leave_out:
-            try:
-                _check_place(scene, camera, steps)
-            except InputError as error:
-                found[camera.name] = error.problems
-    return found
-
-
-def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
-    sight = scene.sight(camera, steps)
-    inside = None if scene.annotation.allow_camera_inside else sight.body_around(scene.vessels)
-    if inside is None:
-        return
-    frame, body = inside
-    when = scene.poses.timestamps[int(steps[frame])]
-    kind, name = ("vessel", scene.occluder_names[body])
-    if body >= len(scene.vessels):
-        kind, name = "obstacle", name.removeprefix(PREFIX)
-    raise InputError(
-        f"scene {scene.path}",
-        [
-            f"cameras.{camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
-            "annotation.allow_camera_inside: true"
-        ],
-    )
 
 
 def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:

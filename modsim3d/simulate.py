@@ -24,7 +24,7 @@ from modsim3d.detector.reference import Reference
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.poses import LivePoses
 from modsim3d.scene import Scene
-from modsim3d.scene_reader import place_problems
+from modsim3d.scene_places import place_problems
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer

@@ -220,3 +220,37 @@ def test_obstacle_of_mesh_hides_and_is_named(tmp_path):
 def test_wrong_mesh_of_a_vessel_names_the_vessel(tmp_path):
     with pytest.raises(InputError, match=r"vessels\.own\.mesh: 'hulk\.glb' does not exist"):
         load_scene(own_ship_scene(tmp_path, own_mesh="hulk.glb"))
+
+
+def test_copy_of_a_scene_with_meshes_has_a_copy_that_is_the_same(tmp_path):
+    source = tmp_path / "source"
+    for folder, name in (("one", "kayak"), ("other", "ferry")):
+        (source / folder).mkdir(parents=True)
+        shutil.copy(shipped_meshes()[name], source / folder / "motorboat.glb")
+    pier = {"size_m": [9, 2, 2], "position_m": [300, 0, 0]}
+    path = own_ship_scene(
+        source,
+        own_mesh="motorboat",
+        obstacles={
+            "one": {"mesh": "one/motorboat.glb", **pier},
+            "again": {"mesh": {"file": "one/motorboat.glb", "forward": "-z"}, **pier},
+            "other": {"mesh": "other/motorboat.glb", **pier},
+        },
+    )
+    scene = load_scene(path)
+    assert len([name for name in scene.copy.files if name.startswith("meshes/")]) == 4
+    copied = load_scene(scene.copy.write(tmp_path / "copy"))
+    assert dict(copied.copy.document) == dict(scene.copy.document)
+    assert copied.sha256 == scene.sha256
+
+
+def test_camera_inside_its_own_ships_mesh_is_refused_and_in_its_shoebox_is_not(tmp_path):
+    path = own_ship_scene(tmp_path)
+    scene = json.loads(path.read_text())
+    scene["cameras"]["stern"]["mount"]["position_m"] = [0, 0, 0.5]
+    path.write_text(json.dumps(scene))
+    with pytest.raises(InputError, match=r"cameras\.stern: is inside vessel 'own' at time 0\.0 s: move one of them"):
+        load_scene(path)
+    del scene["vessels"]["own"]["mesh"]
+    path.write_text(json.dumps(scene))
+    load_scene(path)

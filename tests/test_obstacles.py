@@ -10,6 +10,7 @@ from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import Verdict, compare_with_analytic
 from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
 from modsim3d.annotate.inside import first_body_around
+from modsim3d.annotate.ordering import order_of
 from modsim3d.annotate.outlines import outline
 from modsim3d.annotate.record import COLUMNS, concatenate
 from modsim3d.annotate.rendered import rendered_occlusion
@@ -86,13 +87,13 @@ def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
             assert abs(drawn.get(occluder, 0.0) - area) < 40 + 20 * np.sqrt(area) + 0.05 * area
 
 
-@pytest.mark.parametrize("seed", range(40, 56))
-def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed):
+@pytest.mark.parametrize(("seed", "supersample"), [*((seed, 1) for seed in range(40, 56)), (5063, 3), (5069, 3)])
+def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed, supersample):
     places, obstacles, intrinsics, mount = random_harbour(seed)
     outlines = before(places, obstacles, intrinsics, mount)
     boxed = np.flatnonzero(outlines.boxed)
-    fast = rendered_occlusion(outlines, intrinsics, renderer).take(boxed)
-    plain = full_frame_occlusion(outlines, intrinsics, renderer).take(boxed)
+    fast = rendered_occlusion(outlines, intrinsics, renderer, supersample).take(boxed)
+    plain = full_frame_occlusion(outlines, intrinsics, renderer, supersample).take(boxed)
     for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
         np.testing.assert_array_equal(getattr(fast, name), getattr(plain, name), err_msg=name)
     assert fast.occluders == plain.occluders
@@ -125,6 +126,44 @@ def test_vessel_under_a_bridge_is_seen_below_it(renderer):
     assert pixels == seen.silhouette_px[row] - seen.visible_px[row]
     # The deck hides a stripe: above and below it the ship is seen, so its visible box is its full box.
     np.testing.assert_array_equal(seen.visible_boxes_px[row], seen.full_boxes_px[row])
+
+
+def test_what_overlapping_obstacles_hide_is_counted_once():
+    ship = vessel("ship", 10, 40, 12)
+    quays = [
+        Obstacle("quay", extruded(np.array([[80, -15], [90, -15], [90, 5], [80, 5.0]]), 0, 6)),
+        Obstacle("pier", extruded(np.array([[85, -5], [95, -5], [95, 15], [85, 15.0]]), 0, 6)),
+    ]
+    outlines = before([(ship, (120.0, 0.0), 0.0)], quays)
+    seen = analytic_occlusion(outlines, INTRINSICS)
+    row = int(np.flatnonzero(outlines.boxed)[0])
+    assert {hider for hider, _ in seen.occluders[row]} == {1, 2}
+    hidden = sum(px for _, px in seen.occluders[row])
+    assert hidden == pytest.approx(seen.silhouette_px[row] - seen.visible_px[row])
+
+
+def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(renderer):
+    angles = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    reach = 30 + 5 * np.cos(40 * angles)
+    coast = np.array([150, 0]) + reach[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    island = Obstacle("island", extruded(coast, 0, 8))
+    assert len(island.solids) > 300
+    outlines = before([(vessel("ship", 100, 15, 20), (220.0, 30.0), 1.5)], [island])
+    order = order_of(outlines)
+    assert outlines.boxed[np.stack([order.first, order.second])].any(axis=0).all()
+    row = int(np.flatnonzero(outlines.boxed)[0])
+    exact, drawn = (
+        truth.take(np.array([row]))
+        for truth in (
+            analytic_occlusion(outlines, INTRINSICS),
+            rendered_occlusion(outlines, INTRINSICS, renderer),
+        )
+    )
+    assert 0.1 < drawn.visible_px[0] / drawn.silhouette_px[0] < 0.9
+    ((hider, px),) = exact.occluders[0]
+    assert hider == 1
+    assert px == pytest.approx(exact.silhouette_px[0] - exact.visible_px[0])
+    assert px == pytest.approx(drawn.occluders[0][0][1], rel=0.02)
 
 
 def scene_with(folder, obstacles):

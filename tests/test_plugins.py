@@ -20,6 +20,7 @@ from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.shape_plugins import find_shape, shape_problem
 from modsim3d.simulate import simulate_frames
+from modsim3d.stored_run import open_run
 from modsim3d.vessels import shoebox
 from modsim3d.wave_levels import find_level
 from modsim3d.waves import LEVELS, Axis, level_axes
@@ -375,3 +376,47 @@ def test_live_source_of_a_plugin_runs_and_its_faults_are_told(site, tmp_path, fa
     with pytest.raises(ModsimError) as caught:
         next(frames)
     assert part in str(caught.value)
+
+
+LOGGED = """
+from typing import ClassVar
+
+from pydantic import BaseModel
+
+from modsim3d.poses import SourceKeys, load_poses
+
+
+class Logged(SourceKeys, BaseModel):
+    generated: ClassVar[bool] = False
+    log: str
+    notes: list[str] = []
+
+    @property
+    def files(self):
+        return (self.log, *self.notes)
+
+    def build(self, request):
+        return load_poses(request.folder / self.log, request.names)
+"""
+
+
+def test_files_that_a_source_names_are_in_the_scenes_copy_and_checksum(site, tmp_path):
+    site.add("logged", "1.0", "logged", LOGGED, {POSE_SOURCES: {"logged": "logged:Logged"}})
+    source = tmp_path / "source"
+    (source / "logs").mkdir(parents=True)
+    path = scene_with(source, {"logged": {"log": "logs/monday.jsonl"}})
+    step = '{"%d.0": {"a": {"center_position_m": [%d, 0, 0], "heading_rad": 0}}}\n'
+    log = source / "logs" / "monday.jsonl"
+    sums = []
+    for place in (100, 90):
+        log.write_text("".join(step % (i, place) for i in range(5)))
+        sums.append(load_scene(path).sha256)
+    assert sums[0] != sums[1]
+    run_scene(load_scene(path), tmp_path / "run")
+    lying = scene_with(source, {"logged": {"log": "logs/monday.jsonl", "notes": ["notes.txt"]}})
+    with pytest.raises(InputError, match=r"logged 1\.0: files names 'notes\.txt', which is no file"):
+        load_scene(lying)
+    shutil.rmtree(source)
+    again = open_run(tmp_path / "run").scene
+    assert again.sha256 == sums[1]
+    assert again.poses.poses(0, 1).positions_m[0, 0, 0] == 90

@@ -60,12 +60,12 @@ def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
     """The truth columns of regions; see `analytic_occlusion`."""
     order = regions.order
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
-    pairs = np.column_stack([order.first, order.second])[order.intersecting]
-    pairs = pairs[outlines.boxed[pairs].any(axis=1)]  # that a bridge stands on a quay is no matter
+    touching = np.column_stack([order.first, order.second])[order.intersecting]
+    farther = touching[np.arange(len(touching)), np.argmax(outlines.depth_m[touching], axis=1)]
+    ties = Hiding.of(farther, touching.sum(axis=1) - farther) if len(touching) else None
+    pairs = touching[outlines.boxed[touching].any(axis=1)]  # a bridge may stand on a quay
     boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
-    farther = pairs[np.arange(len(pairs)), np.argmax(outlines.depth_m[pairs], axis=1)]
-    ties = Hiding.of(farther, pairs.sum(axis=1) - farther) if len(pairs) else None
-    areas = hidden_areas(regions.silhouettes, regions.hiding, ties)
+    areas = hidden_areas(regions.silhouettes, regions.hiding, outlines.vessel, ties)
     return Occlusion(
         full_boxes_px=outlines.boxes_px,
         visible_boxes_px=boxes,

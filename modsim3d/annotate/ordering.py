@@ -21,6 +21,9 @@ from modsim3d.vessels import Solid
 TOUCHING_M = 1e-7
 """Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
 
+MOST_COORDINATES = 4_000_000
+"""Vertices of pairs of solids along axes that are worked out at a time; it bounds the memory."""
+
 Indices = NDArray[np.int64]
 
 
@@ -43,12 +46,15 @@ class Order:
     intersecting: NDArray[np.bool_]
 
 
-def overlapping_pairs(frame: Indices, boxes_px: Array) -> tuple[Indices, Indices]:
+def overlapping_pairs(
+    frame: Indices, boxes_px: Array, some_of: NDArray[np.bool_] | None = None
+) -> tuple[Indices, Indices]:
     """Pairs of rows of the same frame whose boxes overlap.
 
     Args:
         frame: Non-decreasing, shape (n,).
         boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
+        some_of: Rows of which one must be in a pair, shape (n,); any pair unless given.
 
     Returns:
         First and second rows, each of shape (P,), first < second.
@@ -57,10 +63,16 @@ def overlapping_pairs(frame: Indices, boxes_px: Array) -> tuple[Indices, Indices
     firsts, seconds = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
     for start, stop in pairwise(edges):
         boxes = boxes_px[start:stop]
-        over = (boxes[:, None, :2] < boxes[None, :, 2:]).all(axis=2)
-        first, second = np.nonzero(np.triu(over & over.T, k=1))
-        firsts.append(first + start)
-        seconds.append(second + start)
+        rows = np.arange(stop - start) if some_of is None else np.flatnonzero(some_of[start:stop])
+        low, high = boxes[rows, None, :2], boxes[rows, None, 2:]
+        over = ((low < boxes[None, :, 2:]) & (boxes[None, :, :2] < high)).all(axis=2)
+        once = np.ones(stop - start, dtype=bool)
+        once[rows] = False  # a pair of two such rows is found from both
+        row, other = np.nonzero(over & (once | (np.arange(stop - start) > rows[:, None])))
+        row = rows[row]
+        order = np.lexsort((np.maximum(row, other), np.minimum(row, other)))
+        firsts.append(np.minimum(row, other)[order] + start)
+        seconds.append(np.maximum(row, other)[order] + start)
     return np.concatenate(firsts), np.concatenate(seconds)
 
 
@@ -70,23 +82,45 @@ def order_of(outlines: Outlines) -> Order:
     Two disjoint convex polyhedra are separated along a face normal of one of them or the cross product of an edge of
     each (Gottschalk, Lin & Manocha (1996), "OBBTree", for boxes).
 
+    What hides no vessel is left out: of a long coast, all but a few pieces.
+
     Args:
         outlines: Of convex solids.
     """
-    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    first, second = _pairs_that_matter(outlines)
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
     part_of, member_of = _places(outlines)
     kinds = part_of[first] * len(outlines.parts) + part_of[second]
     for kind in np.unique(kinds):
-        chosen = np.flatnonzero(kinds == kind)
         a, b = (outlines.parts[part] for part in divmod(int(kind), len(outlines.parts)))
-        vertices_a = a.vertices_camera[member_of[first[chosen]]]
-        vertices_b = b.vertices_camera[member_of[second[chosen]]]
-        directions_a, directions_b = directions_of(vertices_a, a.solid), directions_of(vertices_b, b.solid)
-        axes = candidate_axes(directions_a, directions_b)
-        can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes)
+        for chosen in _in_turns(np.flatnonzero(kinds == kind), a.solid, b.solid):
+            vertices_a = a.vertices_camera[member_of[first[chosen]]]
+            vertices_b = b.vertices_camera[member_of[second[chosen]]]
+            directions_a, directions_b = directions_of(vertices_a, a.solid), directions_of(vertices_b, b.solid)
+            axes = candidate_axes(directions_a, directions_b)
+            can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes)
     return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
+
+
+def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
+    """Pairs of rows that overlap in the image, of vessels and of what overlaps a vessel there; see `Order`.
+
+    Pieces of one obstacle are no pair: it does not matter which of them hides a vessel.
+    """
+    with_vessel = np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))
+    kept = np.union1d(np.flatnonzero(outlines.boxed), with_vessel)
+    first, second = overlapping_pairs(outlines.frame[kept], outlines.boxes_px[kept])
+    others = outlines.vessel[kept[first]] != outlines.vessel[kept[second]]
+    return kept[first[others]], kept[second[others]]
+
+
+def _in_turns(pairs: Indices, a: Solid, b: Solid) -> list[Indices]:
+    """Pairs of two kinds of solid in turns whose axes and coordinates along them fit into memory."""
+    (normals_a, edges_a), (normals_b, edges_b) = distinct_directions(a), distinct_directions(b)
+    axes = len(normals_a) + len(normals_b) + len(edges_a) * len(edges_b)
+    most = max(1, MOST_COORDINATES // (axes * (len(a.vertices) + len(b.vertices))))
+    return np.array_split(pairs, -(-len(pairs) // most))
 
 
 def _places(outlines: Outlines) -> tuple[Indices, Indices]:

@@ -40,5 +40,5 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
         visible_boxes_px=boxes,
         silhouette_px=areas,
         visible_px=visible_px,
-        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, ties), outlines.vessel),
+        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, outlines.vessel, ties), outlines.vessel),
     )

@@ -76,15 +76,17 @@ def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Arra
     return boxes, np.where(whole, full_areas_px, np.where(seen, areas, 0.0))
 
 
-def hidden_areas(silhouettes: Polygons, hiding: Hiding, ties: Hiding | None = None) -> Array:
+def hidden_areas(silhouettes: Polygons, hiding: Hiding, vessel: Indices, ties: Hiding | None = None) -> Array:
     """How much each hider hides of each hidden: every hidden point belongs to the front-most thing there, shape (m,).
 
     A solid that may hide the hider takes its part only where it also hides the hidden one, since being in front is an
     order along a ray. So a hider's part is what the two silhouettes share, less the silhouettes in front of the hider.
+    What several pieces of an obstacle hide together stands at the first of them.
 
     Args:
         silhouettes: Shape (n,).
         hiding: m pairs.
+        vessel: Vessel or obstacle of each row, shape (n,).
         ties: Pairs that overlap without an order, as if one were in front: what both hide of a third must be counted
             once only.
     """
@@ -98,7 +100,13 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, ties: Hiding | None = No
             in_front += sorted(also)
         rows += [k] * len(in_front)
         covers += in_front
-    areas: Array = shapely.area(less(shared, np.array(rows, dtype=np.int64), silhouettes[covers]))
+    parts = less(shared, np.array(rows, dtype=np.int64), silhouettes[covers])
+    owners = np.stack([hiding.hidden, vessel[hiding.hiders]], axis=1)
+    _, first, piece_of, pieces = np.unique(owners, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    piece_of = piece_of.reshape(-1)
+    areas: Array = np.where(pieces[piece_of] == 1, shapely.area(parts), 0.0)
+    for group in np.flatnonzero(pieces > 1).tolist():
+        areas[first[group]] = shapely.area(shapely.union_all(parts[piece_of == group]))
     return areas
 
 

@@ -10,7 +10,7 @@ The pixels are those of the whole image, so the truth is that of `full_frame`, w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,12 +115,15 @@ def _occlusion(
     keys, which = np.unique(pair, return_inverse=True)
     pieces = np.bincount(which, np.concatenate([entry.px for entry in entries]), minlength=len(keys))
     row, hider = np.divmod(keys, max(count, 1))
+    hidden = Hidden.of(
+        row, outlines.vessel[hider], pieces.astype(np.float64)
+    )  # whole numbers: an obstacle's pieces add up exactly
     return Occlusion(
         full_boxes_px=np.where(whole_px[:, None] > 0, whole_boxes / scale, outlines.boxes_px),
         visible_boxes_px=np.where(seen_px[:, None] > 0, seen_boxes / scale, np.nan),
         silhouette_px=whole_px / scale**2,
         visible_px=seen_px / scale**2,
-        hidden=Hidden.of(row, outlines.vessel[hider], pieces / scale**2),
+        hidden=replace(hidden, px=hidden.px / scale**2),
     )
 
 
@@ -239,9 +242,7 @@ class _Cluster:
 def _clusters(outlines: Outlines, boxes: Array) -> list[_Cluster]:
     """Connected groups of vessels whose pixel boxes overlap, each with what only hides and overlaps one of them."""
     boxed = outlines.boxed
-    first, second = overlapping_pairs(outlines.frame, boxes)
-    some = boxed[first] | boxed[second]
-    first, second = first[some], second[some]
+    first, second = overlapping_pairs(outlines.frame, boxes, boxed)
     if not len(first):
         return []
     both = boxed[first] & boxed[second]

@@ -45,7 +45,7 @@ def ais_command(
     from modsim3d.ais.conversion import read_traffic
     from modsim3d.ais.report import summary_rows
     from modsim3d.ais.scene_folder import SCENE, check_free, write_scene
-    from modsim3d.scene_reader import data_folder
+    from modsim3d.shipped import data_folder
 
     options = given.Options(
         origin=given.parse_origin(origin) if origin else None,

@@ -24,6 +24,7 @@ from modsim3d.meshes.glb import read_glb
 from modsim3d.meshes.headers import read_obj, read_ply, read_stl
 from modsim3d.meshes.limits import Refused, leads_outside
 from modsim3d.meshes.shape import Faces, to_solid
+from modsim3d.shipped import data_folder
 from modsim3d.validation import Strict, describe, join_path, nearest, shown
 from modsim3d.vessels import Solid
 
@@ -49,11 +50,8 @@ class MeshEntry(Strict):
 
 
 def shipped_meshes() -> dict[str, Path]:
-    """Meshes that come with the package, by name: in the installed package, or at the top of the repository."""
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "_data" / "meshes"
-    folder = installed if installed.is_dir() else package.parent / "meshes"
-    return {path.stem: path for path in sorted(folder.glob("*.glb"))}
+    """Meshes that come with the package, by name."""
+    return {path.stem: path for path in sorted(data_folder("meshes").glob("*.glb"))}
 
 
 def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object) -> Solid:

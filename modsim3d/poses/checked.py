@@ -70,6 +70,15 @@ def _checked_steps(steps: Iterable[Step], plugin: Plugin, vessels: int) -> Itera
         yield str(timestamp), poses
 
 
+def _check_files(files: object, request: PoseRequest) -> None:
+    """Those that a source names go with the scene, and must be there."""
+    if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
+        raise ModsimError(f"files must be the names of files as the scene file has them, not {files!r}")
+    for file in files:
+        if not (request.folder / file).is_file():
+            raise ModsimError(f"files names {file!r}, which is no file")
+
+
 def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> PoseSource:
     """What a plug-in makes for a scene.
 
@@ -78,6 +87,7 @@ def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> Pose
     """
     try:
         source = keys.build(request)
+        _check_files(keys.files, request)
         if not (hasattr(source, "timestamps") and callable(getattr(source, "poses", None))):
             raise ModsimError(
                 f"build() must give a pose source, with timestamps and poses(first, stop), not {source!r}"

@@ -1,0 +1,52 @@
+"""Whether the cameras of a scene have a place at each step, and nothing around them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.camera import Camera
+from modsim3d.errors import InputError
+from modsim3d.obstacles import PREFIX
+from modsim3d.scene import Scene
+
+Indices = NDArray[np.int64]
+
+
+def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
+    """What is wrong with the place of each camera at some steps: none, or inside a vessel.
+
+    Args:
+        scene: The scene.
+        steps: Ascending.
+        leave_out: Names of cameras that are not looked at.
+    """
+    found = {}
+    for camera in scene.cameras:
+        if camera.name not in leave_out:
+            try:
+                _check_place(scene, camera, steps)
+            except InputError as error:
+                found[camera.name] = error.problems
+    return found
+
+
+def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
+    sight = scene.sight(camera, steps)
+    inside = None if scene.annotation.allow_camera_inside else sight.body_around(scene.vessels)
+    if inside is None:
+        return
+    frame, body = inside
+    when = scene.poses.timestamps[int(steps[frame])]
+    kind, name = ("vessel", scene.occluder_names[body])
+    if body >= len(scene.vessels):
+        kind, name = "obstacle", name.removeprefix(PREFIX)
+    raise InputError(
+        f"scene {scene.path}",
+        [
+            f"cameras.{camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
+            "annotation.allow_camera_inside: true"
+        ],
+    )
