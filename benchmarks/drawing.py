@@ -22,12 +22,11 @@ from pathlib import Path
 from PIL import Image
 
 from benchmarks import scenes
-from modsim3d.block import Frame
 from modsim3d.draw_film import Draughtsman, open_drawer, open_painter
 from modsim3d.film_plan import FilmPlan
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
-from modsim3d.selection import select, select_cameras
+from modsim3d.selection import Shown, select, select_cameras
 from modsim3d.stored_run import open_run
 from modsim3d.view.film_files import open_film
 from modsim3d.view.look import PLAIN_LOOK, SHADED, Look
@@ -72,7 +71,7 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
     run_scene(load_scene(path, mode=2, steps=steps), folder / name)
     run = open_run(folder / name)
     selection = select(run, select_cameras(run, []))
-    frames = list(selection.frames())
+    frames = list(selection.shown())
     assert run.scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
     rows = []
     with open_drawer(run.scene) as drawer, ExitStack() as stack:
@@ -96,25 +95,25 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
     return rows
 
 
-def draw_all(draughtsman: Draughtsman, frames: list[list[Frame]]) -> None:
+def draw_all(draughtsman: Draughtsman, frames: list[Shown]) -> None:
     for step in frames:
         draughtsman.draw(step)
 
 
-def shrink_all(draughtsman: Draughtsman, frames: list[list[Frame]]) -> None:
+def shrink_all(draughtsman: Draughtsman, frames: list[Shown]) -> None:
     """The slow way: at the camera's size, then smaller."""
     for step in frames:
         picture = draughtsman.draw(step)
         picture.resize((WIDTH_PX, picture.height * WIDTH_PX // picture.width), Image.Resampling.BOX)
 
 
-def whole_film(draughtsman: Draughtsman, frames: list[list[Frame]], path: Path) -> float:
+def whole_film(draughtsman: Draughtsman, frames: list[Shown], path: Path) -> float:
     """Frames a second of this process and the encoder's together."""
     before = os.times()
     first = draughtsman.draw(frames[0])
     with open_film("mp4", path, first.size, Fraction(5)) as film:
         for step in frames:
-            film.add(step[0].step, draughtsman.draw(step).tobytes(), 1)
+            film.add(step.step, draughtsman.draw(step).tobytes(), 1)
     after = os.times()
     return len(frames) / sum(after[i] - before[i] for i in range(4))
 
