@@ -66,7 +66,7 @@ def test_agents_are_repeatable_and_the_seed_decides():
 
 def test_crowded_agents_never_touch():
     boats = [Vessel(f"v{i}", "Vessel", 8, 4, 1) for i in range(7)]
-    poses = drive_agents(boats, 400, 0.1, Basin((60, 40)), 4).recorded
+    poses = drive_agents(boats, 150, 0.1, Basin((60, 40)), 4).recorded
     hulls = footprints(poses)
     for i in range(7):
         for j in range(i):
