@@ -95,6 +95,7 @@ def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tup
             not isinstance(entry, dict)
             or not isinstance(entry.get("id"), int)
             or not isinstance(entry.get("name"), str)
+            or not entry["name"]
         ):
             raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
         if entry["id"] in known or entry["name"] in (name for name, _ in known.values()):
