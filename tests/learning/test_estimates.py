@@ -205,6 +205,10 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     assert isinstance(chain, Transitions)
 
 
+def test_a_state_that_is_the_only_one_surely_stays():
+    assert Transitions(np.zeros((1, 1))).interval(0.95) == (1, 1)
+
+
 def test_cameras_that_share_a_chain_count_once():
     frames = images(8, time_s=np.tile(np.arange(4) * 0.5, 2))
     frames = type(frames)(**{**vars(frames), "sequence": np.repeat([0, 1], 4)})

@@ -55,6 +55,11 @@ def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
     assert np.isnan(labelled.found.probabilities[1]).all()
 
 
+def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
+    images = [{**TRUTH["images"][0], "condition": None}, {**TRUTH["images"][1], "condition": "fog"}]
+    assert read(tmp_path, {**TRUTH, "images": images}).conditions == ("fog", "day")
+
+
 def test_images_without_annotations_and_without_results_are_there(tmp_path):
     empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
     assert len(empty.images) == 2 and len(empty.truth) == 0 and len(empty.found) == 0
@@ -88,6 +93,8 @@ BAD = [
     (changed(("categories", 1), name="ferry"), r"categories\[1\]: .* appears twice"),
     (changed(("categories", 1), name=""), r"categories\[1\]: must have an id, a whole number, and a name"),
     (changed(("annotations", 2), distance_m="far"), r"annotations\[2\]: distance_m must be a number"),
+    (changed(("annotations", 2), distance_m=-4), r"annotations\[2\]: distance_m must be 0 or more \(got -4\)"),
+    (changed(("annotations", 2), visible_fraction=25), r"\[2\]: visible_fraction must be from 0 to 1 \(got 25\)"),
     ((TRUTH, {"annotations": []}), "must be a list of results"),
     ((RESULTS, RESULTS), "a list: is it the results file?"),
     (({"images": []}, RESULTS), "annotations: missing\n  categories: missing"),

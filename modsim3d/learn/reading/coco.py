@@ -133,7 +133,7 @@ def _images(
         sizes.append([float(side) if isinstance(side, int | float) else math.nan for side in size])
         names.append(str(entry.get("file_name", entry["id"])))
         sequences.append(numbers.setdefault(entry.get("sequence", entry.get("video_id")), len(numbers)))
-        own.append(str(entry["condition"]) if "condition" in entry else None)
+        own.append(None if entry.get("condition") is None else str(entry["condition"]))
         time = entry.get("time_s", entry.get("frame_id"))
         times.append(float(time) if isinstance(time, int | float) else math.nan)
     return rows, sizes, names, sequences, times, own
@@ -157,13 +157,20 @@ def _place(
     return images[entry["image_id"]], categories[entry["category_id"]][1]
 
 
+_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": math.inf}
+
+
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
+    """A number from 0 to the most of its key, NaN where it is not given."""
     value = entry.get(key)
     if value is None:
         return math.nan
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        problems.add(f"{where}: {key} must be a number (got {value!r})")
+    elif not 0 <= value <= _MOST[key]:
+        problems.add(f"{where}: {key} must be {'from 0 to 1' if _MOST[key] < math.inf else '0 or more'} (got {value})")
+    else:
         return float(value)
-    problems.add(f"{where}: {key} must be a number (got {value!r})")
     return math.nan
 
 
