@@ -118,6 +118,15 @@ def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
     assert len(labelled.found) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
 
 
+@pytest.mark.parametrize(("where", "keys"), [(("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})])
+def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
+    truth, results = changed(where, **keys)
+    results = [entry for entry in results if entry["image_id"] == 30]
+    labelled = read(tmp_path, truth, results, skip_bad=True)
+    assert len(labelled.truth) == 2 and labelled.truth.distance_m.tolist() == pytest.approx([np.nan] * 2, nan_ok=True)
+    assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):

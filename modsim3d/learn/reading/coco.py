@@ -126,11 +126,13 @@ def _images(
     sizes, names, sequences, times, own = [], [], [], [], []
     numbers: dict[Any, int] = {}
     for index, entry in entries:
-        size = [entry.get("width"), entry.get("height")]
-        if not all(isinstance(side, int | float) and side > 0 for side in size):
-            problems.add(f"images[{index}]: width and height must be above 0 (got {size[0]} and {size[1]})")
+        given = [entry.get("width"), entry.get("height")]
+        size = [float(side) for side in given if isinstance(side, int | float) and side > 0]
+        if len(size) < 2:
+            problems.add(f"images[{index}]: width and height must be above 0 (got {given[0]} and {given[1]})")
+            continue
         rows[entry["id"]] = len(rows)
-        sizes.append([float(side) if isinstance(side, int | float) else math.nan for side in size])
+        sizes.append(size)
         names.append(str(entry.get("file_name", entry["id"])))
         sequences.append(numbers.setdefault(entry.get("sequence", entry.get("video_id")), len(numbers)))
         own.append(None if entry.get("condition") is None else str(entry["condition"]))
@@ -186,6 +188,10 @@ def _annotation(
     box = corners(entry.get("bbox"), where, problems) if place else None
     if place is None or box is None:
         return
+    known = len(problems.lines)
+    visible_fraction, distance_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
+    if len(problems.lines) > known:
+        return
     crowd = bool(entry.get("iscrowd", 0))
     rows.image.append(place[0])
     rows.label.append(place[1])
@@ -194,8 +200,8 @@ def _annotation(
     rows.ignored.append(crowd or bool(entry.get("ignore", 0)))
     identity = entry.get("track_id", entry.get("instance_id"))
     rows.identity.append(identity if isinstance(identity, int | str) else None)
-    rows.visible_fraction.append(_number(entry, "visible_fraction", where, problems))
-    rows.distance_m.append(_number(entry, "distance_m", where, problems))
+    rows.visible_fraction.append(visible_fraction)
+    rows.distance_m.append(distance_m)
 
 
 def _result(
