@@ -59,7 +59,8 @@ def learn_detector(labelled: Labelled, settings: Settings, asked: Asked) -> Repo
     if asked.states:
         state_map = parse_states(asked.states, labelled.conditions)
     elif asked.clusters:
-        state_map = cluster(f1, asked.clusters)
+        seen = np.unique(labelled.images.condition)
+        state_map = cluster({labelled.conditions[k]: f1[labelled.conditions[k]] for k in seen}, asked.clusters)
     else:
         state_map = each_its_own(labelled.conditions)
     state_map = StateMap({name: tuple(given) for name, given in state_map.states.items()})

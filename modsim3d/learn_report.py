@@ -247,7 +247,7 @@ def lead(report: Report) -> str:
     return (
         f"{len(labelled.images)} images, {len(labelled.truth)} truths, {len(labelled.found)} detections; matched by "
         f"{report.matched_by}, confidence at least {learned.form.threshold:g}; {report.level:.0%} intervals by "
-        f"bootstrap over {learned.units['all']} {drawn}."
+        f"bootstrap over {learned.units['']} {drawn}."
     )
 
 

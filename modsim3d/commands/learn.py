@@ -48,7 +48,7 @@ def learn_command(
     interval: Annotated[float | None, typer.Option(metavar="S", help="Seconds between entries of a sequence.")] = None,
     match: Annotated[Match, typer.Option(help="How boxes are matched.")] = Match.confidence,
     iou: Annotated[float, typer.Option(min=0.01, max=1, help="Least IoU of a match.")] = 0.5,
-    distance: Annotated[float, typer.Option(metavar="PX", help="Most between centres, for --match centre.")] = 50.0,
+    distance: Annotated[float, typer.Option(min=0, metavar="PX", help="For --match centre: the most.")] = 50.0,
     confidence: Annotated[float, typer.Option(min=0, max=1, help="Least confidence that counts.")] = 0.2,
     clutter: Annotated[Clutter, typer.Option(help="Model of false positives.")] = Clutter.auto,
     level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Of the intervals.")] = 0.95,
@@ -76,6 +76,9 @@ def learn_command(
     from modsim3d.learn_report import lead, tables, write_page
     from modsim3d.validation import read_text
 
+    page = out.with_suffix(".html") if page is None else page
+    if page == out:
+        raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
     given = _given(labels, image_size, skip_bad)
     parts, interval_s = _sets(truth or [], detections or [], condition or [], run or [], given)
     rule = Rule(match.value, least_iou=iou, most_distance_px=distance)
@@ -97,7 +100,6 @@ def learn_command(
     comments += [f"Left simple: {note}" for note in report.learned.form.notes]
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(detector_text(report.learned.detector(values), comments), encoding="utf-8", newline="\n")
-    page = out.with_suffix(".html") if page is None else page
     write_page(report, page)
     console = Console()
     console.print(lead(report), highlight=False)

@@ -18,6 +18,7 @@ from modsim3d.learn.limits import limit_note
 from modsim3d.learn.measures import Estimate, Exact, Measure, Rate
 from modsim3d.learn.pairs import inflation, turn_before
 from modsim3d.learn.parameters import Parameter
+from modsim3d.learn.rate_measures import Rate
 
 GROUP = "dropout and class"
 BACKGROUND = "background"

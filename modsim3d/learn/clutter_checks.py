@@ -23,9 +23,10 @@ from modsim3d.detector.records import (
 from modsim3d.learn.clutter_box_checks import clutter_box_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_broken, limit_note
-from modsim3d.learn.measures import DiscoveryRate, Exact, ImageRate, Measure, Rate
+from modsim3d.learn.measures import Exact, Measure
 from modsim3d.learn.pairs import lag_pairs
 from modsim3d.learn.parameters import Parameter
+from modsim3d.learn.rate_measures import DiscoveryRate, ImageRate, Rate
 
 GROUP = "false positives"
 

@@ -13,8 +13,9 @@ from modsim3d.detector.records import Array
 from modsim3d.detector.scores import NormalScores, QuantileScores, Scores
 from modsim3d.learn.clipped_normal import Clipped
 from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.law_measures import Law
 from modsim3d.learn.limits import limit_note
-from modsim3d.learn.measures import Exact, Law, Measure
+from modsim3d.learn.measures import Exact, Measure
 from modsim3d.learn.parameters import Parameter
 
 GROUP = "confidence"

@@ -52,7 +52,7 @@ class Learned:
         observed: The data, matched.
         form: The models.
         columns: The numbers, by path.
-        units: Of what was drawn to resample, by path's state; `all` for what all states share.
+        units: Of what was drawn to resample, by how paths begin; the longest counts, "" is what all states share.
         resampling: Weights of images.
         run_s: Length of the runs of frames that were drawn; 0 for single images.
         transitions: Of the states.
@@ -73,7 +73,7 @@ class Learned:
     def intervals(self, level: float) -> dict[str, tuple[Array, Array]]:
         """Both ends for each number, by path; with those of the transition matrix."""
         found = {
-            path: column.interval(level, self.units.get(path.split(".")[1], self.units["all"]))
+            path: column.interval(level, self.units[max(filter(path.startswith, self.units), key=len)])
             for path, column in self.columns.items()
         }
         return found | {"transition_matrix": self.transitions.interval(level)}
@@ -105,8 +105,8 @@ def learn(
     form = choose_form(observed, settings.clutter)
     run_s = _run_s(observed, form) if settings.run_s is None else settings.run_s
     resampling = resample(labelled.images, settings.replicates, settings.seed, run_s)
-    units = {name: resampling.units(image_state == index) for index, name in enumerate(states)}
-    units["all"] = resampling.units(image_state >= 0)
+    units = {f"states.{name}.": resampling.units(image_state == index) for index, name in enumerate(states)}
+    units[""] = resampling.units(image_state >= 0)
     columns = estimate(observed, form, resampling)
     form = replace(form, notes=(*labelled.notes, *form.notes, *_empty(observed), *transitions.notes))
     return Learned(observed, form, columns, units, resampling, run_s, transitions)

@@ -112,17 +112,23 @@ class Column:
             units: Of what was drawn: few of them make the spread itself uncertain, hence Student's distribution.
         """
         wide = float(stats.t.ppf((1 + level) / 2, max(units - 1, 1)))
+        widen, tail = (wide / float(stats.norm.ppf((1 + level) / 2))) ** 2, (1 - level) / 2
         if self.kind in ("share", "rate"):
-            usual = float(stats.norm.ppf((1 + level) / 2))
-            return self._counted((wide / usual) ** 2, (1 - level) / 2)
+            return self._counted(widen, tail)
         centre = to_scale(self.estimate, self.kind)
-        reach = wide * spread(to_scale(self.values[1:], self.kind))
-        return from_scale(centre - reach, self.kind), from_scale(centre + reach, self.kind)
+        # Replicates of a single unit are all alike, and say nothing about how well the number is known.
+        reach = wide * spread(to_scale(self.values[1:], self.kind)) if units > 1 else np.full(centre.shape, np.inf)
+        low, high = from_scale(centre - reach, self.kind), from_scale(centre + reach, self.kind)
+        if self.kind == "fraction":  # nor do they where all is right, or nothing
+            at_end = (self.estimate <= 0) | (self.estimate >= 1)
+            counted_low, counted_high = self._counted(widen, tail)
+            low, high = np.where(at_end, counted_low, low), np.where(at_end, counted_high, high)
+        return low, high
 
     def _counted(self, widen: float, tail: float) -> tuple[Array, Array]:
         """Jeffreys's, of as many independent observations as the spread of the replicates says."""
         value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
-        alone = value * (1 - value) / count if self.kind == "share" else value / count
+        alone = value / count if self.kind == "rate" else value * (1 - value) / count
         found = spread(self.values[1:]) ** 2
         inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
         inflation = np.maximum(inflation, self.inflation) * widen

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.measures import Exact, Occupancy, Rate
+from modsim3d.learn.law_measures import Occupancy
+from modsim3d.learn.measures import Exact
 from modsim3d.learn.parameters import Parameter
+from modsim3d.learn.rate_measures import Rate
 
 GROUP = "performance state"
 _EARLY = 1e-6  # of an interval, as in the detector: 0.6 / 0.2 is a hair below 3

@@ -48,7 +48,9 @@ class Transitions:
     def interval(self, level: float) -> tuple[Array, Array]:
         """Credible intervals: with those made up an entry is Beta's, and its mean is the matrix's."""
         n = len(self.counts)
-        if not self.observed or n == 1:
+        if n == 1:
+            return self.matrix, self.matrix
+        if not self.observed:
             return np.zeros((n, n)), np.ones((n, n))
         hits = self.counts + 1
         rest = self.counts.sum(axis=0) + n - hits

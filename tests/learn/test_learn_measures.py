@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from modsim3d.learn.measures import DiscoveryRate, Estimate, Exact, ImageRate, Law, Rate
+from modsim3d.learn.law_measures import Law
+from modsim3d.learn.measures import Estimate, Exact
 from modsim3d.learn.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Parameter, judge
+from modsim3d.learn.rate_measures import DiscoveryRate, ImageRate, Rate
 from modsim3d.learn.tails import binomial_interval, poisson_interval, skewed_quantile, skewed_tails
 
 

@@ -116,6 +116,21 @@ def test_scales_go_there_and_back(value, kind):
     assert from_scale(to_scale(np.array(value), kind), kind) == pytest.approx(value)
 
 
+@pytest.mark.parametrize(("value", "end"), [(1.0, 1), (0.0, 0)])
+def test_a_fraction_that_is_one_or_zero_is_known_as_well_as_a_share(value, end):
+    alike = np.full(50, value)
+    fraction, share = (Column(alike, kind, np.array(8.0)).interval(0.95, 30) for kind in ("fraction", "share"))
+    assert fraction == share
+    assert fraction[end] == value and abs(fraction[1 - end] - value) > 0.1
+
+
+@pytest.mark.parametrize("kind", ["mean", "positive", "correlation", "fraction"])
+def test_of_a_single_image_nothing_is_known_but_the_number(kind):
+    low, high = Column(np.full(50, 0.5), kind, np.array(8.0)).interval(0.95, 1)
+    least, most = {"mean": (-np.inf, np.inf), "positive": (0, np.inf), "correlation": (-1, 1), "fraction": (0, 1)}[kind]
+    assert (low, high) == (least, most)
+
+
 def test_runs_of_frames_are_drawn_together():
     frames = images(40, time_s=np.arange(40) * 0.5)
     drawn = resample(frames, 30, 0, run_s=5.0)
@@ -188,6 +203,10 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     nothing = count_transitions([], 2)
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
     assert isinstance(chain, Transitions)
+
+
+def test_a_state_that_is_the_only_one_surely_stays():
+    assert Transitions(np.zeros((1, 1))).interval(0.95) == (1, 1)
 
 
 def test_cameras_that_share_a_chain_count_once():

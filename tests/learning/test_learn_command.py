@@ -19,10 +19,11 @@ from modsim3d.learn.matching import Rule
 from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.states import each_its_own, transitions_of
 from modsim3d.learn.transitions import Transitions
+from modsim3d.learn_detector import Asked, learn_detector
 from modsim3d.learn_sets import labelled_run
 from modsim3d.stored_run import open_run
 from modsim3d.verify_run import verify_run
-from tests.learning.labelled_sets import found, images, truth
+from tests.learning.labelled_sets import found, images, random_set, truth
 from tests.learning.round_trip import DETECTOR, asked_of, outside, simulate
 
 
@@ -145,6 +146,27 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
     np.testing.assert_allclose(model.transition_matrix[:, 0], [11 / 23, 1 / 23, 11 / 23], atol=1e-7)
 
 
+def test_conditions_that_no_image_has_make_no_state():
+    labelled = replace(random_set(4), conditions=("all", "unseen"))
+    settings = Settings(replicates=20)
+    assert dict(learn_detector(labelled, settings, Asked(clusters=1)).state_map.states) == {"usual": ("all",)}
+    with pytest.raises(InputError, match="there are only 1 conditions"):
+        learn_detector(labelled, settings, Asked(clusters=2))
+
+
+def test_intervals_rest_on_the_images_of_their_own_state_whatever_its_name():
+    labelled = random_set(4, image_count=40)
+    states = np.repeat([0, 1], [30, 10])
+    named = [
+        learn(labelled, names, states, Transitions(np.zeros((2, 2))), Settings(replicates=20)).intervals(0.95)
+        for names in (("day", "night"), ("all", "all.night"))
+    ]
+    for first, second in (("day", "all"), ("night", "all.night")):
+        for number in ("box_error_mean", "false_discovery_rate"):
+            ends = named[0][f"states.{first}.{number}"], named[1][f"states.{second}.{number}"]
+            np.testing.assert_allclose(*ends)
+
+
 def test_what_does_not_fit_together_is_refused(tmp_path):
     arguments = pairs_of_conditions(tmp_path, 2)
     out = ["--out", tmp_path / "d.yaml"]
@@ -160,6 +182,9 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
         command(*arguments, "--match", "provenance", *out)
     with pytest.raises(InputError, match=r"must be W,H in pixels"):
         command(*arguments, "--image-size", "big", *out)
+    assert command(*arguments, "--distance", -1, *out).exit_code == 2
+    with pytest.raises(InputError, match="the page would be written over the detector file"):
+        command(*arguments, "--out", tmp_path / "d.html")
     empty = tmp_path / "empty.json"
     empty.write_text(json.dumps({"images": [], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}))
     nothing = tmp_path / "nothing.json"

@@ -55,6 +55,11 @@ def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
     assert np.isnan(labelled.found.probabilities[1]).all()
 
 
+def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
+    images = [{**TRUTH["images"][0], "condition": None}, {**TRUTH["images"][1], "condition": "fog"}]
+    assert read(tmp_path, {**TRUTH, "images": images}).conditions == ("fog", "day")
+
+
 def test_images_without_annotations_and_without_results_are_there(tmp_path):
     empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
     assert len(empty.images) == 2 and len(empty.truth) == 0 and len(empty.found) == 0
@@ -86,7 +91,10 @@ BAD = [
     (changed(("images", 1), id=30), r"images\[1\]: id 30 appears twice"),
     (changed(("images", 0), width=0), r"images\[0\]: width and height must be above 0"),
     (changed(("categories", 1), name="ferry"), r"categories\[1\]: .* appears twice"),
+    (changed(("categories", 1), name=""), r"categories\[1\]: must have an id, a whole number, and a name"),
     (changed(("annotations", 2), distance_m="far"), r"annotations\[2\]: distance_m must be a number"),
+    (changed(("annotations", 2), distance_m=-4), r"annotations\[2\]: distance_m must be 0 or more \(got -4\)"),
+    (changed(("annotations", 2), visible_fraction=25), r"\[2\]: visible_fraction must be from 0 to 1 \(got 25\)"),
     ((TRUTH, {"annotations": []}), "must be a list of results"),
     ((RESULTS, RESULTS), "a list: is it the results file?"),
     (({"images": []}, RESULTS), "annotations: missing\n  categories: missing"),
@@ -108,6 +116,15 @@ def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
     assert len(raised.value.problems) == 21 and "9 more" in raised.value.problems[-1]
     labelled = read(tmp_path, results=results, skip_bad=True)
     assert len(labelled.found) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
+
+
+@pytest.mark.parametrize(("where", "keys"), [(("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})])
+def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
+    truth, results = changed(where, **keys)
+    results = [entry for entry in results if entry["image_id"] == 30]
+    labelled = read(tmp_path, truth, results, skip_bad=True)
+    assert len(labelled.truth) == 2 and labelled.truth.distance_m.tolist() == pytest.approx([np.nan] * 2, nan_ok=True)
+    assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
 
 
 @settings(max_examples=30, deadline=None)
@@ -164,6 +181,32 @@ def test_mot(tmp_path):
         read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given())
 
 
+def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
+    (tmp_path / "gt.txt").write_text(truth)
+    (tmp_path / "det.txt").write_text(detections)
+    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(labels, size))
+
+
+def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
+    assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").found) == 1
+    with pytest.raises(InputError, match=r"det.txt line 1: must be numbers \(got '1,-1,,12"):
+        mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
+
+
+def test_mot_frames_that_are_times_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"gt.txt line 1: frame must be a whole number from 1 to"):
+        mot(tmp_path, truth="1700000000000,3,10,20,30,40,1,1,0.5\n")
+
+
+@pytest.mark.parametrize("entry", ["frameRate=0", "frameRate=nan", "imWidth=0", "imHeight=-5", "seqLength=-1"])
+def test_a_sequence_without_size_or_rate_is_refused(entry, tmp_path):
+    values = {"imWidth": "640", "imHeight": "480", "frameRate": "5", "seqLength": "3"} | dict([entry.split("=")])
+    lines = "\n".join(f"{key}={value}" for key, value in values.items())
+    (tmp_path / "seqinfo.ini").write_text(f"[Sequence]\n{lines}\n")
+    with pytest.raises(InputError, match="must be above 0"):
+        mot(tmp_path)
+
+
 def test_mot_with_classes(tmp_path):
     (tmp_path / "gt.txt").write_text("1,3,10,20,30,40,1,2,1\n1,4,100,20,30,40,1,5,1\n")
     (tmp_path / "det.txt").write_text("1,-1,12,20,30,40,0.9,5,-1,-1\n")
@@ -194,8 +237,43 @@ def test_yolo(tmp_path):
         read_pair("day", truth, predictions, Given())
 
 
+def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=()):
+    truth, predictions = tmp_path / "labels", tmp_path / "predictions"
+    truth.mkdir(exist_ok=True)
+    predictions.mkdir(exist_ok=True)
+    (truth / "a.txt").write_text(line)
+    (tmp_path / "data.yaml").write_text(data)
+    return read_pair("day", truth, predictions, Given(labels, (800, 400)))
+
+
+def test_yolo_names_are_those_of_their_numbers(tmp_path):
+    assert yolo(tmp_path, data="names: {2: kayak, 1: ferry}\n").labels == ("class_0", "ferry", "kayak")
+    for names in ("{0: ferry, x: kayak}", "{-1: ferry}", "{1000000000: ferry}"):
+        with pytest.raises(InputError, match="names: must be numbered"):
+            yolo(tmp_path, data=f"names: {names}\n")
+
+
+def test_yolo_classes_that_are_none_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"a.txt line 1: class must be a whole number from 0 to"):
+        yolo(tmp_path, line="900000000 0.5 0.5 0.25 0.5\n")
+
+
+def test_labels_of_the_same_name_are_refused(tmp_path):
+    for files in ({"data": "names: [ferry, ferry]\n"}, {"labels": ("ferry", "ferry")}):
+        with pytest.raises(InputError, match="'ferry' names more than one class"):
+            yolo(tmp_path, **files)
+
+
+def test_what_is_not_there_is_not_taken_for_another_kind(tmp_path):
+    yolo(tmp_path)
+    with pytest.raises(InputError) as raised:
+        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", Given())
+    assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
+
+
 def test_two_kinds_of_files_do_not_go_together(tmp_path):
     gt, _ = written(tmp_path)
+    (tmp_path / "det.txt").touch()
     with pytest.raises(InputError, match=r"looks like COCO and .* like MOT"):
         read_pair("day", gt, tmp_path / "det.txt", Given())
 

@@ -129,7 +129,14 @@ def one_condition(
     time_s: Sequence[float] | None = None,
     own: Sequence[str | None] = (),
 ) -> Labelled:
-    """A labelled set of one source, and of one condition but for images that name their `own`."""
+    """A labelled set of one source, and of one condition but for images that name their `own`.
+
+    Raises:
+        InputError: Two labels have the same name.
+    """
+    repeated = sorted({name for name in labels if list(labels).count(name) > 1})
+    if repeated:
+        raise InputError(f"labels of {condition}", [f"'{name}' names more than one class" for name in repeated])
     count = len(names)
     of_image = [condition if name is None else name for name in own] or [condition] * count
     conditions = tuple(dict.fromkeys(of_image)) or (condition,)

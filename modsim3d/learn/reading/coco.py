@@ -95,6 +95,7 @@ def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tup
             not isinstance(entry, dict)
             or not isinstance(entry.get("id"), int)
             or not isinstance(entry.get("name"), str)
+            or not entry["name"]
         ):
             raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
         if entry["id"] in known or entry["name"] in (name for name, _ in known.values()):
@@ -125,14 +126,16 @@ def _images(
     sizes, names, sequences, times, own = [], [], [], [], []
     numbers: dict[Any, int] = {}
     for index, entry in entries:
-        size = [entry.get("width"), entry.get("height")]
-        if not all(isinstance(side, int | float) and side > 0 for side in size):
-            problems.add(f"images[{index}]: width and height must be above 0 (got {size[0]} and {size[1]})")
+        given = [entry.get("width"), entry.get("height")]
+        size = [float(side) for side in given if isinstance(side, int | float) and side > 0]
+        if len(size) < 2:
+            problems.add(f"images[{index}]: width and height must be above 0 (got {given[0]} and {given[1]})")
+            continue
         rows[entry["id"]] = len(rows)
-        sizes.append([float(side) if isinstance(side, int | float) else math.nan for side in size])
+        sizes.append(size)
         names.append(str(entry.get("file_name", entry["id"])))
         sequences.append(numbers.setdefault(entry.get("sequence", entry.get("video_id")), len(numbers)))
-        own.append(str(entry["condition"]) if "condition" in entry else None)
+        own.append(None if entry.get("condition") is None else str(entry["condition"]))
         time = entry.get("time_s", entry.get("frame_id"))
         times.append(float(time) if isinstance(time, int | float) else math.nan)
     return rows, sizes, names, sequences, times, own
@@ -156,13 +159,20 @@ def _place(
     return images[entry["image_id"]], categories[entry["category_id"]][1]
 
 
+_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": math.inf}
+
+
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
+    """A number from 0 to the most of its key, NaN where it is not given."""
     value = entry.get(key)
     if value is None:
         return math.nan
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        problems.add(f"{where}: {key} must be a number (got {value!r})")
+    elif not 0 <= value <= _MOST[key]:
+        problems.add(f"{where}: {key} must be {'from 0 to 1' if _MOST[key] < math.inf else '0 or more'} (got {value})")
+    else:
         return float(value)
-    problems.add(f"{where}: {key} must be a number (got {value!r})")
     return math.nan
 
 
@@ -178,6 +188,10 @@ def _annotation(
     box = corners(entry.get("bbox"), where, problems) if place else None
     if place is None or box is None:
         return
+    known = len(problems.lines)
+    visible_fraction, distance_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
+    if len(problems.lines) > known:
+        return
     crowd = bool(entry.get("iscrowd", 0))
     rows.image.append(place[0])
     rows.label.append(place[1])
@@ -186,8 +200,8 @@ def _annotation(
     rows.ignored.append(crowd or bool(entry.get("ignore", 0)))
     identity = entry.get("track_id", entry.get("instance_id"))
     rows.identity.append(identity if isinstance(identity, int | str) else None)
-    rows.visible_fraction.append(_number(entry, "visible_fraction", where, problems))
-    rows.distance_m.append(_number(entry, "distance_m", where, problems))
+    rows.visible_fraction.append(visible_fraction)
+    rows.distance_m.append(distance_m)
 
 
 def _result(

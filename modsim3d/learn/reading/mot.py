@@ -17,6 +17,9 @@ from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.reading.builder import Problems, Rows, corners, one_condition
 from modsim3d.learn.reading.text_lines import number_lines
 
+_MOST_FRAMES = 10_000_000
+"""More is no frame number but something else, such as a time."""
+
 
 @dataclass(frozen=True)
 class _Sequence:
@@ -57,7 +60,6 @@ def read_mot(
     names = names if classed and names else {}
     to_label = {number: k for k, number in enumerate(names)}
     only = (labels[0] if labels else "object",)
-    count = max([info.frames, *(int(numbers[0]) for _, numbers in known + given)], default=0)
     rows, found = Rows(), Rows()
     for where, numbers in known:
         box = _row(where, numbers, problems, rows, to_label)
@@ -75,6 +77,8 @@ def read_mot(
         elif _row(where, numbers, wrong, found, to_label) is not None:
             found.confidence.append(numbers[6])
             found.probabilities.append(None)
+    notes = problems.settle() + wrong.settle()
+    count = max([info.frames, *(image + 1 for image in rows.image + found.image)])
     return one_condition(
         condition,
         tuple(names.values()) or only,
@@ -82,7 +86,7 @@ def read_mot(
         [info.size_px] * count,
         rows,
         found,
-        problems.settle() + wrong.settle(),
+        notes,
         [0] * count,
         [frame / info.rate_hz for frame in range(count)],
     )
@@ -93,8 +97,8 @@ def _row(
 ) -> list[float] | None:
     """Put down what truth and detections have in common."""
     frame = numbers[0]
-    if frame < 1 or frame != int(frame):
-        problems.add(f"{where}: frame must be a whole number from 1 on (got {frame:g})")
+    if not 1 <= frame <= _MOST_FRAMES or frame != int(frame):
+        problems.add(f"{where}: frame must be a whole number from 1 to {_MOST_FRAMES} (got {frame:g})")
         return None
     number = int(numbers[7]) if len(numbers) > 7 else -1
     if to_label and number not in to_label:
@@ -118,9 +122,13 @@ def _sequence(truth: Path, size_px: tuple[float, float] | None, source: str) -> 
             parser.read(path, encoding="utf-8")
             section = parser["Sequence"]
             size = (float(section["imWidth"]), float(section["imHeight"]))
-            return _Sequence(size, int(section.get("seqLength", "0")), float(section.get("frameRate", "1")))
+            frames, rate_hz = int(section.get("seqLength", "0")), float(section.get("frameRate", "1"))
         except (configparser.Error, KeyError, ValueError) as error:
             raise InputError(f"sequence {path}", [f"needs imWidth and imHeight under [Sequence]: {error}"]) from None
+        if not all(0 < value < math.inf for value in (*size, rate_hz)) or not 0 <= frames <= _MOST_FRAMES:
+            got = f"{size[0]:g}, {size[1]:g}, {rate_hz:g} and seqLength {frames}"
+            raise InputError(f"sequence {path}", [f"imWidth, imHeight and frameRate must be above 0 (got {got})"])
+        return _Sequence(size, frames, rate_hz)
     if size_px is None:
         raise InputError(
             source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]

@@ -33,6 +33,9 @@ def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> La
     Raises:
         InputError: Something is wrong with the files, or they are of two kinds.
     """
+    missing = [(what, path) for what, path in (("truth", truth), ("detections", detections)) if not path.exists()]
+    if missing:
+        raise InputError(f"condition {condition}", [f"{what} {path}: no such file or folder" for what, path in missing])
     kinds = [_kind(path) for path in (truth, detections)]
     if kinds[0] != kinds[1]:
         raise InputError(

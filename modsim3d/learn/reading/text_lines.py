@@ -13,7 +13,7 @@ from modsim3d.validation import read_text
 def number_lines(
     path: Path, what: str, separator: str | None, least: int, problems: Problems
 ) -> Iterator[tuple[str, list[float]]]:
-    """Lines of numbers, empty ones left out, each with where it is.
+    """Lines of numbers, empty ones left out, each with where it is; a separator may end a line.
 
     Args:
         path: The file.
@@ -27,7 +27,7 @@ def number_lines(
             continue
         where = f"{path.name} line {index + 1}"
         try:
-            numbers = [float(part) for part in line.split(separator) if part.strip()]
+            numbers = [float(part) for part in line.strip().removesuffix(separator or "").split(separator)]
         except ValueError:
             problems.add(f"{where}: must be numbers (got {line[:60]!r})")
             continue

@@ -76,8 +76,8 @@ def _row(
 ) -> bool:
     """Put down what truth and predictions have in common."""
     number, x, y, width, height = numbers[:5]
-    if number < 0 or number != int(number):
-        problems.add(f"{where}: class must be a whole number from 0 on (got {number:g})")
+    if not 0 <= number < _MOST_CLASSES or number != int(number):
+        problems.add(f"{where}: class must be a whole number from 0 to {_MOST_CLASSES - 1} (got {number:g})")
         return False
     if max(abs(x), abs(y), width, height) > 2:
         problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {numbers[1:5]})")
@@ -92,6 +92,8 @@ def _row(
     return True
 
 
+_MOST_CLASSES = 10_000
+"""More is no class but something else."""
 _NOT_LABELS = ("classes.txt", "images.txt")
 
 
@@ -122,7 +124,9 @@ def _names(folder: Path) -> tuple[str, ...]:
             content = load_yaml(path, "data")
             names = content.get("names") if isinstance(content, dict) else None
             if isinstance(names, dict):
-                names = [names[key] for key in sorted(names)]
+                if any(type(key) is not int or not 0 <= key < _MOST_CLASSES for key in names):
+                    raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {list(names)[:5]})"])
+                names = [names.get(number, f"class_{number}") for number in range(max(names, default=-1) + 1)]
             if isinstance(names, list):
                 return tuple(str(name) for name in names)
     return ()
