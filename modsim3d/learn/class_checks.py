@@ -15,7 +15,7 @@ from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
-from modsim3d.learn.measures import Estimate, Exact, Measure, Rate
+from modsim3d.learn.measures import Estimate, Exact, Measure
 from modsim3d.learn.pairs import inflation, turn_before
 from modsim3d.learn.parameters import Parameter
 from modsim3d.learn.rate_measures import Rate

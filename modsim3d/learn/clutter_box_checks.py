@@ -13,8 +13,9 @@ from modsim3d.detector.persistent_clutter import wanderers
 from modsim3d.detector.placement import DRAWS
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Array, Frames, Indices, Targets
 from modsim3d.learn.evidence import Evidence, Seen
+from modsim3d.learn.law_measures import Law
 from modsim3d.learn.limits import limit_note
-from modsim3d.learn.measures import Estimate, Law
+from modsim3d.learn.measures import Estimate
 from modsim3d.learn.parameters import Parameter
 from modsim3d.random_streams import Streams
 
