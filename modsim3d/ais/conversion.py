@@ -14,10 +14,11 @@ from modsim3d.ais.gathering import FileTally, Gathered, gather
 from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, From, fill_courses, fill_headings
 from modsim3d.ais.hulls import Hull, hulls
 from modsim3d.ais.jumps import reachable
-from modsim3d.ais.options import Options, time_text
+from modsim3d.ais.options import COMMAND_LINE, Options, time_text
 from modsim3d.ais.projection import heading_rad, local_metres, median_place
 from modsim3d.ais.reports import Mask, Positions
 from modsim3d.ais.resampling import ROUNDING_S, Track, resample, to_hull_centre
+from modsim3d.ais.swapped import check_origin
 from modsim3d.ais.viewpoint import Viewpoint, viewpoint
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.frames import Array
@@ -111,6 +112,8 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     positions = positions.take(~outside)
     if not len(positions):
         raise _nothing_left(gathered, options)
+    if options.origin is not None:
+        check_origin(COMMAND_LINE, positions, options.origin)
     origin = options.origin or _origin(positions, start_s, times_s)
     places = local_metres(positions.latitude_deg, positions.longitude_deg, origin)
     bounds = np.r_[0, np.flatnonzero(np.diff(positions.mmsi)) + 1, len(positions)]

@@ -16,7 +16,7 @@ from modsim3d.ais.options import Options, time_text
 from modsim3d.ais.recognise import recognise, source_of
 from modsim3d.ais.region import Region
 from modsim3d.ais.reports import Chunk, Particulars, Positions
-from modsim3d.ais.swapped import check_neighbours, check_range, inside_if_swapped, swapped_error
+from modsim3d.ais.swapped import check_range, check_together, check_waters, inside_if_swapped, swapped_error
 from modsim3d.errors import InputError
 
 NMEA = "NMEA sentences"
@@ -77,6 +77,42 @@ class Extent:
         )
 
 
+@dataclass
+class _Around:
+    """What of a file is in the region asked for, and what would be if latitude and longitude were exchanged."""
+
+    region: Region | None
+    inside: int = 0
+    swapped: int = 0
+    first: Positions | None = None
+
+    def add(self, positions: Positions) -> None:
+        """Count some positions."""
+        if self.region is None:
+            return
+        self.inside += int(self.region.holds(positions.latitude_deg, positions.longitude_deg).sum())
+        swapped = np.flatnonzero(inside_if_swapped(positions, self.region))
+        self.swapped += len(swapped)
+        if self.first is None and len(swapped):
+            self.first = positions.take(swapped[:1])
+
+    def check(self, source: str, table: bool) -> None:
+        """Refuse a file of which nothing is inside as it stands, or a table of which a good part is not.
+
+        Sentences say themselves which number is which; what is elsewhere in them is other traffic.
+
+        Raises:
+            InputError: With the first such row.
+        """
+        if self.first is None or self.region is None:
+            return
+        part = table and not self.region.meets_its_mirror and self.swapped > BAD_SHARE * self.inside
+        if self.inside and not part:
+            return
+        why = f"swapped, it would be in the region {self.region} (or are the region's corners swapped?)"
+        raise swapped_error(source, self.first, 0, why)
+
+
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """Everything that was kept.
@@ -119,29 +155,25 @@ def gather(paths: Sequence[Path], options: Options) -> Gathered:
     ]
     extent = Extent()
     for file, (tally, layout) in enumerate(zip(tallies, layouts, strict=True)):
-        swapped: Positions | None = None
-        inside = 0
+        around = _Around(options.region)
         for chunk in _chunks(tally.path, file, layout):
             _count(chunk, tally)
             extent.add(chunk.positions)
             if layout is not None:  # radio lets single wrong bits through; a table with such values is a wrong table
                 check_range(source_of(tally.path), chunk.positions)
+                if options.region is None:
+                    check_waters(source_of(tally.path), chunk.positions)
             kept, dropped = sift(chunk.positions, options.region, *span)
             tally.dropped.update(dropped)
             positions.append(kept)
             particulars.append(chunk.particulars)
-            if options.region is not None:
-                inside += int(options.region.holds(chunk.positions.latitude_deg, chunk.positions.longitude_deg).sum())
-                swapped = swapped or _first_swapped(chunk.positions, options.region)
-        if swapped is not None and not inside:
-            raise swapped_error(
-                source_of(tally.path), swapped, 0, f"swapped, it would be in the region {options.region}"
-            )
+            around.add(chunk.positions)
+        around.check(source_of(tally.path), table=layout is not None)
         _refuse_rubbish(tally)
     if not positions:
         raise InputError("AIS", ["no files given"])
     joined = Positions.join(positions)
-    check_neighbours([source_of(path) for path in paths], joined)
+    check_together([source_of(path) for path in paths], joined)
     return Gathered(joined, Particulars.join(particulars), tallies, extent)
 
 
@@ -179,11 +211,6 @@ def _count(chunk: Chunk, tally: FileTally) -> None:
     others = chunk.messages - len(chunk.positions) - sum(chunk.dropped.values())
     tally.dropped.update({WITHOUT_POSITION: others})
     tally.problems += chunk.problems[: SHOWN_PROBLEMS - len(tally.problems)]
-
-
-def _first_swapped(positions: Positions, region: Region) -> Positions | None:
-    rows = np.flatnonzero(inside_if_swapped(positions, region))
-    return positions.take(rows[:1]) if len(rows) else None
 
 
 def _refuse_rubbish(tally: FileTally) -> None:
