@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from pyarrow import csv
 
 from modsim3d.ais.layouts import Layout
-from modsim3d.ais.recognise import header_names, open_reports, source_of
+from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, source_of
 from modsim3d.ais.reports import Chunk, Ints, Mask, Particulars, Positions
 from modsim3d.errors import InputError
 from modsim3d.frames import Array
@@ -49,47 +49,66 @@ def read_csv(path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
 
 
 def _read_stream(stream: IO[bytes], path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
-    names = header_names(stream.readline())
+    names = header_names(stream.readline(LONGEST_LINE))
     columns = layout.found(names)
+    first_row, nothing = 2, True  # the header is row 1
+    for block in _blocks(stream, path):
+        rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
+        first_row += block.count(b"\n")
+        if not len(rows):
+            continue
+        table, skipped = _table(block, path, names, list(columns.values()))
+        table = pa.table({ours: table.column(name) for ours, name in columns.items()})
+        rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
+        nothing = False
+        yield _chunk(table, columns, layout, file, np.delete(rows, skipped), rows[skipped].tolist(), len(names))
+    if nothing:
+        empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
+        yield _chunk(empty, columns, layout, file, np.zeros(0, dtype=np.int64), [], len(names))
+
+
+def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
+    """The rest of a file, cut at the ends of rows.
+
+    Raises:
+        InputError: A row does not end.
+    """
+    rest = b""
+    while piece := stream.read(BLOCK_BYTES):
+        rest += piece
+        stop = rest.rfind(b"\n") + 1
+        if stop:
+            yield rest[:stop]
+            rest = rest[stop:]
+        elif len(rest) > LONGEST_LINE:
+            raise InputError(source_of(path), [f"has a row of more than {LONGEST_LINE} bytes: is it a table at all?"])
+    if rest:
+        yield rest
+
+
+def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tuple[pa.Table, Ints]:
+    """Some columns of whole rows, as texts, and which of the rows have not as many cells as there are names."""
     skipped: list[int] = []
-    first_row = 2  # the header is row 1
 
     def skip(row: Any) -> str:
-        # Rows are counted from where the parser began, after the header.
-        skipped.append(int(row.number) + 1 if row.number is not None else first_row)
+        skipped.append(int(row.number) - 1)
         return "skip"
 
-    told = 0
     try:
-        for batch in _batches(stream, names, list(columns.values()), skip):
-            table = pa.table({ours: batch.column(name) for ours, name in columns.items()})
-            rows = np.arange(first_row, first_row + len(table))
-            for number in sorted(skipped):
-                rows[rows >= number] += 1
-            first_row += len(table)
-            yield _chunk(table, columns, layout, file, rows, skipped[told:], len(names))
-            told = len(skipped)
+        table = csv.read_csv(
+            pa.BufferReader(block),
+            csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=names),
+            csv.ParseOptions(invalid_row_handler=skip),
+            csv.ConvertOptions(
+                check_utf8=False,  # one ship's name in another encoding is no reason to give up
+                strings_can_be_null=False,
+                include_columns=columns,
+                column_types=dict.fromkeys(columns, pa.string()),
+            ),
+        )
     except pa.ArrowInvalid as error:
-        if "Empty CSV" not in str(error):
-            raise InputError(source_of(path), [f"cannot be read as CSV: {error}"]) from None
-    if told < len(skipped) or first_row == 2:  # rows were skipped after the last good one, or there is none
-        nothing = pa.table({ours: pa.array([], pa.string()) for ours in columns})
-        yield _chunk(nothing, columns, layout, file, np.zeros(0, dtype=np.int64), skipped[told:], len(names))
-
-
-def _batches(stream: IO[bytes], names: list[str], columns: list[str], skip: Any) -> Iterator[Any]:
-    """Some columns of the rest of a file, as texts."""
-    yield from csv.open_csv(
-        stream,
-        csv.ReadOptions(use_threads=False, block_size=BLOCK_BYTES, column_names=names),
-        csv.ParseOptions(invalid_row_handler=skip),
-        csv.ConvertOptions(
-            check_utf8=False,  # one ship's name in another encoding is no reason to give up
-            strings_can_be_null=False,
-            include_columns=columns,
-            column_types=dict.fromkeys(columns, pa.string()),
-        ),
-    )
+        raise InputError(source_of(path), [f"cannot be read as CSV: {error}"]) from None
+    return table, np.array(sorted(skipped), dtype=np.int64)
 
 
 def _chunk(
@@ -157,7 +176,7 @@ def _text(cell: Any) -> str:
 def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
     """Values, NaN where a cell is empty, and which cells are no numbers.
 
-    A decimal comma is taken for a point: the Danish description shows positions as 57,8794.
+    A decimal comma is taken for a point: the Danish description shows positions as 57,8794. NaN is as good as empty.
     """
     trimmed = pc.ascii_trim_whitespace(texts)
     empty = pc.equal(trimmed, "")
@@ -170,7 +189,8 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
         wrong = ~np.asarray(pc.fill_null(fits, True))
         points = pc.replace_substring(pc.if_else(fits, given, None), ",", ".")
         values = pc.cast(points, pa.float64())
-    return pc.fill_null(values, float("nan")).to_numpy(zero_copy_only=False), wrong
+    numbers = pc.fill_null(values, float("nan")).to_numpy(zero_copy_only=False)
+    return numbers, wrong | np.isinf(numbers)
 
 
 def _whole(values: Array) -> tuple[Ints, Mask]:

@@ -39,6 +39,8 @@ CLASS_A, CLASS_B, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3}, {18, 19}, {5, 1
 PENDING_S = 60.0
 """Parts of a message follow each other at once; the numbers that hold them together, 0 to 9, come again."""
 CHUNK_MESSAGES = 200_000
+LONGEST_LINE, SKIPPED_AT_ONCE = 1024, 1 << 20
+"""Sentences have 82 characters at most, and tag blocks 80; the time to look for them grows with the square."""
 BROKEN, UNDECODABLE, INCOMPLETE, NO_TIME = "checksum", "undecodable", "incomplete", "no_time"
 NOT_A_SHIP, COARSE, OTHER = "not_a_ship", "long_range", "other_message"
 TIME_NEEDED = (
@@ -120,13 +122,24 @@ def read_nmea(path: Path, file: int) -> Iterator[Chunk]:
     yield gathered.chunk(file)
 
 
+def _lines(stream: Any) -> Iterator[bytes]:
+    """The lines of a log; one that is longer than a sentence can be is empty."""
+    while line := stream.readline(LONGEST_LINE):
+        piece = line
+        while not piece.endswith(b"\n") and (piece := stream.readline(SKIPPED_AT_ONCE)):
+            line = b""
+        yield line
+
+
 def _messages(stream: Any, gathered: _Gathered) -> Iterator[list[_Part]]:
     """Whole messages; sentences that are broken or lack their other parts are counted."""
     from pyais.exceptions import AISBaseException
     from pyais.messages import AISSentence, NMEASentenceFactory
 
     pending: dict[tuple[Any, ...], dict[int, _Part]] = {}
-    for number, line in enumerate(stream, start=1):
+    for number, line in enumerate(_lines(stream), start=1):
+        if b"VD" not in line:
+            continue
         match = LINE.search(line.decode("ascii", "replace"))
         if match is None:
             continue  # comments, sentences of other instruments

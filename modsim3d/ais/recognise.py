@@ -95,4 +95,7 @@ def recognise(path: Path) -> Layout | None:
 def header_names(line: bytes) -> list[str]:
     """The names in the first line of a CSV file."""
     text = line.decode("utf-8-sig", "replace").strip("\r\n")
-    return next(csv.reader([text]), [])
+    try:
+        return next(csv.reader([text]), [])
+    except csv.Error:  # a cell of more than 128 KiB
+        return []

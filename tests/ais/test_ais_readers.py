@@ -158,6 +158,72 @@ def test_unreadable_cells_are_named_by_row_and_column(tmp_path):
     assert {12, 14, 41} <= set(chunk.positions.row.tolist())
 
 
+def test_blank_lines_count_as_rows(tmp_path):
+    path = old_file(tmp_path, row(0), "", "", row(10), "too,few", "", row(20), row(30, speed="fast"))
+    (chunk,) = read_csv(path, 0, recognise(path))
+    assert chunk.positions.row.tolist() == [2, 5, 8]
+    assert chunk.problems[0].startswith("row 6: has not the 17 cells")
+    assert chunk.problems[1].startswith("row 9: SOG is not a number")
+
+
+@pytest.mark.parametrize("size", [60, 500, 1 << 24])
+def test_a_table_reads_the_same_in_blocks_of_any_size(monkeypatch, tmp_path, size):
+    rows = [row(second) for second in range(0, 400, 10)]
+    rows[7], rows[12], rows[13] = "", "too,few", row(130, latitude="north")
+    path = old_file(tmp_path, *rows)
+    monkeypatch.setattr("modsim3d.ais.read_csv.BLOCK_BYTES", size)
+    chunks = list(read_csv(path, 0, recognise(path)))
+    assert (len(chunks) > 1) == (size < 1000)
+    found = [number for chunk in chunks for number in chunk.positions.row.tolist()]
+    assert found == [number for number in range(2, 42) if number not in (9, 14, 15)]
+    told = [problem for chunk in chunks for problem in chunk.problems]
+    assert [problem.partition(":")[0] for problem in told] == ["row 14", "row 15"]
+
+
+def test_a_name_of_two_lines_is_read(tmp_path):
+    path = old_file(tmp_path, row(0).replace(",X,", ',"X\nY",'), row(10))
+    (chunk,) = read_csv(path, 0, recognise(path))
+    assert (len(chunk.positions), sorted(chunk.particulars.name)) == (2, ["X", "X\nY"])
+
+
+def test_infinite_numbers_are_unreadable_and_nan_is_as_good_as_empty(tmp_path):
+    path = old_file(tmp_path, row(0), row(10, latitude="inf"), row(20, speed="-Infinity"), row(30, speed="nan"))
+    (chunk,) = read_csv(path, 0, recognise(path))
+    assert chunk.positions.row.tolist() == [2, 5]
+    assert np.isnan(chunk.positions.speed_kn[1])
+    assert "row 3: LAT is not a number (got 'inf')" in chunk.problems
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"a" * 3_000_000, "is none of the formats"),
+        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, "has a row of more than 1048576 bytes"),
+    ],
+    ids=["no line", "endless row"],
+)
+def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, says):
+    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, 1))
+    done = subprocess.run(
+        [sys.executable, "-m", "modsim3d.cli", "ais", "bomb.csv.gz", "--out", "scene"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_garbage_between_sentences_is_passed_over_quickly(tmp_path):
+    sentences = [tagged(f"c:{1423133048 + k}", TYPE_1) for k in range(3)]
+    path = log(tmp_path, sentences[0], "x" * 300_000, sentences[1], "VD" * 150_000, sentences[2], "y" * 3_000_000)
+    (chunk,) = read_nmea(path, 0)
+    assert chunk.positions.row.tolist() == [1, 3, 5]
+
+
 def test_samples_are_what_their_script_writes(tmp_path):
     script = SAMPLES.parents[2] / "script" / "make_ais_samples"
     subprocess.run([sys.executable, script, tmp_path], check=True)
