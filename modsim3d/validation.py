@@ -27,6 +27,11 @@ Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_COORDI
 Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
 
 
+GZIP = b"\x1f\x8b"
+MAX_TEXT_BYTES = 1 << 30
+"""Parsed, text takes about ten times its size; a few megabytes can unpack to any size."""
+
+
 class Strict(BaseModel):
     """A section of an input file: unknown keys are errors, values cannot be changed."""
 
@@ -92,14 +97,20 @@ _Yaml12Loader.add_constructor("tag:yaml.org,2002:map", _construct_mapping)
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of an input file, unpacked if its name ends in `.gz`.
+    """The text of an input file, unpacked if it is gzipped, whatever its name.
 
     Raises:
-        InputError: There is no such file, it is a folder, it cannot be read or unpacked, or it is not UTF-8.
+        InputError: There is no such file, it is a folder, it cannot be read or unpacked, it is not UTF-8, or more than
+            any input can be.
     """
     try:
-        content = path.read_bytes()
-        return (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8")
+        with path.open("rb") as file:
+            packed = file.peek(2).startswith(GZIP)
+            content = (gzip.GzipFile(fileobj=file) if packed else file).read(MAX_TEXT_BYTES + 1)
+        if len(content) > MAX_TEXT_BYTES:
+            unpacked = "unpacks to" if packed else "has"
+            raise InputError(f"{what} {path}", [f"{unpacked} more than {MAX_TEXT_BYTES:,} bytes: give a part of it"])
+        return content.decode("utf-8")
     except (gzip.BadGzipFile, EOFError, zlib.error):
         problem = "is not a complete gzip file"
     except FileNotFoundError:

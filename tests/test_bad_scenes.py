@@ -11,6 +11,7 @@ import sys
 import pytest
 
 from modsim3d import cli
+from modsim3d.scene_reader import load_scene
 from tests.scenes import write_scene
 
 BOATS = {"own": ([8, 4, 2], []), "other": ([20, 6, 9], [])}
@@ -89,6 +90,23 @@ def test_packed_poses_cut_off_are_no_complete_gzip_file(tmp_path, refused, form)
     said = refused(scene_of(tmp_path, f"poses.{form}.gz"))
     assert f"poses.{form}.gz" in said
     assert "not a complete gzip file" in said
+
+
+@pytest.mark.parametrize("form", ["json", "jsonl"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_poses_are_unpacked_if_they_are_packed_whatever_their_name(tmp_path, form, packed):
+    name = f"poses.{form}" if packed else f"poses.{form}.gz"
+    (tmp_path / name).write_bytes(gzip.compress(whole(form)) if packed else whole(form))
+    assert load_scene(scene_of(tmp_path, name)).steps == len(poses())
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_poses_that_unpack_to_more_than_can_be_read_are_refused(tmp_path, refused, monkeypatch, packed):
+    monkeypatch.setattr("modsim3d.validation.MAX_TEXT_BYTES", 100_000)
+    long = whole("json") + b" " * 100_000
+    (tmp_path / "poses.json").write_bytes(gzip.compress(long) if packed else long)
+    said = refused(scene_of(tmp_path, "poses.json"))
+    assert ("unpacks to more than" if packed else "has more than") in said
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
