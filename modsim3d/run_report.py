@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.analytic import image_silhouettes
 from modsim3d.errors import RunDirectoryError
 from modsim3d.frames import Array
-from modsim3d.report_rows import NOBODY, RunRows, indices, numbers, positions
+from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette
 from modsim3d.view.report.page import Page, report_page
 from modsim3d.view.report.recording import NONE, Column, Recording, in_250ths, in_quanta, quantum_px, starts
-from modsim3d.view.report.silhouettes import drawing_order, rings
+from modsim3d.view.report.silhouettes import shapes
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
@@ -86,36 +85,44 @@ def _related(folder: Path, out: Path) -> list[tuple[str, str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Geometry:
+class _Sights:
     """What the tables do not hold.
 
     Attributes:
         horizons: Sea half plane of each frame, shape (F, 3).
-        corners_px: Of the silhouettes, one after the other, shape (k, 2).
-        corner_count: Of each shown truth row, shape (n,).
+        frame: Index of the frame of each shape, ascending, shape (s,).
+        owner: Of each shape, as an index into the scene's occluder names, shape (s,).
+        outline: Of each shape, as an index into the outlines; what stands still before a camera ashore needs one.
+        lines: Of each outline, shape (o,).
+        corner_count: Of each line, shape (l,).
+        corners: Of the lines, one after the other, in quanta, shape (k, 2).
     """
 
     horizons: Array
-    corners_px: Array
-    corner_count: Indices
+    frame: Indices
+    owner: Indices
+    outline: Indices
+    lines: Indices
+    corner_count: NDArray[np.uint32]
+    corners: NDArray[np.uint16]
 
 
-def _geometry(
-    rows: RunRows, taken: Indices, frames: Indices, shown: Indices, progress: Callable[[int], None]
-) -> _Geometry:
+def _sights(rows: RunRows, taken: Indices, frames: Indices, quantum: float, progress: Callable[[int], None]) -> _Sights:
     """Horizons and silhouettes.
 
     Args:
         rows: Of the run.
         taken: When the frame was taken that each camera shows at each shown step, shape (steps, cameras).
         frames: Numbers of those frames, ascending, shape (F,).
-        shown: Truth rows, in the order in which they are drawn.
+        quantum: Of lengths in the image.
         progress: Called with the number of steps done.
     """
-    scene, cameras, vessels = rows.scene, len(rows.scene.cameras), len(rows.scene.vessels)
+    scene, cameras, owners = rows.scene, len(rows.scene.cameras), len(rows.scene.occluder_names)
     horizons = np.empty((len(frames), 3))
+    hides = _hides(rows, owners)
     done = [NOBODY] * cameras
-    keys, counts, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
+    outlines: dict[tuple[bytes, bytes], int] = {}
+    drawn: list[tuple[int, int, int]] = []
     for first in range(0, len(taken), SIGHT_STEPS):
         some = taken[first : first + SIGHT_STEPS]
         for index, camera in enumerate(scene.cameras):
@@ -125,21 +132,35 @@ def _geometry(
                 continue
             done[index] = int(looked_at[-1])
             sight = scene.sight(camera, looked_at)
-            rotations = sight.camera_poses.camera_R_world
             here = np.searchsorted(frames, looked_at * cameras + index)
-            horizons[here] = camera.intrinsics.sea_half_plane(rotations)
-            outlines = sight.outlines(camera.intrinsics, scene.vessels)
-            points, count = rings(image_silhouettes(outlines, camera.intrinsics))
-            keys.append((looked_at[outlines.frame] * cameras + index) * vessels + outlines.vessel)
-            counts.append(count)
-            corners.append(points)
+            horizons[here] = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
+            before = sight.outlines(camera.intrinsics, scene.vessels)
+            numbered = replace(before, frame=(looked_at * cameras + index)[before.frame])
+            for shape in shapes(numbered, camera.intrinsics, quantum, owners, hides):
+                key = shape.count.tobytes(), shape.corners.tobytes()
+                drawn.append((shape.frame, shape.owner, outlines.setdefault(key, len(outlines))))
         progress(len(some))
-    found = positions(np.concatenate(keys), rows.truth_frame[shown] * vessels + rows.truth_vessel[shown])
-    count, points = np.concatenate(counts), np.concatenate(corners)
-    mine = np.where(found == NOBODY, 0, count[found] if len(count) else 0)
-    begins = (np.cumsum(count) - count)[found] if len(count) else found
-    within = np.arange(mine.sum()) - np.repeat(np.cumsum(mine) - mine, mine)
-    return _Geometry(horizons, points[np.repeat(begins, mine) + within], mine)
+    table = np.array(drawn, dtype=np.int64).reshape(-1, 3)
+    number, owner, outline = table[np.argsort(table[:, 0], kind="stable")].T
+    lines = np.array([len(count) // 4 for count, _ in outlines], dtype=np.int64)
+    counts, corners = (b"".join(part) for part in zip(*outlines, strict=True)) if outlines else (b"", b"")
+    return _Sights(
+        horizons,
+        np.searchsorted(frames, number),
+        owner,
+        outline,
+        lines,
+        np.frombuffer(counts, np.uint32),
+        np.frombuffer(corners, np.uint16),
+    )
+
+
+def _hides(rows: RunRows, owners: int) -> Indices:
+    """What hides what in the truth, as `shapes` wants it."""
+    occluders = rows.occluders()
+    frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
+    keys: Indices = (frame * owners + hidden) * owners + occluders.name
+    return keys
 
 
 def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Recording:
@@ -149,21 +170,26 @@ def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Re
     numbered = np.where(taken == NOBODY, NOBODY, taken * cameras + np.arange(cameras)).ravel()
     frames = np.unique(numbered[numbered != NOBODY])
     quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
-    occluders = rows.occluders()
-    known = occluders.row != NOBODY
-    order = drawing_order(rows.truth_frame, rows.numbers("depth_m"), occluders.hidden[known], occluders.row[known])
+    order = np.lexsort((-rows.numbers("depth_m"), rows.truth_frame))
     shown = order[np.isin(rows.truth_frame[order], frames)]
     drawn = np.flatnonzero(np.isin(rows.drawn_frame, frames))
+    occluders = rows.occluders()
     main_hider = np.full(len(order), NONE)
     least_first = np.argsort(occluders.px, kind="stable")
     main_hider[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last stays
-    geometry = _geometry(rows, taken, frames, shown, progress)
-    state, horizons, pages = rows.states_of(frames), geometry.horizons, len(frames)
+    sights = _sights(rows, taken, frames, quantum, progress)
+    state, horizons, pages = rows.states_of(frames), sights.horizons, len(frames)
     if np.any(numbered == NOBODY):  # what a camera shows before its first frame
         state, horizons, pages = np.append(state, NO_STATE), np.vstack([horizons, ALL_SEA]), pages + 1
     columns: dict[str, Column] = {
         "state": state.astype(np.uint8),
         "horizon": horizons.astype(np.float32),
+        "shapeStart": starts(sights.frame, pages),
+        "owner": sights.owner.astype(np.uint16),
+        "outline": sights.outline.astype(np.uint32),
+        "lineCount": sights.lines.astype(np.uint32),
+        "cornerCount": sights.corner_count,
+        "corners": sights.corners,
         "truthStart": starts(np.searchsorted(frames, rows.truth_frame[shown]), pages),
         "vessel": rows.truth_vessel[shown].astype(np.uint16),
         "flags": (rows.annotated[shown] + 2 * rows.detected[shown]).astype(np.uint8),
@@ -172,8 +198,6 @@ def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Re
         "hider": main_hider[shown].astype(np.uint16),
         "full": in_quanta(rows.boxes_px("full")[shown], quantum),
         "visible": in_quanta(rows.boxes_px("visible")[shown], quantum),
-        "cornerCount": geometry.corner_count.astype(np.uint16),
-        "corners": in_quanta(geometry.corners_px, quantum),
         "drawnStart": starts(np.searchsorted(frames, rows.drawn_frame[drawn]), pages),
         "drawnVessel": np.where(rows.drawn_vessel < 0, NONE, rows.drawn_vessel)[drawn].astype(np.uint16),
         "label": indices(rows.drawn, "label", scene.detector.labels)[drawn].astype(np.uint16),
@@ -208,7 +232,8 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
         ],
         "colours": {
             "vessels": [_css(palette.vessel_colour(index)) for index in range(len(scene.vessels))],
-            "hulls": [_css(palette.darker(palette.vessel_colour(index))) for index in range(len(scene.vessels))],
+            "owners": [_css(palette.darker(colour)) for colour in map(palette.vessel_colour, range(len(scene.vessels)))]
+            + [_css(palette.obstacle_colour(index)) for index in range(len(scene.obstacles))],
             "sea": _css(palette.SEA),
             "sky": _css(palette.SKY),
             "truth": _css(palette.TRUTH),

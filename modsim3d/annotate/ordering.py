@@ -87,7 +87,17 @@ def order_of(outlines: Outlines) -> Order:
     Args:
         outlines: Of convex solids.
     """
-    first, second = _pairs_that_matter(outlines)
+    return order_of_pairs(outlines, *_pairs_that_matter(outlines))
+
+
+def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order:
+    """The same for some pairs of rows.
+
+    Args:
+        outlines: Of convex solids.
+        first: Rows, shape (P,).
+        second: Rows of the same frames, shape (P,).
+    """
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
     part_of, member_of = _places(outlines)

@@ -43,12 +43,14 @@ class Triangles:
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 
-def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> NDArray[np.bool_]:
+def within_guard(
+    outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX
+) -> NDArray[np.bool_]:
     """Whether each row can be drawn as it is, shape (n,).
 
     Its vertices are in front of the near plane and not far outside the image, and the lens keeps its edges straight.
     """
-    guard, size = GUARD_PX / supersample, np.array(intrinsics.image_size_px)
+    guard, size = guard_px / supersample, np.array(intrinsics.image_size_px)
     inside = np.zeros(len(outlines), dtype=bool)
     if intrinsics.distortion is not None:
         return inside  # every face is bent
@@ -58,17 +60,20 @@ def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 
     return inside
 
 
-def triangles_of(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1) -> Triangles:
+def triangles_of(
+    outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX
+) -> Triangles:
     """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
 
     Args:
         outlines: The bodies in front of the camera.
         intrinsics: Of the camera.
         supersample: Buffer pixels for each image pixel and axis.
+        guard_px: How far outside, in buffer pixels; at most `LENS_GUARD_PX` if the lens distorts.
     """
-    inside = within_guard(outlines, intrinsics, supersample)
+    inside = within_guard(outlines, intrinsics, supersample, guard_px)
     bent = intrinsics.distortion is not None
-    guard = guard_planes(intrinsics.pinhole, LENS_GUARD_PX if bent else GUARD_PX / supersample)
+    guard = guard_planes(intrinsics.pinhole, LENS_GUARD_PX if bent else guard_px / supersample)
     row, whole, corners = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=bool)], [np.empty((0, 3, 3))]
     for part in outlines.parts:
         uncut, faces = inside[part.rows], part.solid.faces

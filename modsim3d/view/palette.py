@@ -21,6 +21,8 @@ SKY: Colour = (168, 186, 198)
 HORIZON: Colour = (226, 234, 238)
 TRUTH: Colour = (225, 225, 225)
 OBSTACLE: Colour = (122, 122, 122)
+OBSTACLES: tuple[Colour, ...] = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))
+"""Greys in turn, where obstacles are to be told apart."""
 PAPER: Colour = (250, 250, 248)
 INK: Colour = (30, 30, 30)
 SOFT_INK: Colour = (110, 110, 110)
@@ -36,6 +38,11 @@ def vessel_colour(index: int) -> Colour:
     turn, hue = divmod(index, len(VESSELS))
     colour = VESSELS[hue]
     return (colour, mixed(colour, WHITE, TINT), mixed(colour, BLACK, SHADE))[turn % 3]
+
+
+def obstacle_colour(index: int) -> Colour:
+    """The grey of an obstacle, by its index in the scene, where obstacles are to be told apart."""
+    return OBSTACLES[index % len(OBSTACLES)]
 
 
 def mixed(colour: Colour, other: Colour, share: float) -> Colour:

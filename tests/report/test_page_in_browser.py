@@ -74,7 +74,7 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
     browser.press("9")  # false positives may be far from any vessel
     everything = pixels(browser)
     names = browser.run("Object.keys(player.shown)")
-    assert names == ["silhouettes", "full", "visible", "detections", "false", "missed", "labels"]
+    assert names == ["silhouettes", "full", "visible", "detections", "false", "missed", "labels", "names"]
     for number, name in enumerate(names, start=1):
         browser.click(f"#layer-{name}")
         assert differ(pixels(browser), everything), name
@@ -201,7 +201,8 @@ def test_nothing_is_wider_than_the_window(browser, page, width):
 def test_drawing_a_frame_looks_at_its_own_rows_only(browser, page, crowded):
     browser.open(page, hash=f"#step={crowded}")
     own = browser.run(
-        "player.recording.truths(player.index, player.camera).length"
+        "player.recording.shapes(player.index, player.camera).length"
+        " + player.recording.truths(player.index, player.camera).length"
         " + player.recording.detections(player.index, player.camera).length"
     )
     for key in ("ArrowLeft", "ArrowRight"):

@@ -8,12 +8,12 @@ import json
 import re
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from modsim3d import cli
@@ -23,7 +23,6 @@ from modsim3d.run_report import write_report
 from modsim3d.scene_reader import load_scene
 from modsim3d.stored_run import open_run
 from modsim3d.view.report.recording import NONE, UNKNOWN_FRACTION, WHOLE, in_250ths, in_quanta, quantum_px
-from modsim3d.view.report.silhouettes import drawing_order, rings
 from tests.report.conftest import STEPS
 
 
@@ -70,11 +69,17 @@ def test_page_holds_every_frame_of_the_run(page, run_folder):
 
 def test_silhouettes_have_the_boxes_of_the_truth(page):
     facts, columns = unpack(page)
-    corners = columns["corners"].reshape(-1, 2) * facts["quantum"]
-    pieces = np.split(corners, np.cumsum(columns["cornerCount"])[:-1])
-    bounds = np.array([[*piece.min(axis=0), *piece.max(axis=0)] for piece in pieces])
-    assert len(bounds) > 100
-    np.testing.assert_allclose(bounds, columns["full"].reshape(-1, 4) * facts["quantum"], atol=facts["quantum"])
+    lines = np.split(columns["corners"].reshape(-1, 2), np.cumsum(columns["cornerCount"])[:-1])
+    outlines = np.split(np.arange(len(lines)), np.cumsum(columns["lineCount"])[:-1])
+    boxes = {}
+    for frame, (first, stop) in enumerate(pairwise(columns["shapeStart"])):
+        for shape in range(first, stop):
+            corners = np.concatenate([lines[line] for line in outlines[columns["outline"][shape]]])
+            boxes[frame, columns["owner"][shape]] = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+    frames = np.repeat(np.arange(len(columns["truthStart"]) - 1), np.diff(columns["truthStart"]))
+    assert len(boxes) == len(frames) > 100
+    drawn = np.array([boxes[key] for key in zip(frames, columns["vessel"], strict=True)]) * facts["quantum"]
+    np.testing.assert_allclose(drawn, columns["full"].reshape(-1, 4) * facts["quantum"], atol=1.01 * facts["quantum"])
 
 
 def test_counts_are_those_of_the_run(page, run_folder):
@@ -224,39 +229,3 @@ def test_every_place_in_an_image_fits_into_16_bits(width, height):
     np.testing.assert_allclose(counted[:3] * quantum, [0, width, height], atol=quantum / 2 + 1e-9)
     assert counted[3] == NONE > counted[:3].max()
     assert quantum == 0.1 or max(width, height) > 6500
-
-
-@given(st.randoms(use_true_random=False), st.integers(1, 12))
-@settings(max_examples=60)
-def test_whoever_hides_another_is_drawn_after_it(random, count):
-    front_to_back = list(range(count))
-    random.shuffle(front_to_back)
-    pairs = [(back, front) for i, front in enumerate(front_to_back) for back in front_to_back[i + 1 :]]
-    chosen = random.sample(pairs, k=len(pairs) // 2)
-    depths = np.array([random.uniform(1, 100) for _ in range(count)])  # of the centres, which may mislead
-    hidden, hider = np.array(chosen, dtype=np.int64).reshape(-1, 2).T
-    order = drawing_order(np.zeros(count, dtype=np.int64), depths, hidden, hider)
-    assert sorted(order) == list(range(count))
-    place = np.argsort(order)
-    assert np.all(place[hidden] < place[hider])
-
-
-def test_farther_ones_are_drawn_first_where_nobody_hides_anybody_and_frames_stay_in_order():
-    none = np.empty(0, dtype=np.int64)
-    order = drawing_order(np.array([0, 0, 0, 2, 2]), np.array([5.0, 9.0, 7.0, 1.0, 2.0]), none, none)
-    np.testing.assert_array_equal(order, [1, 2, 0, 4, 3])
-
-
-def test_a_ring_of_vessels_that_hide_each_other_is_drawn_once_each():
-    frame, ring = np.zeros(3, dtype=np.int64), np.array([0, 1, 2])
-    order = drawing_order(frame, np.array([3.0, 2.0, 1.0]), ring, np.roll(ring, 1))
-    assert sorted(order) == [0, 1, 2]
-
-
-def test_rings_of_nothing_and_of_polygons():
-    polygons = np.array([shapely.box(0, 0, 2, 1), shapely.Polygon(), shapely.Polygon([(0, 0), (3, 0), (0, 3)])])
-    corners, count = rings(polygons)
-    np.testing.assert_array_equal(count, [4, 0, 3])
-    assert {tuple(corner) for corner in corners[4:]} == {(0, 0), (3, 0), (0, 3)}
-    corners, count = rings(np.empty(0, dtype=object))
-    assert corners.shape == (0, 2) and len(count) == 0

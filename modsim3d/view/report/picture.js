@@ -1,15 +1,16 @@
 // One frame as a picture: sky, sea, silhouettes, boxes. Image pixels become canvas pixels through a view.
 
 const LAYERS = [
-  ['silhouettes', 'Vessels'], ['full', 'Whole silhouette (box)'], ['visible', 'What is seen (box)'],
-  ['detections', 'Detections'], ['false', 'False positives'], ['missed', 'Missed'], ['labels', 'Labels'],
+  ['silhouettes', 'Silhouettes'], ['full', 'Truth: whole'], ['visible', 'Truth: seen'],
+  ['detections', 'Detections'], ['false', 'False positives'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
 ];
 const FONT_PX = 12, PLATE_PX = 17;
 
 // A part of the image: left and top edge and width in image pixels; the height follows from the canvas.
 class Picture {
-  constructor(canvas) {
+  constructor(canvas, leastForNames = 0) {
     this.canvas = canvas;
+    this.leastForNames = leastForNames; // narrower ones have confidences only in their labels
     this.context = canvas.getContext('2d');
     this.view = { x: 0, y: 0, width: 1 };
   }
@@ -53,29 +54,35 @@ class Picture {
 
   draw(recording, index, camera, shown, frame) {
     const { context } = this, { colours, cameras } = recording.facts;
-    this.placed = [];
+    this.plates = [];
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     context.save();
     this.background(cameras[camera].size, recording.horizon(index, camera), colours);
-    if (shown.silhouettes) for (const truth of frame.truths) this.silhouette(recording, truth, colours);
+    if (shown.silhouettes) for (const shape of frame.shapes) this.silhouette(recording, shape);
     context.restore();
     for (const truth of frame.truths) {
       if (shown.full) this.box(truth.full, colours.truth, 1, [5, 4]);
       if (shown.visible && truth.visible) this.box(truth.visible, colours.truth, 1.2);
     }
-    for (const detection of frame.detections) {
-      const colour = detection.vessel === null ? colours.alarm : colours.vessels[detection.vessel];
-      const text = `${detection.label} ${detection.confidence.toFixed(2)}`;
-      if (detection.vessel === null && shown.false) this.marked(detection.box, colour, [7, 4], `false: ${text}`, shown.labels);
-      if (detection.vessel !== null && shown.detections) this.marked(detection.box, colour, [], text, shown.labels);
+    for (const { vessel, box, label, confidence } of frame.detections) {
+      if (!(vessel === null ? shown.false : shown.detections)) continue;
+      const colour = vessel === null ? colours.alarm : colours.vessels[vessel];
+      this.box(box, colour, 2, vessel === null ? [7, 4] : []);
+      const number = confidence.toFixed(2), name = this.narrow ? '' : `${label} `;
+      this.plates.push({ box, colour, text: vessel === null && !this.narrow ? `false: ${name}${number}` : name + number });
     }
-    if (!shown.missed) return;
-    for (const truth of frame.truths.filter((each) => each.missed)) {
-      const name = recording.facts.vessels[truth.vessel].name;
-      this.marked(truth.target, colours.alarm, [], `missed: ${name}`, shown.labels, true);
+    for (const { vessel, target } of frame.truths.filter((truth) => shown.missed && truth.missed)) {
+      const { name } = recording.facts.vessels[vessel];
+      this.brackets(target, colours.alarm);
+      this.plates.push({ box: target, colour: colours.alarm, text: this.narrow ? name : `missed: ${name}`, below: true });
     }
+    // Over all boxes: no line crosses a text.
+    if (shown.names) for (const truth of frame.truths) this.name(truth, recording.facts.vessels[truth.vessel].name);
+    if (shown.labels) this.labels();
   }
+
+  get narrow() { return this.canvas.width / this.ratio < this.leastForNames; }
 
   background([width, height], [a, b, c], colours) {
     const { context } = this, corners = [[0, 0], [width, 0], [width, height], [0, height]];
@@ -97,16 +104,24 @@ class Picture {
     context.fill();
   }
 
-  silhouette(recording, truth, colours) {
-    this.path(recording.silhouette(truth.row));
-    this.context.fillStyle = colours.hulls[truth.vessel];
+  // Filled where its lines wind around, holes left open; a vessel is set off from what is behind it.
+  silhouette(recording, { owner, outline }) {
+    const { facts } = recording;
+    this.context.beginPath();
+    for (const line of recording.lines(outline)) this.closed(line);
+    if (owner < facts.vessels.length) this.stroke(facts.colours.sea, 1.5);
+    this.context.fillStyle = facts.colours.owners[owner];
     this.context.fill();
-    this.stroke(colours.sea, 1);
   }
 
   path(corners) {
     this.context.beginPath();
-    for (let i = 0; i < corners.length; i += 2) this.context.lineTo(...this.toCanvas(corners[i], corners[i + 1]));
+    this.closed(corners);
+  }
+
+  closed(corners) {
+    this.context.moveTo(...this.toCanvas(corners[0], corners[1]));
+    for (let i = 2; i < corners.length; i += 2) this.context.lineTo(...this.toCanvas(corners[i], corners[i + 1]));
     this.context.closePath();
   }
 
@@ -118,36 +133,62 @@ class Picture {
   }
 
   stroke(colour, width, dash = []) {
-    Object.assign(this.context, { strokeStyle: colour, lineWidth: width });
+    Object.assign(this.context, { strokeStyle: colour, lineWidth: width, lineJoin: 'round' });
     this.context.setLineDash(dash);
     this.context.stroke();
     this.context.setLineDash([]);
   }
 
-  marked(box, colour, dash, text, labelled, below = false) {
-    this.box(box, colour, 2, dash);
-    if (labelled) this.label(box, text, colour, below);
+  // The four corners of a box, a little outside it.
+  brackets([x0, y0, x1, y1], colour) {
+    const [left, top] = this.toCanvas(x0, y0), [right, bottom] = this.toCanvas(x1, y1), gap = 3;
+    const arm = Math.min(Math.max((right - left) / 4, (bottom - top) / 4, 5), 18);
+    this.context.beginPath();
+    for (const [x, toX] of [[left - gap, 1], [right + gap, -1]]) {
+      for (const [y, toY] of [[top - gap, 1], [bottom + gap, -1]]) {
+        this.context.moveTo(x + toX * arm, y);
+        this.context.lineTo(x, y);
+        this.context.lineTo(x, y + toY * arm);
+      }
+    }
+    this.stroke('#10182055', 5);
+    this.stroke(colour, 3);
   }
 
-  // Text on a plate of its colour by a box; where the plates of others are in the way farther off, or nowhere.
-  label([x0, y0, x1, y1], text, colour, below) {
-    const { context } = this, [left, top] = this.toCanvas(x0, y0), [right, bottom] = this.toCanvas(x1, y1);
-    const width = this.canvas.width / this.ratio, height = this.canvas.height / this.ratio;
-    if (right < 0 || bottom < 0 || left > width || top > height) return;
+  // A vessel's ID in the middle of what is seen of it.
+  name({ visible, full }, text) {
+    const [x0, y0, x1, y1] = visible ?? full, { context } = this;
+    context.font = `600 ${FONT_PX}px system-ui, sans-serif`;
+    const [x, y] = this.toCanvas((x0 + x1) / 2, (y0 + y1) / 2), left = x - context.measureText(text).width / 2;
+    Object.assign(context, { lineJoin: 'round', lineWidth: 3, strokeStyle: '#000', fillStyle: '#fff' });
+    context.strokeText(text, left, y + FONT_PX / 3);
+    context.fillText(text, left, y + FONT_PX / 3);
+  }
+
+  // Texts on plates of their colours by their boxes, lines to them first; where other plates are in the way farther off,
+  // or nowhere.
+  labels() {
+    const { context } = this, width = this.canvas.width / this.ratio, height = this.canvas.height / this.ratio, placed = [];
     context.font = `${FONT_PX}px system-ui, sans-serif`;
-    const wide = context.measureText(text).width + 8;
-    const x = Math.min(Math.max(left - 1, 0), Math.max(width - wide, 0)), step = below ? PLATE_PX : -PLATE_PX;
-    let y = below ? bottom + 2 : top - PLATE_PX - 1;
-    for (let attempt = 0; attempt < 5; attempt++, y += step) {
-      const at = Math.min(Math.max(y, 0), height - PLATE_PX);
-      if (this.placed.some(([px, py, pw]) => x < px + pw && px < x + wide && Math.abs(at - py) < PLATE_PX)) continue;
-      this.placed.push([x, at, wide]);
-      if (attempt) this.leader(x + 3, at + PLATE_PX / 2, left, below ? bottom : top, colour);
+    for (const { box: [x0, y0, x1, y1], text, colour, below } of this.plates) {
+      const [left, top] = this.toCanvas(x0, y0), [right, bottom] = this.toCanvas(x1, y1);
+      if (right < 0 || bottom < 0 || left > width || top > height) continue;
+      const wide = context.measureText(text).width + 8, x = Math.min(Math.max(left - 1, 0), Math.max(width - wide, 0));
+      const clear = (y) => placed.every((other) => x >= other.x + other.wide || other.x >= x + wide || Math.abs(y - other.y) >= PLATE_PX);
+      const over = top - PLATE_PX - 1, under = bottom + 2;
+      const rows = [0, 1, 2, 3, 4].flatMap((row) => [over - row * PLATE_PX, under + row * PLATE_PX]);
+      if (below) rows.unshift(under);
+      const at = rows.findIndex((y) => y >= 0 && y <= height - PLATE_PX && clear(y));
+      if (at >= 0) placed.push({ x, y: rows[at], wide, text, colour, left, edge: rows[at] < top ? top : bottom });
+    }
+    for (const { x, y, left, edge, colour } of placed) {
+      if (y + PLATE_PX < edge - 4 || y > edge + 4) this.leader(x + 3, y + PLATE_PX / 2, Math.max(left, 0), edge, colour);
+    }
+    for (const { x, y, wide, text, colour } of placed) {
       context.fillStyle = colour;
-      context.fillRect(x, at, wide, PLATE_PX - 1);
-      context.fillStyle = '#111';
-      context.fillText(text, x + 4, at + FONT_PX);
-      return;
+      context.fillRect(x, y, wide, PLATE_PX - 1);
+      context.fillStyle = inkOn(colour);
+      context.fillText(text, x + 4, y + FONT_PX);
     }
   }
 
@@ -164,4 +205,10 @@ class Picture {
     const { x, y, width } = other.view, height = width / other.aspect;
     this.box([x, y, x + width, y + height], '#ffffffbb', 1, [2, 3]);
   }
+}
+
+// Dark text on light plates, light on dark ones.
+function inkOn(colour) {
+  const [red, green, blue] = channels(colour);
+  return 0.299 * red + 0.587 * green + 0.114 * blue > 112 ? '#111' : '#fff';
 }

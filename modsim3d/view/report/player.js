@@ -1,7 +1,7 @@
 // The player: what is shown, and how mouse, keys and buttons change it.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 20, 50];
-const CLOSEUP_ASPECT = 16 / 10, WIDEST = 2;
+const CLOSEUP_ASPECT = 16 / 10, WIDEST = 2, NARROW_PX = 480;
 const $ = (id) => document.getElementById(id);
 
 class Player {
@@ -12,9 +12,9 @@ class Player {
     this.speed = 5;
     this.playing = false;
     this.followed = null;
-    this.shown = Object.fromEntries(LAYERS.map(([name]) => [name, true]));
+    this.shown = Object.fromEntries(LAYERS.map(([name]) => [name, name !== 'names']));
     this.drawn = { frames: 0, rows: 0, milliseconds: 0 };
-    this.picture = new Picture($('picture'));
+    this.picture = new Picture($('picture'), NARROW_PX);
     this.closeup = new Picture($('closeup'));
     this.timeline = new Timeline($('timeline'), recording);
     this.actions = {
@@ -37,7 +37,7 @@ class Player {
     facts.cameras.forEach(({ name }, camera) => $('camera').add(new Option(name, camera)));
     $('cameraChoice').hidden = facts.cameras.length < 2;
     LAYERS.forEach(([name, title], i) => {
-      const box = element('input', { type: 'checkbox', id: `layer-${name}`, checked: true });
+      const box = element('input', { type: 'checkbox', id: `layer-${name}`, checked: this.shown[name] });
       box.addEventListener('change', () => { this.shown[name] = box.checked; this.draw(); });
       const label = element('label', {}, box, ` ${title} `, element('kbd', { textContent: `${i + 1}` }));
       $('layers').append(label);
@@ -62,7 +62,7 @@ class Player {
       parts.push(element('span', {}, swatch, text));
     };
     states.forEach((name, state) => add(stateColour(state, states.length), `detector: ${name}`));
-    add(colours.alarm, 'missed (solid box, bars, lower part of a strip) or false (dashed box, bars)');
+    add(colours.alarm, 'missed (corners, bars, lower part of a strip) or false (dashed box, bars)');
     parts.push(element('span', { textContent:
       'Strips: a vessel’s colour while it is seen, dark while it is hidden, empty while it is out of the image. '
       + 'Boxes: pale is the truth (dashed: the whole silhouette), colour is a detection.' }));
@@ -245,7 +245,10 @@ class Player {
   draw() {
     const started = performance.now(), { recording, index, camera } = this;
     recording.rowsRead = 0;
-    const frame = { truths: recording.truths(index, camera), detections: recording.detections(index, camera) };
+    const frame = {
+      shapes: recording.shapes(index, camera), truths: recording.truths(index, camera),
+      detections: recording.detections(index, camera),
+    };
     this.picture.draw(recording, index, camera, this.shown, frame);
     this.drawCloseup(frame);
     this.timeline.draw(index);

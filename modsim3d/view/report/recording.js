@@ -22,8 +22,8 @@ class Recording {
     this.columns = columns;
     this.length = facts.steps.length;
     this.rowsRead = 0; // how many rows were looked at, so that a test can see that a frame costs no more than itself
-    this.cornerStart = new Uint32Array(columns.cornerCount.length + 1);
-    columns.cornerCount.forEach((count, row) => { this.cornerStart[row + 1] = this.cornerStart[row] + count; });
+    this.lineStart = starts(columns.lineCount);
+    this.cornerStart = starts(columns.cornerCount);
   }
 
   // The frame that a camera shows at a step: the last that it took.
@@ -47,7 +47,27 @@ class Recording {
     return this.columns.horizon.subarray(start, start + 3);
   }
 
-  // What the camera sees, farthest first.
+  // What is to be painted, from back to front: whose it is, and which outline it has.
+  shapes(index, camera) {
+    const frame = this.frame(index, camera), { shapeStart, owner, outline } = this.columns, shapes = [];
+    for (let at = shapeStart[frame]; at < shapeStart[frame + 1]; at++) {
+      this.rowsRead++;
+      shapes.push({ owner: owner[at], outline: outline[at] });
+    }
+    return shapes;
+  }
+
+  // The closed lines of an outline in pixels, each as x, y, x, y, ...
+  lines(outline) {
+    const { corners } = this.columns, { quantum } = this.facts, lines = [];
+    for (let line = this.lineStart[outline]; line < this.lineStart[outline + 1]; line++) {
+      const part = corners.subarray(2 * this.cornerStart[line], 2 * this.cornerStart[line + 1]);
+      lines.push(Array.from(part, (value) => value * quantum));
+    }
+    return lines;
+  }
+
+  // The vessels that are in the image, farthest first.
   truths(index, camera) {
     const frame = this.frame(index, camera), { truthStart } = this.columns, rows = [];
     for (let row = truthStart[frame]; row < truthStart[frame + 1]; row++) rows.push(this.truth(row));
@@ -87,13 +107,6 @@ class Recording {
     return sides[0] === NONE ? null : Array.from(sides, (side) => side * this.facts.quantum);
   }
 
-  // A silhouette's corners in pixels: x, y, x, y, ...
-  silhouette(row) {
-    const { corners } = this.columns, { quantum } = this.facts;
-    const part = corners.subarray(2 * this.cornerStart[row], 2 * this.cornerStart[row + 1]);
-    return Array.from(part, (value) => value * quantum);
-  }
-
   // What the timeline shows of a camera: for each step counts, and for each vessel and step its visible fraction.
   summary(camera) {
     const { columns, length } = this, vessels = this.facts.vessels.length;
@@ -124,4 +137,11 @@ class Recording {
     }
     return summary;
   }
+}
+
+// Where each of some stretches begins, and the end of the last, from their lengths.
+function starts(lengths) {
+  const begins = new Uint32Array(lengths.length + 1);
+  lengths.forEach((length, i) => { begins[i + 1] = begins[i] + length; });
+  return begins;
 }

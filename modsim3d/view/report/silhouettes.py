@@ -1,41 +1,161 @@
-"""Silhouettes as polygons, and the order in which to draw them over each other."""
+"""What a camera sees of a scene, as shapes to be painted over each other, and the order to paint them in."""
 
 from __future__ import annotations
 
+import heapq
 from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
+from modsim3d.annotate.ordering import order_of_pairs, overlapping_pairs
+from modsim3d.annotate.outlines import Outlines, Part
+from modsim3d.annotate.triangles import triangles_of
+from modsim3d.camera import Intrinsics
 from modsim3d.frames import Array
+from modsim3d.vessels import shoebox
+from modsim3d.view.report.contours import contours
+from modsim3d.view.report.recording import NONE
 
 Indices = NDArray[np.int64]
 
+MOST_FACES = 300_000
+"""Whose outlines are made together: few calls, little memory."""
 
-def rings(polygons: NDArray[np.object_]) -> tuple[Array, Indices]:
-    """The corners of polygons, one after the other, the first not repeated at the end.
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A silhouette, or the pieces of an obstacle between which nothing else is painted.
+
+    Attributes:
+        frame: Number of the outlines' frame.
+        owner: Index into the scene's occluder names.
+        corners: Of its closed lines, one after the other, as multiples of the quantum, shape (k, 2).
+        count: Of corners of each line, shape (l,).
+    """
+
+    frame: int
+    owner: int
+    corners: NDArray[np.uint16]
+    count: NDArray[np.uint32]
+
+
+def shapes(
+    outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, owners: int, hides: Indices
+) -> Iterator[Shape]:
+    """All there is to be painted, in order of frame and from back to front.
 
     Args:
-        polygons: Shape (n,).
-
-    Returns:
-        Corners, shape (m, 2), and how many belong to each polygon, shape (n,); none to what is empty or in pieces.
+        outlines: What is before the camera.
+        intrinsics: Of the camera.
+        quantum_px: Of lengths in the image.
+        owners: Number of the scene's occluder names.
+        hides: What hides what in the truth, see `in_front`.
     """
-    corners, owner = shapely.get_coordinates(shapely.get_exterior_ring(polygons), return_index=True)
-    last = np.append(owner[1:] != owner[:-1], True)[: len(owner)]
-    return corners[~last], np.bincount(owner[~last], minlength=len(polygons))
+    hidden, hider = in_front(outlines, owners, hides)
+    order = painting_order(outlines.frame, outlines.depth_m, outlines.vessel, hidden, hider)
+    frame, owner = outlines.frame[order], outlines.vessel[order]
+    begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(owner, prepend=-1) != 0))
+    shape_of_row = np.empty(len(order), dtype=np.int64)
+    shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
+    for rows in _in_turns(outlines):
+        some = outlines.take(rows)
+        triangles = triangles_of(some, intrinsics, guard_px=0.0)
+        corners = np.clip(np.rint(triangles.corners_px / quantum_px), 0, NONE - 1).astype(np.int64)
+        kept, corners = _one_way_round(triangles.corners_px, corners, _closed(some)[triangles.row])
+        found = contours(shape_of_row[rows[triangles.row[kept]]], corners)
+        first_line = np.flatnonzero(np.diff(found.shape, prepend=-1))
+        first_corner = (np.cumsum(found.count) - found.count)[first_line]
+        pieces = np.split(found.corners.astype(np.uint16), first_corner)[1:]
+        counts = np.split(found.count.astype(np.uint32), first_line)[1:]
+        for begin, piece, count in zip(begins[found.shape[first_line]].tolist(), pieces, counts, strict=True):
+            yield Shape(int(frame[begin]), int(owner[begin]), piece, count)
 
 
-def drawing_order(frame: Indices, depth_m: Array, hidden: Indices, hider: Indices) -> Indices:
-    """Rows so that what is drawn later hides what the truth says that it hides; farther ones first otherwise.
+def _in_turns(outlines: Outlines) -> list[Indices]:
+    """Rows of whole frames, so that their faces fit into memory."""
+    if not len(outlines):
+        return []
+    faces = np.zeros(len(outlines))
+    for part in outlines.parts:
+        faces[part.rows] = len(part.solid.faces)
+    _, frame = np.unique(outlines.frame, return_inverse=True)
+    turn = np.cumsum(np.bincount(frame, faces)) // MOST_FACES
+    return np.split(np.arange(len(outlines)), np.flatnonzero(np.diff(turn[frame])) + 1)
+
+
+def _closed(outlines: Outlines) -> NDArray[np.bool_]:
+    """Whether each row's solid is, shape (n,)."""
+    closed = np.zeros(len(outlines), dtype=bool)
+    for part in outlines.parts:
+        closed[part.rows] = part.solid.closed
+    return closed
+
+
+def _one_way_round(corners_px: Array, corners: Indices, closed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Indices]:
+    """Which triangles are needed, and their corners, all the same way round; of closed solids those that face us."""
+    a, b, c = np.moveaxis(corners_px, 1, 0)
+    # Rows run downwards: the area of a face turned to the camera is positive this way round.
+    doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
+    kept = np.where(closed, doubled, np.abs(doubled)) > 0
+    turned = np.where((doubled < 0)[:, None, None], corners[:, ::-1], corners)
+    return kept, turned[kept]
+
+
+def in_front(outlines: Outlines, owners: int, hides: Indices) -> tuple[Indices, Indices]:
+    """Rows that may be hidden in part, and the rows of the same frame that may hide them.
+
+    A plane between two solids, or between the boxes around them, says it. Where there is none the truth does, if one of
+    the two hides the other and not the other way round; it knows nothing of what vessels hide of obstacles.
+
+    Args:
+        outlines: What is before the camera.
+        owners: Number of the scene's occluder names.
+        hides: Keys (frame · owners + hidden) · owners + hider of what hides what in the truth.
+    """
+    boxes = replace(outlines, parts=tuple(map(_in_a_box, outlines.parts)))
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    others = outlines.vessel[first] != outlines.vessel[second]
+    order = order_of_pairs(boxes, first[others], second[others])
+    one, other = order.first[order.intersecting], order.second[order.intersecting]
+    one_hides = np.isin(_keys(outlines, other, one, owners), hides)
+    other_hides = np.isin(_keys(outlines, one, other, owners), hides)
+    by_one, by_other = one_hides & ~other_hides, other_hides & ~one_hides
+    hidden = (order.second[order.first_can_hide], order.first[order.second_can_hide], other[by_one], one[by_other])
+    hider = (order.first[order.first_can_hide], order.second[order.second_can_hide], one[by_one], other[by_other])
+    return np.concatenate(hidden), np.concatenate(hider)
+
+
+def _in_a_box(part: Part) -> Part:
+    """Solids that are not convex as boxes around them. Their vertices are those of one solid, stretched and placed."""
+    if part.solid.convex:
+        return part
+    unit = part.solid.vertices
+    low, high = unit.min(axis=0), unit.max(axis=0)
+    corners = low + (high - low) * (shoebox().vertices + np.array([0.5, 0.5, 0.0]))
+    placed = np.linalg.pinv(np.column_stack([unit, np.ones(len(unit))])) @ part.vertices_camera
+    boxes = np.column_stack([corners, np.ones(len(corners))]) @ placed
+    return Part(shoebox(), part.rows, boxes, np.full((*boxes.shape[:2], 2), np.nan))
+
+
+def _keys(outlines: Outlines, hidden: Indices, hider: Indices, owners: int) -> Indices:
+    """Of pairs of rows, as in the truth's."""
+    keys: Indices = (outlines.frame[hidden] * owners + outlines.vessel[hidden]) * owners + outlines.vessel[hider]
+    return keys
+
+
+def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indices, hider: Indices) -> Indices:
+    """Rows so that what is painted later hides what it is known to hide; farther ones first otherwise.
 
     The distance of the centres alone would put a long ship before the boat that lies in front of its stern.
 
     Args:
         frame: Of each row, ascending, shape (n,).
         depth_m: Shape (n,).
-        hidden: Rows of which a part is hidden, shape (p,).
+        owner: Of each row; the pieces of one are painted together where that can be, shape (n,).
+        hidden: Rows of which a part may be hidden, shape (p,).
         hider: By which row of the same frame, shape (p,).
 
     Returns:
@@ -43,23 +163,57 @@ def drawing_order(frame: Indices, depth_m: Array, hidden: Indices, hider: Indice
     """
     order = np.lexsort((-depth_m, frame))
     place = np.argsort(order)
-    wrong = np.unique(frame[hidden[place[hidden] > place[hider]]])
+    wrong = frame[hidden[place[hidden] > place[hider]]]
+    owned = frame * (int(owner.max(initial=0)) + 1) + owner
+    _, first, pieces = np.unique(owned, return_index=True, return_counts=True)
+    wrong = np.union1d(wrong, frame[first[pieces > 1]])
     in_question = np.isin(frame[hidden], wrong)
-    behind = defaultdict(set)
+    before: dict[int, list[int]] = defaultdict(list)
     for back, front in zip(hidden[in_question].tolist(), hider[in_question].tolist(), strict=True):
-        behind[front].add(back)
+        before[back].append(front)
     for crowded in wrong:
         rows = slice(*np.searchsorted(frame, (crowded, crowded + 1)))
-        order[rows] = _behind_first(order[rows].tolist(), behind)
+        order[rows] = _behind_first(order[rows].tolist(), owner, before)
     return order
 
 
-def _behind_first(far_to_near: list[int], behind: dict[int, set[int]]) -> list[int]:
-    """The rows, each after those behind it; where three hide each other in a ring, the farthest comes first."""
-    waiting, drawn = list(far_to_near), list[int]()
-    while waiting:
-        left = set(waiting)
-        free = next((row for row in waiting if not behind.get(row, set()) & left), waiting[0])
-        waiting.remove(free)
-        drawn.append(free)
-    return drawn
+def _behind_first(far_to_near: list[int], owner: Indices, before: dict[int, list[int]]) -> list[int]:
+    """The rows, each before those in front of it; where three hide each other in a ring, the farthest comes first.
+
+    Args:
+        far_to_near: Rows of a frame.
+        owner: Of all rows.
+        before: Row → rows in front of it.
+    """
+    place = {row: at for at, row in enumerate(far_to_near)}
+    behind = dict.fromkeys(far_to_near, 0)
+    for row in far_to_near:
+        for front in before.get(row, ()):
+            behind[front] += 1
+    free: list[int] = []
+    free_of: dict[int, list[int]] = defaultdict(list)
+
+    def release(row: int) -> None:
+        heapq.heappush(free, place[row])
+        heapq.heappush(free_of[int(owner[row])], place[row])
+
+    for row in far_to_near:
+        if not behind[row]:
+            release(row)
+    painted: dict[int, None] = {}
+    waiting, last = iter(far_to_near), free
+    while len(painted) < len(far_to_near):
+        for queue in (last, free):
+            while queue and far_to_near[queue[0]] in painted:
+                heapq.heappop(queue)
+        if last or free:
+            row = far_to_near[heapq.heappop(last or free)]
+        else:
+            row = next(each for each in waiting if each not in painted)
+        painted[row] = None
+        last = free_of[int(owner[row])]
+        for front in before.get(row, ()):
+            behind[front] -= 1
+            if not behind[front] and front not in painted:
+                release(front)
+    return list(painted)

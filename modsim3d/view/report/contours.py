@@ -1,0 +1,83 @@
+"""Outlines of drawn triangles as closed lines, without cutting polygons.
+
+Where triangles that all run the same way round share an edge, they run along it in opposite directions. What is left
+when such pairs are taken away are closed lines that wind around each point as often as triangles cover it: filled by
+the non-zero rule they are the silhouette, holes and all, however many triangles lie over each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Indices = NDArray[np.int64]
+
+PLACE_BITS = 17
+"""Of a coordinate in a vertex's number."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contours:
+    """Closed lines, those of one shape after the other.
+
+    Attributes:
+        shape: That each line belongs to, non-decreasing, shape (l,).
+        count: Corners of each line, shape (l,).
+        corners: Of the lines, one after the other, the first not repeated at the end, shape (k, 2).
+    """
+
+    shape: Indices
+    count: Indices
+    corners: Indices
+
+
+def contours(shape: Indices, corners: Indices) -> Contours:
+    """The lines around what triangles cover.
+
+    Args:
+        shape: That each triangle belongs to, shape (T,).
+        corners: Whole numbers from 0 to 65,535, all triangles the same way round, shape (T, 3, 2).
+    """
+    place = (corners[..., 0] << PLACE_BITS) + corners[..., 1]
+    number, vertex = np.unique((shape[:, None] << 2 * PLACE_BITS) + place, return_inverse=True)
+    vertex = vertex.reshape(-1, 3)
+    start, end = _unpaired(vertex.ravel(), np.roll(vertex, -1, axis=1).ravel(), len(number))
+    line, count = _joined(start, end)
+    numbers = number[start[line]]
+    flat = np.column_stack([numbers >> PLACE_BITS, numbers]) & ((1 << PLACE_BITS) - 1)
+    first = np.cumsum(count) - count
+    return Contours(numbers[first] >> 2 * PLACE_BITS, count, flat)
+
+
+def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Indices]:
+    """Directed edges without those that another one takes back; of no length are none."""
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    edge, which = np.unique(low * vertices + high, return_inverse=True)
+    net = np.bincount(which.reshape(-1), np.sign(end - start), len(edge)).astype(np.int64)
+    low, high = np.divmod(edge, vertices) if vertices else (edge, edge)
+    forth, back = (
+        np.repeat(np.arange(len(edge)), np.maximum(net, 0)),
+        np.repeat(np.arange(len(edge)), np.maximum(-net, 0)),
+    )
+    return np.concatenate([low[forth], high[back]]), np.concatenate([high[forth], low[back]])
+
+
+def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
+    """Edges in order along closed lines, and the length of each line; as many begin at each vertex as end there."""
+    after = np.empty_like(start)
+    after[np.argsort(end, kind="stable")] = np.argsort(start, kind="stable")
+    follows, done = after.tolist(), bytearray(len(start))
+    line: list[int] = []
+    count: list[int] = []
+    # By the lowest vertex of each, so that lines of a shape stay together.
+    for first in np.argsort(start, kind="stable").tolist():
+        begun, edge = len(line), first
+        while not done[edge]:
+            done[edge] = 1
+            line.append(edge)
+            edge = follows[edge]
+        if len(line) > begun:
+            count.append(len(line) - begun)
+    return np.array(line, dtype=np.int64), np.array(count, dtype=np.int64)

@@ -1,0 +1,134 @@
+"""Silhouettes as closed lines, and the order in which they are painted."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.annotate.outlines import outline
+from modsim3d.bodies import vessel_bodies
+from modsim3d.camera import Mount, poses_ashore
+from modsim3d.frames import world_R_vehicle
+from modsim3d.view.report.contours import contours
+from modsim3d.view.report.silhouettes import in_front, painting_order, shapes
+from tests.scenes import INTRINSICS, outlines_of, vessel
+
+NONE = np.empty(0, dtype=np.int64)
+PLACES = st.integers(0, 12)
+TRIANGLE = st.lists(st.tuples(PLACES, PLACES), min_size=3, max_size=3)
+
+
+def twice_area(corners):
+    (ax, ay), (bx, by), (cx, cy) = corners
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+def winding(ring, point):
+    """How often a closed line goes around a point that is not on it."""
+    x, y = (np.asarray(ring, dtype=float) - point).T
+    turns = np.diff(np.unwrap(np.arctan2(np.append(y, y[0]), np.append(x, x[0]))))
+    return round(turns.sum() / (2 * np.pi))
+
+
+@given(st.lists(TRIANGLE, min_size=1, max_size=8), st.data())
+@settings(max_examples=100)
+def test_lines_wind_around_each_point_as_often_as_triangles_cover_it(triangles, data):
+    oriented = [each if twice_area(each) > 0 else each[::-1] for each in triangles if twice_area(each)]
+    if not oriented:
+        return
+    shape = np.array(data.draw(st.lists(st.integers(0, 1), min_size=len(oriented), max_size=len(oriented))))
+    found = contours(shape, np.array(oriented))
+    assert np.all(np.diff(found.shape) >= 0)
+    rings = np.split(found.corners, np.cumsum(found.count)[:-1])
+    x, y = data.draw(st.tuples(PLACES, PLACES))
+    point = np.array([x + 0.3713, y + 0.6171])  # on no line between whole numbers
+    for wanted in (0, 1):
+        covered = sum(winding(each, point) for each, of in zip(oriented, shape, strict=True) if of == wanted)
+        around = sum(winding(ring, point) for ring, of in zip(rings, found.shape, strict=True) if of == wanted)
+        assert around == covered
+
+
+def test_triangles_that_share_an_edge_have_one_line_around_both():
+    found = contours(np.zeros(2, dtype=np.int64), np.array([[(0, 0), (4, 0), (4, 4)], [(0, 0), (4, 4), (0, 4)]]))
+    assert found.count.tolist() == [4]
+    assert {tuple(corner) for corner in found.corners.tolist()} == {(0, 0), (4, 0), (4, 4), (0, 4)}
+
+
+def test_nothing_has_no_lines():
+    found = contours(NONE, np.empty((0, 3, 2), dtype=np.int64))
+    assert len(found.shape) == len(found.count) == len(found.corners) == 0
+
+
+def test_shapes_of_a_shoebox_are_its_hull_and_nearer_ones_come_later():
+    near, far = (vessel("near"), (60.0, 0.0), 0.3), (vessel("far", 40.0), (120.0, 5.0), 0.3)
+    drawn = list(shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE))
+    assert [shape.owner for shape in drawn] == [1, 0]
+    assert [len(shape.count) for shape in drawn] == [1, 1]
+    assert all(4 <= shape.count[0] <= 6 for shape in drawn)
+
+
+def test_who_is_in_front_does_not_depend_on_the_distance_of_the_centres():
+    """A boat before the stern of a long ship, whose centre is nearer."""
+    ship, boat = (vessel("ship", 300.0, 30.0), (300.0, 0.0), 1.2), (vessel("boat"), (305.0, 82.4), 0.0)
+    outlines = outlines_of([ship, boat])
+    assert outlines.depth_m[0] < outlines.depth_m[1]
+    hidden, hider = in_front(outlines, 2, NONE)
+    assert (hidden.tolist(), hider.tolist()) == ([0], [1])
+
+
+def test_truth_decides_between_intersecting_solids():
+    both = [(vessel("a", 20.0), (60.0, 0.0), 0.0), (vessel("b", 20.0), (61.0, 1.0), 0.7)]
+    outlines = outlines_of(both)
+    assert len(in_front(outlines, 2, NONE)[0]) == 0
+    key = lambda hidden, hider: (0 * 2 + hidden) * 2 + hider  # noqa: E731
+    assert [part.tolist() for part in in_front(outlines, 2, np.array([key(0, 1)]))] == [[0], [1]]
+    assert [part.tolist() for part in in_front(outlines, 2, np.array([key(1, 0)]))] == [[1], [0]]
+    assert len(in_front(outlines, 2, np.array([key(0, 1), key(1, 0)]))[0]) == 0
+
+
+def test_frames_of_a_run_stay_apart():
+    """At each of three steps one vessel, in another place."""
+    vessels = [vessel("a"), vessel("b")]
+    positions = np.array([[[60.0, 0, 0], [80, 0, 0]], [[70, 5, 0], [90, 5, 0]], [[80, -9, 0], [60, -9, 0]]])
+    present = np.array([[True, False], [True, True], [False, True]])
+    bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(np.zeros((3, 2))))
+    outlines = outline(INTRINSICS, poses_ashore(Mount((0.0, 0.0, 10.0)), 3), bodies)
+    drawn = [(shape.frame, shape.owner) for shape in shapes(outlines, INTRINSICS, 0.1, 2, NONE)]
+    assert drawn == [(0, 0), (1, 1), (1, 0), (2, 1)]
+
+
+@given(st.randoms(use_true_random=False), st.integers(1, 12))
+@settings(max_examples=60)
+def test_whoever_hides_another_is_painted_after_it(random, count):
+    front_to_back = list(range(count))
+    random.shuffle(front_to_back)
+    pairs = [(back, front) for i, front in enumerate(front_to_back) for back in front_to_back[i + 1 :]]
+    chosen = random.sample(pairs, k=len(pairs) // 2)
+    depths = np.array([random.uniform(1, 100) for _ in range(count)])  # of the centres, which may mislead
+    owners = np.array([random.randrange(4) for _ in range(count)])
+    hidden, hider = np.array(chosen, dtype=np.int64).reshape(-1, 2).T
+    order = painting_order(np.zeros(count, dtype=np.int64), depths, owners, hidden, hider)
+    assert sorted(order) == list(range(count))
+    place = np.argsort(order)
+    assert np.all(place[hidden] < place[hider])
+
+
+def test_farther_ones_are_painted_first_where_nobody_hides_anybody_and_frames_stay_in_order():
+    frame, depth_m, owner = np.array([0, 0, 0, 2, 2]), np.array([5.0, 9.0, 7.0, 1.0, 2.0]), np.arange(5)
+    np.testing.assert_array_equal(painting_order(frame, depth_m, owner, NONE, NONE), [1, 2, 0, 4, 3])
+
+
+def test_pieces_of_one_owner_are_painted_together_where_nothing_must_be_between():
+    frame, depth_m, owner = np.zeros(4, dtype=np.int64), np.array([9.0, 7.0, 5.0, 3.0]), np.array([1, 0, 1, 0])
+    assert owner[painting_order(frame, depth_m, owner, NONE, NONE)].tolist() == [1, 1, 0, 0]
+    between = painting_order(frame, depth_m, owner, np.array([0, 1]), np.array([1, 2]))
+    assert owner[between].tolist() == [1, 0, 1, 0] or owner[between].tolist() == [1, 0, 0, 1]
+    place = np.argsort(between)
+    assert place[0] < place[1] < place[2]
+
+
+def test_a_ring_of_vessels_that_hide_each_other_is_painted_once_each():
+    frame, ring = np.zeros(3, dtype=np.int64), np.array([0, 1, 2])
+    order = painting_order(frame, np.array([3.0, 2.0, 1.0]), ring, ring, np.roll(ring, 1))
+    assert sorted(order) == [0, 1, 2]
