@@ -150,6 +150,29 @@ def test_names_do_not_lie_on_each_other(birds_eye):
     assert all(boxes[i].intersection(boxes[j]).area == 0 for i in range(len(boxes)) for j in range(i))
 
 
+@pytest.mark.parametrize("step", [60, 120])
+def test_a_name_lies_on_no_other_vessel_and_inside_the_map(step):
+    scene = load_scene("strait")
+    birds_eye = BirdsEye(scene, scene.steps, (0, 1))
+    figure = map_figure(birds_eye, step, 1280)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    rotations = scene.at_sea(np.array([step])).world_R_vessel[0]
+    places = scene.poses.poses(step, step + 1).positions_m[0, :, :2]
+    hulls = {
+        vessel.name: shapely.Polygon(axes.transData.transform(hull_m(vessel, rotations[i]) + places[i]))
+        for i, vessel in enumerate(scene.vessels)
+    }
+    frame, named = shapely.box(*axes.get_window_extent().extents), 0
+    for note in axes.texts:
+        box = shapely.box(*note.get_window_extent().extents)
+        if note.get_text() in hulls:
+            assert frame.contains(box)
+            assert not any(hull.intersects(box) for name, hull in hulls.items() if name != note.get_text())
+            named += 1
+    assert named == len(hulls)
+
+
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatch, run, tmp_path, ending):
     for name in ("a", "b"):

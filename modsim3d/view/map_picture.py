@@ -33,6 +33,8 @@ RINGS = 5
 """At most so many range rings reach to the farthest corner of the map."""
 MARKER_SHARE = 0.018
 """A hull shorter than this share of the map's width has an arrowhead of that length around it."""
+CAMERA_NAME_SHARE = 0.06
+"""Of the map's shorter side: how far before a camera its name stands."""
 SEA, LAND, SHORE, SOIL = "#eaf1f5", "#cfc8ba", "#8d8577", "#5c564b"
 CAMERA, RING = "#c0392b", "#6d7b85"
 
@@ -109,8 +111,11 @@ class _Map:
     birds_eye: BirdsEye
     step: int
     axes: Axes = field(init=False)
-    names: list[tuple[Annotation, Array]] = field(default_factory=list)
-    """Names that look for a place, with half the width and height, in metres, of what they name; first come first."""
+    names: list[tuple[Annotation, Array, int | None]] = field(default_factory=list)
+    """Names that look for a place, with half the width and height, in metres, of what they name, and of which vessel it
+    is the name; first come first."""
+    bodies: dict[int, Array] = field(default_factory=dict)
+    """Outline of what is drawn of each vessel, in metres, shape (k, 2) each: other names keep off it."""
     explained: set[str] = field(default_factory=set)
 
     def draw(self) -> None:
@@ -122,9 +127,9 @@ class _Map:
         self.axes.tick_params(labelsize=8)
         (time,) = scene.timestamps(self.step, self.step + 1)
         self.axes.set_title(f"{scene.name}    {time} s    step {self.step}", fontsize=11)
-        self._obstacles()
-        self._cameras()
         self._vessels()
+        self._cameras()
+        self._obstacles()
         handles = self.axes.get_legend_handles_labels()[0]
         self.figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
         self._place_names()
@@ -143,7 +148,7 @@ class _Map:
 
         self.axes.add_patch(Polygon(ring, **keys))
 
-    def _name(self, text: str, place: Array, half_m: Array, **keys: Any) -> None:
+    def _name(self, text: str, place: Array, half_m: Array, vessel: int | None = None, **keys: Any) -> None:
         note = self.axes.annotate(
             text,
             (place[0], place[1]),
@@ -154,7 +159,7 @@ class _Map:
             zorder=9,
             **keys,
         )
-        self.names.append((note, half_m))
+        self.names.append((note, half_m, vessel))
 
     def _obstacles(self) -> None:
         obstacles = self.birds_eye.scene.obstacles
@@ -162,8 +167,9 @@ class _Map:
             for part in shapely.get_parts(shape).tolist():
                 ring = shapely.get_coordinates(part.exterior)
                 self._area(ring, facecolor=LAND, edgecolor=SHORE, lw=0.6, zorder=2, label=self._once("obstacle"))
-            middle = shape.representative_point()
-            self._name(obstacle.name, np.array([middle.x, middle.y]), np.zeros(2), fontsize=7, color=SOIL)
+            middle, (x0, y0, x1, y1) = shape.representative_point(), shape.bounds
+            half_m = np.array([x1 - x0, y1 - y0]) / 2
+            self._name(obstacle.name, np.array([middle.x, middle.y]), half_m, fontsize=7, color=SOIL)
 
     def _cameras(self) -> None:
         x0, x1, y0, y1 = self.birds_eye.extent_m
@@ -182,7 +188,7 @@ class _Map:
             style = {"marker": "o", "ls": "", "ms": 5 if camera.mount.vessel is None else 3.5, "mec": "white"}
             self._line(at[None], color=CAMERA, mew=0.6, zorder=8, label=self._once("camera"), **style)
             if len(self.birds_eye.cameras) > 1:
-                ahead = at + 0.12 * min(x1 - x0, y1 - y0) * view[len(view) // 2]
+                ahead = at + CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0) * view[len(view) // 2]
                 self._name(camera.name, ahead, np.zeros(2), fontsize=8, color=CAMERA)
 
     def _rings(self, at: Array, farthest_m: float) -> None:
@@ -228,6 +234,7 @@ class _Map:
         if vessel.length_m < least_m:
             hull_half_m = np.full(2, 0.5 * least_m)
             arrow = least_m * _ARROW @ world_R_vehicle(heading_rad)[:2, :2].T + here
+            self.bodies[index] = arrow
             self._area(arrow, facecolor=colour, edgecolor="black", lw=0.7 * weight, zorder=6)
             self._area(hull, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
             self._area(np.full((3, 2), np.nan), facecolor=colour, edgecolor="black", lw=weight, label=label)
@@ -236,8 +243,9 @@ class _Map:
             bow = here + vessel.length_m / 2 * ahead
             self._line(np.array([bow, bow + 0.8 * least_m * ahead]), color="black", lw=max(1.0, 0.6 * weight), zorder=6)
             hull_half_m = np.ptp(hull, axis=0) / 2
+            self.bodies[index] = hull
             self._area(hull, facecolor=colour, edgecolor="black", lw=weight, zorder=7, label=label)
-        self._name(vessel.name, here, hull_half_m, fontsize=7.5, weight="bold" if own else "normal")
+        self._name(vessel.name, here, hull_half_m, index, fontsize=7.5, weight="bold" if own else "normal")
 
     def _colours(self) -> Iterator[tuple[float, ...]]:
         for index in range(len(self.birds_eye.scene.vessels)):
@@ -250,21 +258,28 @@ class _Map:
         return recent
 
     def _place_names(self) -> None:
-        """Move each name beside its place so that no two lie on each other; one that finds no room is left out."""
+        """Move each name beside its place so that none lies on another or on another vessel; or leave it out."""
         self.figure.draw_without_rendering()
         point, frame = self.figure.dpi / 72, self.axes.get_window_extent()
         taken: list[Bbox] = []
         metre = float(np.ptp(self.axes.transData.transform([(0, 0), (1, 0)])[:, 0]))
-        for note, half_m in self.names:
+        bodies = {vessel: shapely.Polygon(self.axes.transData.transform(ring)) for vessel, ring in self.bodies.items()}
+        for note, half_m, vessel in self.names:
             box = note.get_window_extent()
             inside = frame.x0 <= (box.x0 + box.x1) / 2 <= frame.x1 and frame.y0 <= (box.y0 + box.y1) / 2 <= frame.y1
             text = np.array([box.width, box.height]) / 2
             beside = text + half_m * metre + 2 * point
             within = not half_m.any() or bool((half_m * metre > text + 2 * point).all())
+            others = [body for owner, body in bodies.items() if owner != vessel]
             for around in _AROUND if within else _AROUND[1:]:
                 x, y = (np.array(around) * beside).tolist()
                 moved = box.translated(x, y)
-                if inside and not any(moved.overlaps(other) for other in taken):
+                if not (inside and frame.x0 <= moved.x0 and moved.x1 <= frame.x1):
+                    continue
+                if not (frame.y0 <= moved.y0 and moved.y1 <= frame.y1):
+                    continue
+                on_vessel = bool(shapely.intersects(shapely.box(*moved.extents), others).any())
+                if not on_vessel and not any(moved.overlaps(other) for other in taken):
                     note.set_position((x / point, y / point))
                     taken.append(moved)
                     break
