@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -59,6 +60,8 @@ def learn_command(
     correct: Annotated[bool, typer.Option("--correct", help="Take that off what is written; one step.")] = False,
     labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
     image_size: Annotated[str | None, typer.Option(metavar="W,H", help="YOLO; MOT without seqinfo.ini.")] = None,
+    frame_rate: Annotated[float | None, typer.Option(metavar="HZ", help="MOT without it; COCO's frame_id.")] = None,
+    category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out entries that are wrong.")] = False,
     page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
 ) -> None:
@@ -79,7 +82,7 @@ def learn_command(
     page = out.with_suffix(".html") if page is None else page
     if page == out:
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-    given = _given(labels, image_size, skip_bad)
+    given = _given(labels, image_size, skip_bad, frame_rate, category_offset)
     parts, interval_s = _sets(truth or [], detections or [], condition or [], run or [], given)
     rule = Rule(match.value, least_iou=iou, most_distance_px=distance)
     settings = Settings(rule, confidence, replicates, seed, clutter.value)
@@ -109,7 +112,9 @@ def learn_command(
     console.print(f"\nwritten  {out}, {page}", highlight=False, soft_wrap=True)
 
 
-def _given(labels: str | None, image_size: str | None, skip_bad: bool):  # type: ignore[no-untyped-def]
+def _given(  # type: ignore[no-untyped-def]
+    labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int
+):
     from modsim3d.learn.reading.pair import Given
 
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
@@ -122,7 +127,9 @@ def _given(labels: str | None, image_size: str | None, skip_bad: bool):  # type:
         if not (width > 0 and height > 0):
             raise InputError("--image-size", [f"both sides must be above 0 (got '{image_size}')"])
         size = (width, height)
-    return Given(names, size, skip_bad)
+    if frame_rate is not None and not 0 < frame_rate < math.inf:
+        raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
+    return Given(names, size, skip_bad, frame_rate, category_offset)
 
 
 def _sets(  # type: ignore[no-untyped-def]

@@ -24,12 +24,14 @@ class Problems:
         skip: Whether entries that something is wrong with are left out, and only counted.
         lines: One each.
         skipped: How many entries have been left out.
+        hint: What would mend many of them at once.
     """
 
     source: str
     skip: bool = False
     lines: list[str] = field(default_factory=list)
     skipped: int = 0
+    hint: str = ""
 
     def add(self, line: str) -> None:
         """An entry cannot be used."""
@@ -49,6 +51,7 @@ class Problems:
         shown = self.lines[:MOST_PROBLEMS]
         if len(self.lines) > MOST_PROBLEMS:
             shown.append(f"... and {len(self.lines) - MOST_PROBLEMS} more; --skip-bad leaves all such entries out")
+        shown += [self.hint] if self.hint else []
         raise InputError(self.source, shown)
 
 
@@ -85,6 +88,16 @@ class Rows:
     visible_fraction: list[float] = field(default_factory=list)
     distance_m: list[float] = field(default_factory=list)
     probabilities: list[list[float] | None] = field(default_factory=list)
+    seen: set[tuple[int, Any]] = field(default_factory=set)
+
+    def has(self, image: int, identity: Any) -> bool:
+        """Whether a thing is in the image already: nothing is there twice."""
+        return identity is not None and (image, identity) in self.seen
+
+    def identify(self, image: int, identity: Any) -> None:
+        """Put down who a row is, None where that is not known."""
+        self.seen.add((image, identity))
+        self.identity.append(identity)
 
     def truth(self) -> Truth:
         """As truth."""

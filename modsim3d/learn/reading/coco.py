@@ -3,24 +3,37 @@
 Beyond COCO's own keys these are read where they are: of an image `condition`, `sequence` (or `video_id`) and `time_s`
 or `frame_id`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`; of a
 result `probabilities`, one for each category in their order. Masks are ignored: a box is taken from `bbox` alone.
+
+Which image a result is of is said by `image_id`, or by a `file_name` beside it. Programs that know no IDs, such as
+ultralytics, put the name of the image's file without its ending in `image_id`, as a number where it is one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import orjson
 
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import Labelled
-from modsim3d.learn.reading.builder import Problems, Rows, corners, one_condition
+from modsim3d.learn.reading.builder import MOST_PROBLEMS, Problems, Rows, corners, one_condition
 from modsim3d.validation import load_json, nearest
 
+ID = int | str
 
-def read_coco(condition: str, truth: Path, detections: Path, skip_bad: bool = False) -> Labelled:
+
+def read_coco(
+    condition: str,
+    truth: Path,
+    detections: Path,
+    skip_bad: bool = False,
+    category_offset: int = 0,
+    frame_rate_hz: float | None = None,
+) -> Labelled:
     """One condition.
 
     Args:
@@ -28,6 +41,8 @@ def read_coco(condition: str, truth: Path, detections: Path, skip_bad: bool = Fa
         truth: A COCO ground truth.
         detections: COCO results.
         skip_bad: Leave out entries that something is wrong with, and count them.
+        category_offset: To be added to the category IDs of the results.
+        frame_rate_hz: Makes times of `frame_id`.
 
     Raises:
         InputError: Something is wrong; each problem names the index of its entry.
@@ -35,18 +50,76 @@ def read_coco(condition: str, truth: Path, detections: Path, skip_bad: bool = Fa
     problems = Problems(f"ground truth {truth}", skip_bad)
     content = _object(truth, "ground truth", problems.source)
     categories = _categories(content, problems)
-    images, sizes, names, sequences, times, own = _images(content, problems)
+    images, sizes, names, sequences, times, own = _images(content, frame_rate_hz, problems)
     rows = Rows()
+    known = _Known(images, {}, categories)
     for index, entry in enumerate(_list(content, "annotations", problems)):
-        _annotation(entry, f"annotations[{index}]", images, categories, rows, problems)
+        _annotation(entry, f"annotations[{index}]", known, rows, problems)
     notes = problems.settle()
     results = Problems(f"detections {detections}", skip_bad)
-    found = Rows()
-    for index, entry in enumerate(_results(detections)):
-        _result(entry, f"[{index}]", images, categories, found, results)
+    found, entries = Rows(), _results(detections)
+    known = _known_to_results(entries, known, names, category_offset, results)
+    for index, entry in enumerate(entries):
+        _result(entry, f"[{index}]", known, found, results)
     notes += results.settle()
+    if frame_rate_hz is None and any(math.isnan(time) for time in times) and _numbered(content):
+        notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
     labels = [name for name, _ in sorted(categories.values(), key=lambda pair: pair[1])]
     return one_condition(condition, labels, names, sizes, rows, found, notes, sequences, times, own)
+
+
+def _numbered(content: Mapping[str, Any]) -> bool:
+    return any(isinstance(entry, dict) and "frame_id" in entry for entry in content["images"])
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What an entry may name.
+
+    Attributes:
+        images: Row of each image, by what stands for `image_id`.
+        files: Row of each image by the name of its file.
+        categories: Name and label, by ID.
+    """
+
+    images: Mapping[Any, int]
+    files: Mapping[Any, int]
+    categories: Mapping[Any, tuple[str, int]]
+
+
+def _known_to_results(
+    entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
+) -> _Known:
+    """What results may name: an `image_id` may be a file's name, and category IDs may count from elsewhere."""
+    rows = [entry for entry in entries if isinstance(entry, dict)]
+    given = {entry.get("image_id") for entry in rows if isinstance(entry.get("image_id"), int | str)}
+    files, stems = _by_file(names)
+    images = known.images
+    if len(given & stems.keys()) > len(given & images.keys()):
+        images = stems
+    categories = {number - category_offset: category for number, category in known.categories.items()}
+    classes = {number for entry in rows if isinstance(number := entry.get("category_id"), int)}
+    if classes - categories.keys():
+        for step in (1, -1):
+            if {number + step for number in classes} <= categories.keys():
+                whole = category_offset + step
+                problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
+    return _Known(images, files, categories)
+
+
+def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
+    """Rows of images by file names, and by those without folder and ending; names that several have stand for none."""
+    files: dict[ID, list[int]] = {}
+    stems: dict[ID, list[int]] = {}
+    for row, name in enumerate(names):
+        path = PurePosixPath(name.replace("\\", "/"))
+        names_of: set[ID] = {name, path.name}
+        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() else set()
+        for key in names_of:
+            files.setdefault(key, []).append(row)
+        for key in names_of | {path.stem} | number:
+            stems.setdefault(key, []).append(row)
+    return ({key: rows[0] for key, rows in every.items() if len(rows) == 1} for every in (files, stems))  # type: ignore[return-value]
 
 
 def _parse(path: Path, what: str) -> Any:
@@ -107,21 +180,21 @@ def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tup
 
 
 def _images(
-    content: Mapping[str, Any], problems: Problems
+    content: Mapping[str, Any], frame_rate_hz: float | None, problems: Problems
 ) -> tuple[dict[Any, int], list[list[float]], list[str], list[int], list[float], list[str | None]]:
-    """Rows of the images' IDs, in ascending order of the IDs as COCO's own tools have them."""
+    """Rows of the images' IDs, in ascending order of the IDs as COCO's own tools have them, numbers before text."""
     entries: list[tuple[int, dict[str, Any]]] = []
     seen: set[Any] = set()
     for index, entry in enumerate(_list(content, "images", problems)):
         where = f"images[{index}]"
-        if not isinstance(entry, dict) or not isinstance(entry.get("id"), int):
-            problems.add(f"{where}: must have an id, a whole number")
+        if not isinstance(entry, dict) or not isinstance(entry.get("id"), ID):
+            problems.add(f"{where}: must have an id, a whole number or text")
         elif entry["id"] in seen:
             problems.add(f"{where}: id {entry['id']} appears twice")
         else:
             seen.add(entry["id"])
             entries.append((index, entry))
-    entries.sort(key=lambda pair: pair[1]["id"])
+    entries.sort(key=lambda pair: (isinstance(pair[1]["id"], str), pair[1]["id"]))
     rows: dict[Any, int] = {}
     sizes, names, sequences, times, own = [], [], [], [], []
     numbers: dict[Any, int] = {}
@@ -136,27 +209,39 @@ def _images(
         names.append(str(entry.get("file_name", entry["id"])))
         sequences.append(numbers.setdefault(entry.get("sequence", entry.get("video_id")), len(numbers)))
         own.append(None if entry.get("condition") is None else str(entry["condition"]))
-        time = entry.get("time_s", entry.get("frame_id"))
-        times.append(float(time) if isinstance(time, int | float) else math.nan)
+        times.append(_time_s(entry, frame_rate_hz))
     return rows, sizes, names, sequences, times, own
 
 
-def _place(
-    entry: Any, where: str, images: Mapping[Any, int], categories: Mapping[Any, tuple[str, int]], problems: Problems
-) -> tuple[int, int] | None:
+def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float:
+    """Of an image, NaN where it is not known."""
+    time, frame = entry.get("time_s"), entry.get("frame_id")
+    if isinstance(time, int | float):
+        return float(time)
+    return frame / frame_rate_hz if isinstance(frame, int | float) and frame_rate_hz is not None else math.nan
+
+
+def _place(entry: Any, where: str, known: _Known, problems: Problems) -> tuple[int, int] | None:
     """Row of the image and label."""
     if not isinstance(entry, dict):
         problems.add(f"{where}: must be a mapping (got {str(entry)[:40]!r})")
         return None
-    for key, known in (("image_id", images), ("category_id", categories)):
-        value = entry.get(key)
-        if isinstance(value, list | dict) or value not in known:
-            hint = (
-                "missing" if key not in entry else f"unknown {key} {value!r} ({nearest(str(value), map(str, known))})"
-            )
-            problems.add(f"{where}: {hint}" if key in entry else f"{where}: {key} is missing")
-            return None
-    return images[entry["image_id"]], categories[entry["category_id"]][1]
+    file = entry.get("file_name")
+    row = known.files.get(file) if isinstance(file, str) else None
+    row = _named(entry, "image_id", known.images, where, problems) if row is None else row
+    label = None if row is None else _named(entry, "category_id", known.categories, where, problems)
+    return None if row is None or label is None else (row, label[1])
+
+
+def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
+    """What an entry names by its key; None with a problem if there is no such thing."""
+    value = entry.get(key)
+    if isinstance(value, int | str) and value in known:
+        return known[value]
+    # Looking for what was meant takes long where there is much to be meant: not for what nobody will see.
+    hint = f" ({nearest(str(value), map(str, known))})" if len(problems.lines) < MOST_PROBLEMS else ""
+    problems.add(f"{where}: unknown {key} {value!r}{hint}" if key in entry else f"{where}: {key} is missing")
+    return None
 
 
 _MOST = {"visible_fraction": 1 + 1e-6, "distance_m": math.inf}
@@ -176,21 +261,18 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
     return math.nan
 
 
-def _annotation(
-    entry: Any,
-    where: str,
-    images: Mapping[Any, int],
-    categories: Mapping[Any, tuple[str, int]],
-    rows: Rows,
-    problems: Problems,
-) -> None:
-    place = _place(entry, where, images, categories, problems)
+def _annotation(entry: Any, where: str, known: _Known, rows: Rows, problems: Problems) -> None:
+    place = _place(entry, where, known, problems)
     box = corners(entry.get("bbox"), where, problems) if place else None
     if place is None or box is None:
         return
-    known = len(problems.lines)
+    before = len(problems.lines)
     visible_fraction, distance_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
-    if len(problems.lines) > known:
+    identity = entry.get("track_id", entry.get("instance_id"))
+    identity = identity if isinstance(identity, ID) else None
+    if rows.has(place[0], identity):
+        problems.add(f"{where}: identity {identity!r} is in the image {entry['image_id']!r} already")
+    if len(problems.lines) > before:
         return
     crowd = bool(entry.get("iscrowd", 0))
     rows.image.append(place[0])
@@ -198,21 +280,13 @@ def _annotation(
     rows.boxes.append(box)
     rows.crowd.append(crowd)
     rows.ignored.append(crowd or bool(entry.get("ignore", 0)))
-    identity = entry.get("track_id", entry.get("instance_id"))
-    rows.identity.append(identity if isinstance(identity, int | str) else None)
+    rows.identify(place[0], identity)
     rows.visible_fraction.append(visible_fraction)
     rows.distance_m.append(distance_m)
 
 
-def _result(
-    entry: Any,
-    where: str,
-    images: Mapping[Any, int],
-    categories: Mapping[Any, tuple[str, int]],
-    rows: Rows,
-    problems: Problems,
-) -> None:
-    place = _place(entry, where, images, categories, problems)
+def _result(entry: Any, where: str, known: _Known, rows: Rows, problems: Problems) -> None:
+    place = _place(entry, where, known, problems)
     box = corners(entry.get("bbox"), where, problems) if place else None
     if place is None or box is None:
         return
@@ -220,8 +294,10 @@ def _result(
     if not isinstance(score, int | float) or isinstance(score, bool) or not 0 <= score <= 1:
         problems.add(f"{where}: score must be from 0 to 1 (got {score!r})")
         return
-    if given is not None and not _distribution(given, len(categories)):
-        problems.add(f"{where}: probabilities must be {len(categories)} numbers from 0 to 1 (got {str(given)[:60]})")
+    if given is not None and not _distribution(given, len(known.categories)):
+        problems.add(
+            f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {str(given)[:60]})"
+        )
         return
     rows.image.append(place[0])
     rows.label.append(place[1])

@@ -25,7 +25,7 @@ _MOST_FRAMES = 10_000_000
 class _Sequence:
     size_px: tuple[float, float]
     frames: int
-    rate_hz: float
+    rate_hz: float | None
 
 
 def read_mot(
@@ -35,6 +35,7 @@ def read_mot(
     labels: tuple[str, ...] = (),
     image_size_px: tuple[float, float] | None = None,
     skip_bad: bool = False,
+    frame_rate_hz: float | None = None,
 ) -> Labelled:
     """One condition, a sequence of frames.
 
@@ -45,6 +46,7 @@ def read_mot(
         labels: Names of the classes 1, 2, ...
         image_size_px: Width and height, where there is no `seqinfo.ini`.
         skip_bad: Leave out lines that something is wrong with, and count them.
+        frame_rate_hz: In place of that of `seqinfo.ini`; of neither, frames have no times.
 
     Raises:
         InputError: Something is wrong; each problem names its line.
@@ -62,13 +64,17 @@ def read_mot(
     only = (labels[0] if labels else "object",)
     rows, found = Rows(), Rows()
     for where, numbers in known:
+        identity = int(numbers[1]) if numbers[1] >= 0 else None
+        if rows.has(int(numbers[0]) - 1, identity):
+            problems.add(f"{where}: identity {identity} is in frame {numbers[0]:g} already")
+            continue
         box = _row(where, numbers, problems, rows, to_label)
         if box is None:
             continue
         ignored = len(numbers) > 6 and numbers[6] == 0
         rows.ignored.append(ignored)
         rows.crowd.append(False)
-        rows.identity.append(int(numbers[1]) if numbers[1] >= 0 else None)
+        rows.identify(rows.image[-1], identity)
         rows.visible_fraction.append(numbers[8] if len(numbers) > 8 and 0 <= numbers[8] <= 1 else math.nan)
         rows.distance_m.append(math.nan)
     for where, numbers in given:
@@ -78,6 +84,9 @@ def read_mot(
             found.confidence.append(numbers[6])
             found.probabilities.append(None)
     notes = problems.settle() + wrong.settle()
+    rate_hz = frame_rate_hz or info.rate_hz
+    if rate_hz is None:
+        notes.append(f"{condition}: the frame rate is not known, so frames have no times: give --frame-rate")
     count = max([info.frames, *(image + 1 for image in rows.image + found.image)])
     return one_condition(
         condition,
@@ -88,7 +97,7 @@ def read_mot(
         found,
         notes,
         [0] * count,
-        [frame / info.rate_hz for frame in range(count)],
+        [math.nan if rate_hz is None else frame / rate_hz for frame in range(count)],
     )
 
 
@@ -122,15 +131,17 @@ def _sequence(truth: Path, size_px: tuple[float, float] | None, source: str) -> 
             parser.read(path, encoding="utf-8")
             section = parser["Sequence"]
             size = (float(section["imWidth"]), float(section["imHeight"]))
-            frames, rate_hz = int(section.get("seqLength", "0")), float(section.get("frameRate", "1"))
+            frames = int(section.get("seqLength", "0"))
+            rate_hz = float(section["frameRate"]) if "frameRate" in section else None
         except (configparser.Error, KeyError, ValueError) as error:
             raise InputError(f"sequence {path}", [f"needs imWidth and imHeight under [Sequence]: {error}"]) from None
-        if not all(0 < value < math.inf for value in (*size, rate_hz)) or not 0 <= frames <= _MOST_FRAMES:
-            got = f"{size[0]:g}, {size[1]:g}, {rate_hz:g} and seqLength {frames}"
+        given = (*size, 1.0 if rate_hz is None else rate_hz)
+        if not all(0 < value < math.inf for value in given) or not 0 <= frames <= _MOST_FRAMES:
+            got = f"{size[0]:g}, {size[1]:g}, {given[2]:g} and seqLength {frames}"
             raise InputError(f"sequence {path}", [f"imWidth, imHeight and frameRate must be above 0 (got {got})"])
         return _Sequence(size, frames, rate_hz)
     if size_px is None:
         raise InputError(
             source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]
         )
-    return _Sequence(size_px, 0, 1.0)
+    return _Sequence(size_px, 0, None)

@@ -18,13 +18,17 @@ class Given:
 
     Attributes:
         labels: Names of the classes, for MOT and YOLO.
-        image_size_px: Width and height, for MOT without `seqinfo.ini` and for YOLO.
+        image_size_px: Width and height, for MOT without `seqinfo.ini` and for YOLO without its images.
         skip_bad: Leave out entries that something is wrong with.
+        frame_rate_hz: For MOT, and for COCO whose images have a `frame_id` alone.
+        category_offset: To be added to the category IDs of COCO results.
     """
 
     labels: tuple[str, ...] = ()
     image_size_px: tuple[float, float] | None = None
     skip_bad: bool = False
+    frame_rate_hz: float | None = None
+    category_offset: int = 0
 
 
 def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> Labelled:
@@ -41,10 +45,12 @@ def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> La
         raise InputError(
             f"condition {condition}", [f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"]
         )
+    skip_bad, rate_hz, size = given.skip_bad, given.frame_rate_hz, given.image_size_px
     if kinds[0] == "COCO":
-        return read_coco(condition, truth, detections, given.skip_bad)
-    read = read_mot if kinds[0] == "MOT" else read_yolo
-    return read(condition, truth, detections, given.labels, given.image_size_px, given.skip_bad)
+        return read_coco(condition, truth, detections, skip_bad, given.category_offset, rate_hz)
+    if kinds[0] == "MOT":
+        return read_mot(condition, truth, detections, given.labels, size, skip_bad, rate_hz)
+    return read_yolo(condition, truth, detections, given.labels, size, skip_bad)
 
 
 def _kind(path: Path) -> str:

@@ -1,17 +1,22 @@
 """YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
 
-Lines of detections end with the confidence. An image with no file, or an empty one, is an image with nothing in it, so
-the images are those that either folder has a file for; `images.txt` beside the labels, a name a line, adds others.
+Lines of detections end with the confidence. The images are those of the folder that is called `images` where the
+labels' is called `labels`, as in `set/images/val` and `set/labels/val`, or that lie beside their labels; each is as
+large as its file says. Without such files the images are those that either folder has a file for, and `images.txt`
+beside the labels, a name a line, adds others. One with no file, or an empty one, is an image with nothing in it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.reading.builder import Problems, Rows, corners, one_condition
+from modsim3d.learn.reading.image_sizes import image_size_px as size_of_image
+from modsim3d.learn.reading.image_sizes import images_in
 from modsim3d.learn.reading.text_lines import number_lines
 from modsim3d.validation import load_yaml, read_text
 
@@ -31,43 +36,50 @@ def read_yolo(
         truth: The folder of the labels, or the one that has it as `labels`.
         detections: The folder of the predictions, likewise.
         labels: Names of the classes 0, 1, ...; from `classes.txt` or `data.yaml` if not given.
-        image_size_px: Width and height of every image.
+        image_size_px: Width and height of every image; from the images if not given.
         skip_bad: Leave out lines that something is wrong with, and count them.
 
     Raises:
         InputError: Something is wrong; each problem names its file and line.
     """
-    folder, predicted = _folder(truth), _folder(detections)
-    if image_size_px is None:
+    folder, predicted = _folder(truth, needed=True), _folder(detections)
+    files = _images(folder, truth)
+    if image_size_px is None and not files:
         raise InputError(
-            f"ground truth {truth}", ["YOLO's files do not say how large the images are: give --image-size"]
+            f"ground truth {truth}",
+            ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
         )
-    names = labels or _names(truth) or _names(folder)
-    stems = sorted({path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth))
+    names = labels or _names(truth, folder)
+    stems = sorted(
+        files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
+    )
+    sizes = [image_size_px or size_of_image(files[stem]) for stem in stems]
     place = {stem: row for row, stem in enumerate(stems)}
     problems = Problems(f"ground truth {truth}", skip_bad)
     wrong = Problems(f"detections {detections}", skip_bad)
     rows, found = Rows(), Rows()
-    for path in _files(folder):
+    for path in _placed(_files(folder), place, problems):
         for where, numbers in number_lines(path, "labels", None, 5, problems):
             if len(numbers) > 5:
                 problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
-            elif _row(where, numbers, place[path.stem], image_size_px, problems, rows):
+            elif _row(where, numbers, place[path.stem], sizes[place[path.stem]], problems, rows):
                 rows.ignored.append(False)
                 rows.crowd.append(False)
                 rows.identity.append(None)
                 rows.visible_fraction.append(math.nan)
                 rows.distance_m.append(math.nan)
-    for path in _files(predicted):
-        for where, numbers in number_lines(path, "predictions", None, 6, wrong):
-            if not 0 <= numbers[5] <= 1:
+    for path in _placed(_files(predicted), place, wrong):
+        for where, numbers in number_lines(path, "predictions", None, 5, wrong):
+            if len(numbers) != 6:
+                wrong.add(f"{where}: has {len(numbers)} numbers, must have 6: class, x, y, width, height, confidence")
+                wrong.hint = "predictions must come with their confidence (ultralytics: save_txt=True save_conf=True)"
+            elif not 0 <= numbers[5] <= 1:
                 wrong.add(f"{where}: confidence must be from 0 to 1 (got {numbers[5]:g})")
-            elif _row(where, numbers, place[path.stem], image_size_px, wrong, found):
+            elif _row(where, numbers, place[path.stem], sizes[place[path.stem]], wrong, found):
                 found.confidence.append(numbers[5])
                 found.probabilities.append(None)
     classes = max([*rows.label, *found.label, len(names) - 1], default=0) + 1
     whole = [names[k] if k < len(names) else f"class_{k}" for k in range(classes)]
-    sizes = [image_size_px] * len(stems)
     return one_condition(condition, whole, stems, sizes, rows, found, problems.settle() + wrong.settle())
 
 
@@ -97,10 +109,42 @@ _MOST_CLASSES = 10_000
 _NOT_LABELS = ("classes.txt", "images.txt")
 
 
-def _folder(path: Path) -> Path:
+def _folder(path: Path, needed: bool = False) -> Path:
+    """Where the text files are.
+
+    Raises:
+        InputError: There are none, but in folders below it; or none at all, where they are needed.
+    """
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
-    return path / "labels" if (path / "labels").is_dir() else path
+    folder = path / "labels" if (path / "labels").is_dir() else path
+    if not _files(folder):
+        below = sorted({str(file.parent) for file in folder.rglob("*.txt") if file.parent != folder})
+        if below:
+            raise InputError(f"folder {path}", [f"has no labels itself; those below it have: {', '.join(below[:5])}"])
+        if needed:
+            raise InputError(f"folder {path}", ["has no labels: no .txt file"])
+    return folder
+
+
+def _images(folder: Path, truth: Path) -> dict[str, Path]:
+    """The images that labels in a folder are of; none where they are not to be found."""
+    parts = list(folder.parts)
+    if "labels" in parts:
+        last = len(parts) - 1 - parts[::-1].index("labels")
+        there = Path(*parts[:last], "images", *parts[last + 1 :])
+        if there.is_dir() and (found := images_in(there)):
+            return found
+    return images_in(folder) or images_in(truth)
+
+
+def _placed(paths: list[Path], place: dict[str, int], problems: Problems) -> Iterator[Path]:
+    """Those that are of an image."""
+    for path in paths:
+        if path.stem in place:
+            yield path
+        else:
+            problems.add(f"{path.name}: there is no image of this name")
 
 
 def _files(folder: Path) -> list[Path]:
@@ -114,12 +158,13 @@ def _listed(folder: Path) -> set[str]:
     return {Path(line.strip()).stem for line in read_text(path, "images").splitlines() if line.strip()}
 
 
-def _names(folder: Path) -> tuple[str, ...]:
-    """Names of the classes, where a file beside the labels has them."""
-    listed = folder / "classes.txt"
-    if listed.is_file():
-        return tuple(line.strip() for line in read_text(listed, "classes").splitlines() if line.strip())
-    for path in (folder / "data.yaml", folder.parent / "data.yaml"):
+def _names(truth: Path, folder: Path) -> tuple[str, ...]:
+    """Names of the classes, where a file beside the labels has them, or `data.yaml` up to three folders above."""
+    for listed in (truth / "classes.txt", folder / "classes.txt"):
+        if listed.is_file():
+            return tuple(line.strip() for line in read_text(listed, "classes").splitlines() if line.strip())
+    above = folder.resolve().parents[:3]
+    for path in (truth / "data.yaml", folder / "data.yaml", *(parent / "data.yaml" for parent in above)):
         if path.is_file():
             content = load_yaml(path, "data")
             names = content.get("names") if isinstance(content, dict) else None

@@ -1,0 +1,44 @@
+"""Images of a folder and how large they are, from the first bytes of each file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from modsim3d.errors import InputError
+
+ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
+_ORIENTATION, _LYING = 274, (5, 6, 7, 8)
+"""The tag of a photograph that says how it is to be turned, and those of its values that swap width and height."""
+
+
+def images_in(folder: Path) -> dict[str, Path]:
+    """Files of images by their names without ending.
+
+    Raises:
+        InputError: Two have the same name.
+    """
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in ENDINGS:
+            continue
+        if path.stem in found:
+            raise InputError(f"folder {folder}", [f"{path.name} and {found[path.stem].name} have the same labels"])
+        found[path.stem] = path
+    return found
+
+
+def image_size_px(path: Path) -> tuple[float, float]:
+    """Width and height as the image is shown.
+
+    Raises:
+        InputError: It is no image.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            width, height = image.size
+            lying = image.getexif().get(_ORIENTATION) in _LYING
+    except (OSError, SyntaxError) as error:
+        raise InputError(f"image {path}", [f"cannot be read: {error}"]) from None
+    return (height, width) if lying else (width, height)
