@@ -1,28 +1,24 @@
-"""What was learned, as tables for the terminal and as a page."""
+"""What was learned, as tables."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.learn.average_precision import NUMBERS, Curve, Ranking
+from modsim3d.learn.average_precision import NUMBERS
 from modsim3d.learn.error_shares import ErrorShares
-from modsim3d.learn.figures import PAIRS, Figures, errors_px
+from modsim3d.learn.figures import CELLS, PAIRS, Figures
+from modsim3d.learn.form import QUANTILES
 from modsim3d.learn.gate_bias import Bias
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column
 from modsim3d.learn.states import StateMap
-from modsim3d.view import learn_figures as pictures
-from modsim3d.view import page
 
-Array = NDArray[np.float64]
 Row = tuple[str, ...]
 
 
@@ -72,6 +68,9 @@ class Table:
     rows: tuple[Row, ...]
 
 
+_ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height") for key in ("exp", "std"))
+
+
 def _cell(column: Column, level: float, units: int, digits: int, *place: int) -> str:
     """An estimate with its interval."""
     low, high = column.interval(level, units)
@@ -83,13 +82,23 @@ def _cell(column: Column, level: float, units: int, digits: int, *place: int) ->
     return f"{value:.{digits}f} [{low_:.{digits}f}, {high_:.{digits}f}]"
 
 
-def tables(report: Report) -> list[Table]:
-    """All of them, in the order of the thesis's chapter 8."""
-    groups = [*report.conditions, *(report.states if _states_differ(report) else [])]
-    found = [_rates(report, groups), _errors(report, groups), _correlations(report, groups), _curves(report, groups)]
+def tables(report: Report, every: bool = False) -> list[Table]:
+    """In the order of the thesis's chapter 8.
+
+    Args:
+        report: Of what.
+        every: Also what a terminal has no room for: labels of each condition, errors of labels, covariances.
+    """
+    groups = [*report.conditions, *report.states] if _states_differ(report) else list(report.states)
+    found = [_state_table(report)] if _states_differ(report) else []
+    found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups)]
+    found += [_covariances(report, groups)] if every else []
+    found.append(_curves(report, groups))
+    detailed = groups if every else report.states
     if len(report.labelled.labels) > 1:
-        found += [_labels(report, figures) for figures in report.states]
-    found += [_confusion(report, figures) for figures in report.states]
+        found += [_labels(report, figures) for figures in detailed]
+        found += [_label_errors(report, figures) for figures in detailed] if every else []
+    found += [_confusion(report, figures) for figures in detailed]
     found.append(_shares(report))
     found.append(_parameters(report))
     if report.bias is not None:
@@ -101,11 +110,28 @@ def _states_differ(report: Report) -> bool:
     return any(names != (state,) for state, names in report.state_map.states.items())
 
 
+def _name(report: Report, figures: Figures) -> str:
+    """A state's says that it is one, where there are conditions beside it."""
+    state = _states_differ(report) and any(figures is each for each in report.states)
+    return f"state {figures.name}" if state else figures.name
+
+
+def _state_table(report: Report) -> Table:
+    f1 = {figures.name: float(figures.columns["any F1"].estimate) for figures in report.conditions}
+    rows = [
+        (state, ", ".join(f"{name} ({f1[name]:.3f})" if name in f1 else name for name in names))
+        for state, names in report.state_map.states.items()
+    ]
+    left = set(f1) - {name for names in report.state_map.states.values() for name in names}
+    rows += [("in no state", ", ".join(f"{name} ({f1[name]:.3f})" for name in f1 if name in left))] if left else []
+    return Table("Performance states, and their conditions with their F1", ("state", "conditions"), tuple(rows))
+
+
 def _rates(report: Report, groups: Sequence[Figures]) -> Table:
     keys = ("precision", "recall", "F1", "F-beta", "FNR", "FDR")
     rows = tuple(
         (
-            figures.name,
+            _name(report, figures),
             str(figures.images),
             *(_cell(figures.columns[f"any {key}"], report.level, figures.units, 3) for key in keys),
         )
@@ -133,14 +159,14 @@ def _labels(report: Report, figures: Figures) -> Table:
         last = _cell(figures.columns[f"mean {NUMBERS[0]}"], report.level, figures.units, 3) if mean == "mean" else ""
         rows.append((f"{mean if mean == 'weighted' else 'arithmetic'} mean", "", *cells, last))
     header = ("label", "truths", "precision", "recall", "F1", "FNR", "FDR", "AP")
-    return Table(f"Labels in '{figures.name}': another label is a miss of one and a false one of the other",
+    return Table(f"Labels in {_name(report, figures)}: another label is a miss of one and a false one of the other",
                  header, tuple(rows))  # fmt: skip
 
 
 def _errors(report: Report, groups: Sequence[Figures]) -> Table:
     rows = tuple(
         (
-            figures.name,
+            _name(report, figures),
             *(
                 _cell(figures.columns[f"error {key}"], report.level, figures.units, 1, place)
                 for place in range(4)
@@ -149,15 +175,13 @@ def _errors(report: Report, groups: Sequence[Figures]) -> Table:
         )
         for figures in groups
     )
-    names = ("x", "y", "width", "height")
-    header = ("condition", *(f"{name} {key}" for name in names for key in ("exp", "std")))
-    return Table("Box errors in pixels: expected value and standard deviation", header, rows)
+    return Table("Box errors in pixels: expected value and standard deviation", ("condition", *_ERROR_COLUMNS), rows)
 
 
 def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
     rows = tuple(
         (
-            figures.name,
+            _name(report, figures),
             *(
                 _cell(figures.columns["error correlation"], report.level, figures.units, 2, place)
                 for place in range(len(PAIRS))
@@ -169,11 +193,42 @@ def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
     return Table("Correlation coefficients of the box errors", header, rows)
 
 
+def _covariances(report: Report, groups: Sequence[Figures]) -> Table:
+    rows = tuple(
+        (
+            _name(report, figures),
+            *(
+                _cell(figures.columns["error covariance"], report.level, figures.units, 1, place)
+                for place in range(len(CELLS))
+            ),
+        )
+        for figures in groups
+    )
+    header = ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in CELLS))
+    return Table("Covariances of the box errors in square pixels", header, rows)
+
+
+def _label_errors(report: Report, figures: Figures) -> Table:
+    rows = tuple(
+        (
+            name,
+            *(
+                _cell(figures.columns[f"error {key} of labels"], report.level, figures.units, 1, label, place)
+                for place in range(4)
+                for key in ("mean", "std")
+            ),
+        )
+        for label, name in enumerate(report.labelled.labels)
+    )
+    title = f"Box errors in pixels by what was there, in {_name(report, figures)}"
+    return Table(title, ("label", *_ERROR_COLUMNS), rows)
+
+
 def _curves(report: Report, groups: Sequence[Figures]) -> Table:
     extra = [key for key in ("confidence cross-entropy", "label cross-entropy") if key in groups[0].columns]
     rows = tuple(
         (
-            figures.name,
+            _name(report, figures),
             *(_cell(figures.columns[f"mean {key}"], report.level, figures.units, 3) for key in NUMBERS),
             *(_cell(figures.columns[key], report.level, figures.units, 3) for key in extra if key in figures.columns),
         )
@@ -196,8 +251,8 @@ def _confusion(report: Report, figures: Figures) -> Table:
             share = _cell(figures.columns["false labels"], report.level, figures.units, 3, row)
             last = f"{figures.counts[row, k]:.0f}  {share}"
         rows.append((name, *cells, last))
-    return Table(f"Confusion matrix of '{figures.name}': detected as, by what was there; counts and probabilities",
-                 ("", *names, "background"), tuple(rows))  # fmt: skip
+    title = f"Confusion matrix of {_name(report, figures)}: detected as, by what was there; counts and probabilities"
+    return Table(title, ("", *names, "background"), tuple(rows))
 
 
 def _shares(report: Report) -> Table:
@@ -217,10 +272,33 @@ def _parameters(report: Report) -> Table:
         low, high = intervals[path]
         value = np.asarray(values[path])
         for place in np.ndindex(*value.shape):
-            name = path + "".join(f"[{k}]" for k in place)
+            name = _number(learned, path, place)
             ends = f"{float(np.asarray(low)[place]):.4g} to {float(np.asarray(high)[place]):.4g}"
             rows.append((name, f"{float(value[place]):.4g}", ends))
     return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
+
+
+def _number(learned: Learned, path: str, place: tuple[int, ...]) -> str:
+    """A number by its path and, in words where there are any, its place."""
+    form, kind = learned.form, path.rpartition(".")[2]
+    if kind.startswith("box_error"):
+        unit = form.units[path.split(".")[1]].split()[-1]
+        names = (
+            ERROR_COMPONENTS
+            if kind != "box_error_correlation"
+            else [f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in PAIRS]
+        )
+        return f"{path}[{names[place[0]]}]" + ("" if kind == "box_error_correlation" else f" ({unit})")
+    if kind in ("confusion", "false_positive_labels"):
+        seen, *there = ([*form.labels, "missed"][k] for k in place)
+        return f"{path}[{seen}{' from ' + there[0] if there else ''}]"
+    if kind == "transition_matrix":
+        return f"{path}[{form.states[place[0]]} from {form.states[place[1]]}]"
+    if kind == "px":
+        return f"{path}[{('width', 'height')[place[0]]}]"
+    if kind == "quantiles":
+        return f"{path}[{place[0] / (QUANTILES - 1):.0%}]"
+    return path + "".join(f"[{k}]" for k in place)
 
 
 def _bias(bias: Bias) -> Table:
@@ -231,7 +309,7 @@ def _bias(bias: Bias) -> Table:
         for place in zip(*np.nonzero(np.atleast_1d(sure)), strict=True):
             where = place if np.ndim(shift) else ()
             strength = abs(float(shift[where])) / float(bias.errors[path][where])
-            name = path + "".join(f"[{k}]" for k in where)
+            name = _number(bias.learned, path, where)
             numbers = [float(each[where]) for each in (values[path], bias.again[path], corrected[path])]
             rows.append((strength, (name, *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")))
     rows.sort(key=lambda row: -row[0])
@@ -249,81 +327,3 @@ def lead(report: Report) -> str:
         f"{report.matched_by}, confidence at least {learned.form.threshold:g}; {report.level:.0%} intervals by "
         f"bootstrap over {learned.units['']} {drawn}."
     )
-
-
-def write_page(report: Report, path: Path) -> None:
-    """The page, in one file."""
-    body = [page.paragraph(lead(report), "lead"), f"<style>{_STYLE}</style>"]
-    states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
-    body.append(page.paragraph(f"Performance states: {states}."))
-    body += [page.heading("Precision against recall"), *_curve_pictures(report)]
-    body += [page.heading("Box errors"), *_scatter(report)]
-    body += [page.heading("Confusion matrices"), *_matrices(report)]
-    gains = {name: max(gain, 0.0) for name, gain in report.shares.gains.items()}
-    body += [page.heading("What average precision is lost to"), pictures.bars(gains, "points", _SHARES)]
-    for table in tables(report):
-        body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
-    notes = report.learned.form.notes
-    body.append(page.heading("Left simple"))
-    body += [page.paragraph(note) for note in notes] or [page.paragraph("Nothing: there was enough of everything.")]
-    body.append(page.paragraph(_POINTS, "soft"))
-    path.write_text(page.page("A detector, learned", body), encoding="utf-8")
-
-
-_STYLE = (
-    "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
-    ".plots figure { width: 25rem; margin: 0; } .plots svg { width: 100%; height: auto; } "
-    "td.number { padding-left: 0.9rem; } .wide { overflow-x: auto; } .wide td { white-space: nowrap; }"
-)
-_SHARES = (
-    "Points of mean average precision that mending one kind of error would gain (Bolya et al., 2020): classification, "
-    "localisation, both, duplicate, background, missed."
-)
-_POINTS = (
-    "Average precision: by all points it is the area under the interpolated curve; COCO's tools average that curve at "
-    "101 levels of recall, and the 11-point form at 11, so the three differ by up to a step of the curve."
-)
-
-
-def _curve_pictures(report: Report) -> list[str]:
-    curves = []
-    for label, name in enumerate(report.labelled.labels):
-        of_state: dict[str, tuple[Array, Array]] = {}
-        for index, state in enumerate(report.learned.form.states):
-            images = report.learned.observed.image_state == index
-            curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
-            if curve is not None and len(curve.recall):
-                of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
-        curves.append(pictures.precision_recall(of_state, f"{name}: largest precision at each recall or beyond."))
-    return ['<div class="plots">', *curves, "</div>"]
-
-
-def _scatter(report: Report) -> list[str]:
-    pairs = report.learned.observed.pairs()
-    detection = report.learned.observed.detection[~report.learned.observed.missed]
-    error = errors_px(report.labelled.found.boxes_px[detection], pairs.truth_px)
-    plots = []
-    for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
-        groups = {
-            state: error[pairs.state == index][:, [i, j]]
-            for index, state in enumerate(report.learned.form.states)
-            if np.any(pairs.state == index)
-        }
-        x, y = ERROR_COMPONENTS[i], ERROR_COMPONENTS[j]
-        caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
-        plots.append(pictures.error_scatter(groups, f"{x} in px", f"{y} in px", caption))
-    return ['<div class="plots">', *plots, "</div>"]
-
-
-def _matrices(report: Report) -> list[str]:
-    parts = []
-    for figures in report.states:
-        k = len(report.labelled.labels)
-        shares = np.full((k + 1, k + 1), np.nan)
-        shares[:, :k] = figures.columns["confusion"].estimate
-        shares[:k, k] = figures.columns["false labels"].estimate
-        parts += [
-            page.paragraph(figures.name),
-            pictures.confusion_table(report.labelled.labels, figures.counts, shares),
-        ]
-    return parts

@@ -12,7 +12,7 @@ import typer
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rich.console import Console
 
@@ -76,7 +76,8 @@ def learn_command(
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.matching import Rule
     from modsim3d.learn_detector import Asked, learn_detector
-    from modsim3d.learn_report import lead, tables, write_page
+    from modsim3d.learn_page import write_page
+    from modsim3d.learn_report import lead, tables
     from modsim3d.validation import read_text
 
     page = out.with_suffix(".html") if page is None else page
@@ -105,11 +106,11 @@ def learn_command(
     out.write_text(detector_text(report.learned.detector(values), comments), encoding="utf-8", newline="\n")
     write_page(report, page)
     console = Console()
-    console.print(lead(report), highlight=False)
+    console.print(lead(report), highlight=False, markup=False)
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
     _say_notes(console, report)
-    console.print(f"\nwritten  {out}, {page}", highlight=False, soft_wrap=True)
+    console.print(f"\nwritten  {out}, {page}", highlight=False, markup=False, soft_wrap=True)
 
 
 def _given(  # type: ignore[no-untyped-def]
@@ -163,14 +164,36 @@ def _sets(  # type: ignore[no-untyped-def]
 
 def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for place, name in enumerate(header):
-        table.add_column(name, justify="left" if place == 0 else "right")
-    for row in rows:
-        table.add_row(*row)
+    table = Table(title=Text(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
+    names, *cells = _fitted([header, *rows], console.width)
+    for place, name in enumerate(names):
+        left = place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
+        table.add_column(Text(name), justify="left" if left else "right")
+    for row in cells:
+        table.add_row(*map(Text, row))  # names are not markup, whatever is in them
     console.print()
     console.print(table)
+
+
+def _fitted(rows: Sequence[Sequence[str]], width: int) -> list[list[str]]:
+    """Cells in as few lines as there is room for: intervals go under their numbers, then both ends do."""
+    breaks: tuple[Callable[[str], str], ...] = (
+        lambda cell: cell,
+        lambda cell: cell.replace(" [", "\n["),
+        lambda cell: "\n".join(cell.split()) if "[" in cell else cell.replace(" ", "\n"),
+    )
+    for broken in breaks:
+        found = [[broken(cell) for cell in row] for row in rows]
+        needed = [max(len(line) for cell in column for line in cell.split("\n")) for column in zip(*found, strict=True)]
+        if sum(needed) + _BETWEEN * (len(needed) - 1) <= width:
+            break
+    return found
+
+
+_BETWEEN = 2
+"""Spaces between columns."""
 
 
 def _say_notes(console: Console, report: Report) -> None:

@@ -14,6 +14,7 @@ from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column, Resampling
 
 PAIRS = tuple((i, j) for i in range(4) for j in range(i + 1, 4))
+CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
 RATES = ("precision", "recall", "F1", "F-beta", "FNR", "FDR")
 CURVE_REPLICATES = 200
 """Average precision is worked out anew for each of at most so many replicates."""
@@ -31,7 +32,8 @@ class Figures:
             entry is undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
         columns: `RATES` of each label (eq. 5.1 to 5.20), shape (k,) each; `mean ...` and `weighted ...` over labels
             (eq. 5.22, 5.23); `any ...` with labels left aside; `confusion`, (k + 1, k), and `false labels`, (k,)
-            (eq. 5.25, 5.26); `error mean`, `error std` and `error correlation` (eq. 5.36 to 5.41); `average_precision`
+            (eq. 5.25, 5.26); `error mean`, `error std`, `error correlation` and, of `CELLS`, `error covariance`
+            (eq. 5.36 to 5.41), and `error mean of labels` and `error std of labels`, (k, 4); `average_precision`
             numbers of each label and their means (eq. 5.46); cross-entropies.
     """
 
@@ -169,9 +171,33 @@ def figures(
     found, truth = found[ours], truth[ours]
     error = errors_px(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth])
     columns |= error_columns(resampling, labelled.found.image[found], error)
+    columns["error covariance"] = _covariance_column(columns)
+    columns |= _label_errors(resampling, labelled.found.image[found], labelled.truth.label[truth], error, k)
     columns |= _precision_columns(labelled, by_label, resampling, images)
     columns |= _entropies(labelled, matched, resampling, images)
     return Figures(name, int(images.sum()), resampling.units(images), counts[0], columns)
+
+
+def _covariance_column(columns: Mapping[str, Column]) -> Column:
+    std, correlation = columns["error std"].values, columns["error correlation"].values
+    of_pair = [correlation[:, PAIRS.index(cell)] if cell in PAIRS else 1.0 for cell in CELLS]
+    values = [std[:, i] * std[:, j] * of for (i, j), of in zip(CELLS, of_pair, strict=True)]
+    return Column(np.stack(values, axis=1), "mean", np.repeat(columns["error mean"].counts[:1], len(CELLS)))
+
+
+def _label_errors(
+    resampling: Resampling, image: np.ndarray, label: np.ndarray, error: Array, labels: int
+) -> dict[str, Column]:
+    """Mean and standard deviation of the errors at boxes of each true label."""
+    of_label = [error_columns(resampling, image[label == k], error[label == k]) for k in range(labels)]
+    return {
+        f"{name} of labels": Column(
+            np.stack([columns[name].values for columns in of_label], axis=1),
+            of_label[0][name].kind,
+            np.stack([columns[name].counts for columns in of_label]),
+        )
+        for name in ("error mean", "error std")
+    }
 
 
 def _means(columns: Mapping[str, Column], true: Array) -> dict[str, Column]:

@@ -20,7 +20,7 @@ h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--bad); font-weight: 600; }
 table { border-collapse: collapse; margin: 0.8rem 0; }
 th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
-td.number { text-align: right; font-variant-numeric: tabular-nums; }
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
 """
@@ -48,16 +48,18 @@ def heading(text: str) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """A table; what looks like a number is set to the right."""
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+    """A table; what looks like a number is set to the right, and so is what stands above numbers."""
+    below = rows[0] if rows else [""] * len(header)
+    head = "".join(_cell(name, under, "th") for name, under in zip(header, below, strict=False))
     lines = [f"<tr>{head}</tr>"] if header else []
     lines += ["<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows]
     return "<table>\n" + "\n".join(lines) + "\n</table>"
 
 
-def _cell(text: str) -> str:
-    kind = ' class="number"' if text[:1].isdigit() else ""
-    return f"<td{kind}>{html.escape(text)}</td>"
+def _cell(text: str, number: str | None = None, tag: str = "td") -> str:
+    """A cell that is set as `number` is, or else as its own text."""
+    kind = ' class="number"' if (text if number is None else number).removeprefix("-")[:1].isdigit() else ""
+    return f"<{tag}{kind}>{html.escape(text)}</{tag}>"
 
 
 def picture(image: Image.Image, caption: str) -> str:

@@ -88,6 +88,10 @@ def test_error_moments_are_those_of_numpy():
     errors = np.concatenate([(change[:, :2] + change[:, 2:]) / 2, change[:, 2:] - change[:, :2]], axis=1)
     np.testing.assert_allclose(got.columns["error mean"].estimate, errors.mean(axis=0))
     np.testing.assert_allclose(got.covariance(), np.cov(errors.T), rtol=1e-9)
+    upper = np.triu_indices(4)
+    np.testing.assert_allclose(got.columns["error covariance"].estimate, np.cov(errors.T)[upper], rtol=1e-9)
+    np.testing.assert_allclose(got.columns["error mean of labels"].estimate, [errors.mean(axis=0)])
+    np.testing.assert_allclose(got.columns["error std of labels"].estimate, [errors.std(axis=0, ddof=1)])
     low, high = got.columns["error mean"].interval(0.95, got.units)
     width = 1.96 * errors.std(axis=0) / np.sqrt(300)
     np.testing.assert_allclose(high - low, 2 * width, rtol=0.25)  # replicates: 5 %, images: 9 %

@@ -291,3 +291,36 @@ def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_p
     model = load_detector(tmp_path / "d.yaml")
     np.testing.assert_allclose(model.states[0].confusion.sum(axis=0), 1)
     assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()
+
+
+@pytest.mark.parametrize("width", [80, 130, 300])
+def test_tables_fit_the_terminal_and_lose_nothing(width, tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 2)
+    arguments[3].write_text(arguments[3].read_text().replace('"c0"', '"c [red]0"'))
+    files = [*arguments, "--states", 1, "--out", tmp_path / "d.yaml", "--replicates", 20]
+    output = CliRunner().invoke(app, ["learn", *map(str, files)], env={"COLUMNS": str(width)}).output
+    assert max(len(line) for line in output.splitlines() if not line.startswith("written")) <= width
+    for column in ("precision", "recall", "F-2", "FDR", "height"):
+        assert column in output
+    words = output.split()
+    assert "[red]0" in words and "…" not in output
+    assert "states.usual.box_error_mean[e_x]" in words and "transition_matrix[usual" in words
+
+
+def test_the_page_has_the_labels_of_every_condition(tmp_path):
+    rng, arguments = np.random.default_rng(3), []
+    for name in ("day", "fog"):
+        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (40, 1))
+        image, label = np.repeat(np.arange(40), 2), np.tile([0, 1], 40)
+        moved = boxes + rng.normal(0, [1, 1, 1, 1], boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
+        labelled = Labelled(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
+                            found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
+        gt, dt = write_coco(labelled, tmp_path / name)
+        arguments += ["--condition", name, "--truth", gt, "--detections", dt]
+    result = command(*arguments, "--state", "all=day,fog", "--out", tmp_path / "d.yaml", "--replicates", 20)
+    page = (tmp_path / "d.html").read_text()
+    for group in ("day", "fog", "state all"):
+        for title in ("Labels in {}:", "Confusion matrix of {}:", "Box errors in pixels by what was there, in {}<"):
+            assert title.format(group) in page
+    assert "Labels in day" not in result.output and "Labels in state all" in result.output
+    assert "Covariances of the box errors in square pixels" in page

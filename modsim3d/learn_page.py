@@ -1,0 +1,96 @@
+"""What was learned, as a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.learn.average_precision import Curve, Ranking
+from modsim3d.learn.figures import errors_px
+from modsim3d.learn_report import Report, lead, tables
+from modsim3d.view import learn_figures as pictures
+from modsim3d.view import page
+
+Array = NDArray[np.float64]
+
+
+def write_page(report: Report, path: Path) -> None:
+    """The page, in one file."""
+    body = [page.paragraph(lead(report), "lead"), f"<style>{_STYLE}</style>"]
+    states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
+    body.append(page.paragraph(f"Performance states: {states}."))
+    body += [page.heading("Precision against recall"), *_curve_pictures(report)]
+    body += [page.heading("Box errors"), *_scatter(report)]
+    body += [page.heading("Confusion matrices"), *_matrices(report)]
+    gains = {name: max(gain, 0.0) for name, gain in report.shares.gains.items()}
+    body += [page.heading("What average precision is lost to"), pictures.bars(gains, "points", _SHARES)]
+    for table in tables(report, every=True):
+        body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
+    notes = report.learned.form.notes
+    body.append(page.heading("Left simple"))
+    body += [page.paragraph(note) for note in notes] or [page.paragraph("Nothing: there was enough of everything.")]
+    body.append(page.paragraph(_POINTS, "soft"))
+    path.write_text(page.page("A detector, learned", body), encoding="utf-8")
+
+
+_STYLE = (
+    "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
+    ".plots figure { width: 25rem; margin: 0; } .plots svg { width: 100%; height: auto; } "
+    ".wide { overflow-x: auto; font-size: 0.9rem; } "
+    ".wide td, .wide th { white-space: nowrap; padding: 0.2rem 0.9rem 0.2rem 0; }"
+)
+_SHARES = (
+    "Points of mean average precision that mending one kind of error would gain (Bolya et al., 2020): classification, "
+    "localisation, both, duplicate, background, missed."
+)
+_POINTS = (
+    "Average precision: by all points it is the area under the interpolated curve; COCO's tools average that curve at "
+    "101 levels of recall, and the 11-point form at 11, so the three differ by up to a step of the curve."
+)
+
+
+def _curve_pictures(report: Report) -> list[str]:
+    curves = []
+    for label, name in enumerate(report.labelled.labels):
+        of_state: dict[str, tuple[Array, Array]] = {}
+        for index, state in enumerate(report.learned.form.states):
+            images = report.learned.observed.image_state == index
+            curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
+            if curve is not None and len(curve.recall):
+                of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
+        curves.append(pictures.precision_recall(of_state, f"{name}: largest precision at each recall or beyond."))
+    return ['<div class="plots">', *curves, "</div>"]
+
+
+def _scatter(report: Report) -> list[str]:
+    pairs = report.learned.observed.pairs()
+    detection = report.learned.observed.detection[~report.learned.observed.missed]
+    error = errors_px(report.labelled.found.boxes_px[detection], pairs.truth_px)
+    plots = []
+    for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
+        groups = {
+            state: error[pairs.state == index][:, [i, j]]
+            for index, state in enumerate(report.learned.form.states)
+            if np.any(pairs.state == index)
+        }
+        x, y = ERROR_COMPONENTS[i], ERROR_COMPONENTS[j]
+        caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
+        plots.append(pictures.error_scatter(groups, f"{x} in px", f"{y} in px", caption))
+    return ['<div class="plots">', *plots, "</div>"]
+
+
+def _matrices(report: Report) -> list[str]:
+    parts = []
+    for figures in report.states:
+        k = len(report.labelled.labels)
+        shares = np.full((k + 1, k + 1), np.nan)
+        shares[:, :k] = figures.columns["confusion"].estimate
+        shares[:k, k] = figures.columns["false labels"].estimate
+        parts += [
+            page.paragraph(figures.name),
+            pictures.confusion_table(report.labelled.labels, figures.counts, shares),
+        ]
+    return parts
