@@ -13,7 +13,7 @@ from modsim3d.learn.figures import Figures, figures
 from modsim3d.learn.gate_bias import bias_of
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.matching import Rule, match
+from modsim3d.learn.matching import Matched, Rule, iou, match
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
 from modsim3d.learn_report import Report
@@ -93,7 +93,35 @@ def learn_detector(labelled: Labelled, settings: Settings, asked: Asked) -> Repo
         level=asked.level,
         beta=asked.beta,
         matched_by=str(settings.rule),
+        remarks=(*labelled.notes, *_about_matches(labelled, matched, settings.rule)),
     )
+
+
+_NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
+_ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
+
+
+def _about_matches(labelled: Labelled, matched: Matched, rule: Rule) -> list[str]:
+    """What the matches themselves say against them."""
+    remarks, (found, truth) = [], matched.pairs
+    if not len(found):
+        return ["nothing matches: are truth and detections of the same images, and boxes in pixels of the same size?"]
+    shift = labelled.found.label[found] - labelled.truth.label[truth]
+    for step, where in ((1, "after"), (-1, "before")):
+        if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
+            remarks.append(
+                f"{(shift == step).mean():.0%} of the matches have the label {where} that of the truth in the list of "
+                f"categories: do results count from elsewhere (--category-offset {-step})?"
+            )
+    if rule.method in ("confidence", "optimal"):
+        overlaps = iou(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth])
+        near = float((overlaps < rule.least_iou + _NEAR_THE_GATE).mean())
+        if near > _MANY_NEAR:
+            remarks.append(
+                f"{near:.0%} of the matches have an IoU of less than {rule.least_iou + _NEAR_THE_GATE:.2g}: larger "
+                "errors were cut off, and count as a miss and a false detection each (--bias says how much that does)"
+            )
+    return remarks
 
 
 def _f1(labelled: Labelled, found: np.ndarray, counts: np.ndarray, sought: np.ndarray, condition: int) -> float:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 def write_page(report: Report, path: Path) -> None:
     """The page, in one file."""
     body = [page.paragraph(lead(report), "lead"), f"<style>{_STYLE}</style>"]
+    body += [page.paragraph(f"{remark}.") for remark in report.remarks]
     states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
     body.append(page.paragraph(f"Performance states: {states}."))
     body += [page.heading("Precision against recall"), *_curve_pictures(report)]

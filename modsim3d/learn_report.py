@@ -38,6 +38,7 @@ class Report:
         level: Of the intervals.
         beta: Of F-beta.
         matched_by: The rule in words.
+        remarks: What the numbers have to be read with: entries left out, what matching hides.
     """
 
     labelled: Labelled
@@ -51,6 +52,7 @@ class Report:
     level: float
     beta: float
     matched_by: str
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -281,14 +283,11 @@ def _parameters(report: Report) -> Table:
 def _number(learned: Learned, path: str, place: tuple[int, ...]) -> str:
     """A number by its path and, in words where there are any, its place."""
     form, kind = learned.form, path.rpartition(".")[2]
+    if kind == "box_error_correlation":
+        return f"{path}[{','.join(ERROR_COMPONENTS[k] for k in PAIRS[place[0]])}]"
     if kind.startswith("box_error"):
-        unit = form.units[path.split(".")[1]].split()[-1]
-        names = (
-            ERROR_COMPONENTS
-            if kind != "box_error_correlation"
-            else [f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in PAIRS]
-        )
-        return f"{path}[{names[place[0]]}]" + ("" if kind == "box_error_correlation" else f" ({unit})")
+        unit = form.units[path.removeprefix("states.").rpartition(".")[0]].split()[-1]
+        return f"{path}[{ERROR_COMPONENTS[place[0]]}] ({unit})"
     if kind in ("confusion", "false_positive_labels"):
         seen, *there = ([*form.labels, "missed"][k] for k in place)
         return f"{path}[{seen}{' from ' + there[0] if there else ''}]"

@@ -100,6 +100,7 @@ def learn_command(
     values = report.bias.corrected() if correct and report.bias else None
     comments = [f"Learned by modsim3d learn. {lead(report)}"]
     comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
+    comments += [f"Remark: {remark}" for remark in report.remarks]
     comments += ["Corrected once for the bias of the matching."] if correct else []
     comments += [f"Left simple: {note}" for note in report.learned.form.notes]
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -107,6 +108,8 @@ def learn_command(
     write_page(report, page)
     console = Console()
     console.print(lead(report), highlight=False, markup=False)
+    for remark in report.remarks:
+        console.print(f"Remark: {remark}.", highlight=False, markup=False)
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
     _say_notes(console, report)
@@ -182,7 +185,7 @@ def _fitted(rows: Sequence[Sequence[str]], width: int) -> list[list[str]]:
     breaks: tuple[Callable[[str], str], ...] = (
         lambda cell: cell,
         lambda cell: cell.replace(" [", "\n["),
-        lambda cell: "\n".join(cell.split()) if "[" in cell else cell.replace(" ", "\n"),
+        lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
     )
     for broken in breaks:
         found = [[broken(cell) for cell in row] for row in rows]

@@ -123,11 +123,8 @@ def _box_errors(observed: Observed, form: Form, resampling: Resampling, kept: fl
     columns: Columns = {}
     for index, name in enumerate(form.states):
         unit = form.units[name]
-        relative = unit.endswith("relative")
-        use = pairs.unclipped(sizes, relative)
-        if not unit.startswith("pooled"):
-            use &= pairs.state == index
-        errors = pairs.error_px[use] / (pairs.sides_px[use] if relative else 1.0)
+        use = pairs.used(sizes, unit, index)
+        errors = pairs.error_px[use] / (pairs.sides_px[use] if unit.endswith("relative") else 1.0)
         moments = error_columns(resampling, pairs.image[use], errors)
         prefix = f"states.{name}.box_error"
         columns |= _normal_errors({f"{prefix}_{key.split()[1]}": moments[key] for key in moments}, prefix, kept)

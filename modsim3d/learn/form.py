@@ -38,7 +38,8 @@ class Form:
         labels: Names of the classes.
         states: Names of the performance states.
         threshold: Least confidence.
-        units: Of the box error of each state, `px` or `relative`; `pooled` in front where all states share one.
+        units: Of the box error of each state, `px` or `relative`; `pooled` in front where all states share one, and
+            `pooled edge` where even so there are too few but with those that the image's edge may have cut.
         effects: On misses.
         class_persists: Whether misses persist.
         box_persists: Whether box errors do.
@@ -105,16 +106,23 @@ def _units(observed: Observed, notes: list[str]) -> dict[str, str]:
     pairs, sizes = observed.pairs(), observed.labelled.images.sizes_px
     units = {}
     for index, name in enumerate(observed.states):
-        ours = pairs.state == index
-        number = int(ours.sum())
-        prefix = ""
-        if number < ERRORS_NEEDED:
-            prefix, ours = "pooled ", np.ones(len(pairs), dtype=bool)
-            notes.append(f"states.{name}.box_error: that of all states; had {number} matches, needs {ERRORS_NEEDED}")
-        likelihood = {}
-        for unit in ("px", "relative"):
-            use = ours & pairs.unclipped(sizes, unit == "relative")
-            likelihood[unit] = _likelihood(pairs.error_px[use], pairs.sides_px[use] if unit == "relative" else None)
+        prefix, number = "", 0
+        for prefix in ("", "pooled ", "pooled edge "):
+            use = {unit: pairs.used(sizes, prefix + unit, index) for unit in ("px", "relative")}
+            most = max(int(rows.sum()) for rows in use.values())
+            number = number if prefix else most
+            if most >= ERRORS_NEEDED:
+                break
+        if prefix:
+            whose = "that of all states" + (", with boxes at the image's edge" if "edge" in prefix else "")
+            notes.append(
+                f"states.{name}.box_error: {whose}; had {number} matches away from the image's edge, "
+                f"needs {ERRORS_NEEDED}"
+            )
+        likelihood = {
+            unit: _likelihood(pairs.error_px[rows], pairs.sides_px[rows] if unit == "relative" else None)
+            for unit, rows in use.items()
+        }
         units[name] = prefix + ("relative" if likelihood["relative"] > likelihood["px"] else "px")
     return units
 

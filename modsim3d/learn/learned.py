@@ -108,7 +108,7 @@ def learn(
     units = {f"states.{name}.": resampling.units(image_state == index) for index, name in enumerate(states)}
     units[""] = resampling.units(image_state >= 0)
     columns = estimate(observed, form, resampling)
-    form = replace(form, notes=(*labelled.notes, *form.notes, *_empty(observed), *transitions.notes))
+    form = replace(form, notes=(*form.notes, *_empty(observed), *transitions.notes))
     return Learned(observed, form, columns, units, resampling, run_s, transitions)
 
 

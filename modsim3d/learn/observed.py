@@ -115,6 +115,13 @@ class Pairs:
         """Width, height, width, height: what relative errors are relative to; at least a pixel; shape (m, 4)."""
         return np.tile(np.maximum(self.truth_px[:, 2:] - self.truth_px[:, :2], 1.0), 2)
 
+    def used(self, sizes_px: Array, unit: str, state: int) -> Mask:
+        """Those that the box error of a state is learned from, by its unit in the words of `Form`, shape (m,)."""
+        if "edge" in unit:
+            return np.ones(len(self), dtype=bool)
+        unclipped = self.unclipped(sizes_px, unit.endswith("relative"))
+        return unclipped if "pooled" in unit else unclipped & (self.state == state)
+
     def unclipped(self, sizes_px: Array, relative: bool) -> Mask:
         """Boxes whose errors the image's edge or a least side of a pixel can hardly have cut, shape (m,).
 

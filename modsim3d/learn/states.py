@@ -126,22 +126,32 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
         images: The images.
         image_state: Shape (I,).
         states: How many there are.
-        interval_s: Time between transitions; None for one each frame.
+        interval_s: Time between transitions; None for one each frame, whose usual interval it then is.
     """
-    sequences: dict[tuple[bytes, bytes, int], Indices] = {}
     changing = [s for s in np.unique(images.source) if len(np.unique(image_state[images.source == s])) > 1]
+    frames = []
     for sequence in np.unique(images.sequence):
         rows = np.flatnonzero((images.sequence == sequence) & np.isfinite(images.time_s) & (image_state >= 0))
-        if not len(rows) or images.source[rows[0]] not in changing:
-            continue
-        rows = rows[np.argsort(images.time_s[rows], kind="stable")]
-        if interval_s is not None:
-            number = np.floor(images.time_s[rows] / interval_s + 1e-6).astype(np.int64)
-            rows = rows[np.unique(number, return_index=True)[1]]
-        ours = image_state[rows]
-        key = (images.time_s[rows].tobytes(), ours.tobytes(), int(images.source[rows[0]]))
-        sequences[key] = ours
-    return count_transitions(list(sequences.values()), states, interval_s)
+        if len(rows) and images.source[rows[0]] in changing:
+            frames.append(rows[np.argsort(images.time_s[rows], kind="stable")])
+    usual_s = interval_s or _usual_gap_s([images.time_s[rows] for rows in frames])
+    found: dict[tuple[bytes, bytes, int], list[Indices]] = {}
+    for rows in frames if usual_s else []:
+        times = images.time_s[rows]
+        # A state changes at multiples of an interval; frames may be a little early or late.
+        number = np.rint((times - times[0]) / usual_s) if interval_s is None else np.floor(times / usual_s + 1e-6)
+        numbers, first = np.unique(number, return_index=True)
+        ours = image_state[rows[first]]
+        key = (times[first].tobytes(), ours.tobytes(), int(images.source[rows[0]]))
+        found[key] = np.split(ours, np.flatnonzero(np.diff(numbers) != 1) + 1)  # what lies between is not known
+    return count_transitions([part for parts in found.values() for part in parts], states, usual_s or None)
+
+
+def _usual_gap_s(times_s: Sequence[Array]) -> float:
+    """Between frames; 0 if none follows another."""
+    gaps = np.concatenate([np.diff(each) for each in times_s]) if times_s else np.zeros(0)
+    gaps = gaps[gaps > 0]
+    return float(f"{np.median(gaps):.6g}") if len(gaps) else 0.0
 
 
 def parse_sequence(text: str, states: Sequence[str], source: str) -> Indices:

@@ -9,7 +9,8 @@ from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_shares import KINDS, error_shares
 from modsim3d.learn.figures import figures
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import Labelled, joined
+from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Rule, match
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import correlation_time
@@ -243,3 +244,47 @@ def test_error_shares_name_each_kind():
     assert shares.gains["localisation"] == pytest.approx(100 / 6)
     assert shares.gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
     assert shares.gains["duplicate"] == shares.gains["background"] == shares.gains["both"] == 0
+
+
+def test_transitions_are_between_frames_that_follow_each_other_and_have_their_interval():
+    # A little early or late; between the fourth and the fifth, three are missing.
+    frames = images(6, time_s=np.array([10.0, 10.52, 10.99, 11.5, 13.5, 14.0]))
+    chain = transitions_of(frames, np.array([0, 0, 1, 1, 0, 1]), 2)
+    assert chain.counts.tolist() == [[1, 0], [2, 1]]
+    assert chain.interval_s == pytest.approx(0.5, abs=0.02)
+    assert transitions_of(frames, np.array([0, 0, 1, 1, 0, 1]), 2, 1.0).counts.tolist() == [[0, 0], [2, 0]]
+    alone = images(2, time_s=np.array([3.0, 3.0]))
+    assert not transitions_of(alone, np.array([0, 1]), 2).observed
+
+
+def at_the_edge(inner, outer, seed=2):
+    """Boats in the middle and at the left edge of images, found with errors of 3 px."""
+    rng = np.random.default_rng(seed)
+    count = inner + outer
+    boxes = np.tile([300.0, 300, 380, 360], (count, 1))
+    boxes[inner:] = [0.0, 300, 80, 360]
+    moved = boxes + rng.normal(0, 3, boxes.shape)
+    moved[inner:, 0] = np.maximum(moved[inner:, 0], 0)
+    image = np.arange(count)
+    return Labelled(("a",), ("all",), images(count), truth(image, image * 0, boxes),
+                    found(image, image * 0, moved, np.full(count, 0.9)))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("inner", "unit", "whose"),
+    [(30, "", None), (2, "pooled ", "that of all states; had 2 matches"),
+     (0, "pooled edge ", "that of all states, with boxes at the image's edge; had 0 matches")],
+)  # fmt: skip
+def test_box_errors_are_learned_from_boxes_that_the_edge_has_not_cut_as_far_as_there_are_any(inner, unit, whose):
+    labelled = at_the_edge(inner, 40)
+    state = np.zeros(len(labelled.images), dtype=np.int64)
+    learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), Settings(replicates=20))
+    if unit == "pooled ":  # of another state there are enough
+        labelled = joined([labelled, at_the_edge(30, 0, seed=3)])
+        state = np.repeat([0, 1], [42, 30])
+        learned = learn(labelled, ("usual", "other"), state, Transitions(np.zeros((2, 2))), Settings(replicates=20))
+    assert learned.form.units["usual"].rpartition(" ")[0] == unit.strip()
+    stated = [note for note in learned.form.notes if note.startswith("states.usual.box_error")]
+    assert len(stated) == (whose is not None) and all(whose in note for note in stated)
+    covariance = np.array(learned.detector()["states"]["usual"]["box_error"]["covariance"])
+    assert np.all(np.diag(covariance) > 0)

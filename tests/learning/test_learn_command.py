@@ -324,3 +324,31 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
             assert title.format(group) in page
     assert "Labels in day" not in result.output and "Labels in state all" in result.output
     assert "Covariances of the box errors in square pixels" in page
+
+
+def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remarked(tmp_path):
+    state = np.zeros(1500, dtype=np.int64)
+    settings = Settings(replicates=20, clutter="calibrated")
+
+    def remarks(std_px, method="confidence", shift=0):
+        labelled = simulated(blank(), state, parse_detector(one_state(std_px)), seed=3)
+        labelled = replace(labelled, labels=("boat", "buoy"))
+        found = replace(labelled.found, label=labelled.found.label + shift)
+        return learn_detector(replace(labelled, found=found), replace(settings, rule=Rule(method)), Asked()).remarks
+
+    assert remarks(2.0) == ()
+    assert len(remarks(8.0)) == 1 and "of the matches have an IoU of less than 0.6" in remarks(8.0)[0]
+    assert remarks(8.0, "provenance") == ()
+    assert "100% of the matches have the label after" in remarks(2.0, shift=1)[0]
+    assert "(--category-offset -1)" in remarks(2.0, shift=1)[0]
+    assert "nothing matches" in learn_detector(blank(20), settings, Asked()).remarks[0]
+
+
+def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 1)
+    results = json.loads(arguments[5].read_text())
+    arguments[5].write_text(json.dumps([*results, {"image_id": 99999}]))
+    result = command(*arguments, "--skip-bad", "--out", tmp_path / "d.yaml", "--replicates", 20)
+    for text in (result.output, (tmp_path / "d.yaml").read_text(), (tmp_path / "d.html").read_text()):
+        assert "1 entries left out, the first because" in text
+    assert "Left simple: det" not in (tmp_path / "d.yaml").read_text()
