@@ -291,6 +291,8 @@ def _number(learned: Learned, path: str, place: tuple[int, ...]) -> str:
     if kind in ("confusion", "false_positive_labels"):
         seen, *there = ([*form.labels, "missed"][k] for k in place)
         return f"{path}[{seen}{' from ' + there[0] if there else ''}]"
+    if kind == "false_positives_per_image" and form.clutter != kind.removeprefix("false_positives_"):
+        return f"{path} (not written)"
     if kind == "transition_matrix":
         return f"{path}[{form.states[place[0]]} from {form.states[place[1]]}]"
     if kind == "px":

@@ -163,9 +163,8 @@ def _clutter(observed: Observed, form: Form, resampling: Resampling) -> Columns:
         number = false[:, index]
         share = np.nan_to_num(_share(number, number + true[:, index]))
         columns[f"states.{name}.false_discovery_rate"] = Column(share, "share", number[0] + true[0, index])
-        if form.clutter == "per_image":
-            rate = np.nan_to_num(_share(number, images[:, index]))
-            columns[f"states.{name}.false_positives_per_image"] = Column(rate, "rate", images[0, index])
+        rate = np.nan_to_num(_share(number, images[:, index]))
+        columns[f"states.{name}.false_positives_per_image"] = Column(rate, "rate", images[0, index])
         table = _share(labels[:, index], number[:, None])
         overall = _share(labels.sum(axis=1), false.sum(axis=1, keepdims=True))
         table = np.where(np.isfinite(table), table, np.where(np.isfinite(overall), overall, 1 / k))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -105,9 +106,21 @@ def test_the_same_data_give_the_same_bytes(exported, tmp_path):
     assert (tmp_path / "first.html").read_bytes() == (tmp_path / "second.html").read_bytes()
 
 
+def false_of_states(run):
+    labelled = labelled_run(run)[0]
+    false = labelled.found.image[(labelled.found.origin < 0) & (labelled.found.confidence >= 0.2)]
+    return np.bincount(labelled.images.condition[false], minlength=len(labelled.conditions))
+
+
 def test_a_run_is_learned_by_provenance(run, tmp_path):
     result = command("--run", run, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
     assert result.exit_code == 0 and "matched by provenance" in result.output
+    images, false = np.bincount(labelled_run(run)[0].images.condition), false_of_states(run)
+    for state, rate in zip(labelled_run(run)[0].conditions, false / images, strict=True):
+        assert f"states.{state}.false_positives_per_image (not written)  {rate:.4g}" in re.sub(
+            r" {2,}", "  ", result.output
+        )
+    assert "per_image" not in (tmp_path / "d.yaml").read_text()
     assert load_detector(tmp_path / "d.yaml").transition_interval_s == 1  # the run knows
 
 
