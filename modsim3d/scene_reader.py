@@ -3,42 +3,36 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from pydantic import ValidationError
 
 from modsim3d.annotate.modes import Annotation
-from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.detector.loader import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.imu import PERFECT_IMU, Imu
-from modsim3d.lens import Distortion
 from modsim3d.obstacles import Obstacle
 from modsim3d.plugins import Plugin
 from modsim3d.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
-from modsim3d.scene import Scene, Waves
+from modsim3d.scene import Scene
+from modsim3d.scene_checks import scene_problems
 from modsim3d.scene_copy import SceneCopy, copy_scene
-from modsim3d.scene_file import MAX_STEPS, CameraKeys, SceneKeys, WavesKeys
+from modsim3d.scene_file import MAX_STEPS, SceneKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
-from modsim3d.scene_places import place_problems
+from modsim3d.scene_values import Axes, camera_of, waves_of
 from modsim3d.shipped import data_folder
 from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.wave_levels import find_level
-from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 
-Axes = tuple[Axis, Axis, Axis]
 T = TypeVar("T")
 
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
-CHECKED_STEPS = 1000
-"""Steps whose camera positions are looked at together; it bounds the memory."""
 OVERRIDES = {
     "seed": ("seed",),
     "steps": ("steps",),
@@ -179,13 +173,13 @@ class _Reader:
             steps=keys.steps or (MAX_STEPS if isinstance(poses, LivePoses) else len(poses.timestamps)),
             vessels=vessels,
             poses=poses,
-            cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
+            cameras=tuple(camera_of(name, camera) for name, camera in keys.cameras.items()),
             annotation=Annotation(**annotation.model_dump()),
             detector=detector,
             copy=copy,
             sea=keys.sea,
             obstacles=obstacles,
-            waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
+            waves=waves_of(keys.waves, keys.seed, vessels, level[0] if level else None),
             imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
             plugins=tuple(
                 plugin for plugin in (source and source.plugin, level and level[1], *self.meshes.plugins) if plugin
@@ -193,20 +187,7 @@ class _Reader:
         )
         if keys.imu is not None and not scene.own_ships:
             self.problems.append("imu: no camera is mounted on a vessel, so that there is no own ship to measure")
-        if scene.live and scene.waves is not None and scene.waves.motion.needs_velocity:
-            self.problems.append(
-                "waves.spectrum: the sea needs to know how fast vessels are, which a stream tells too late: use "
-                "a level or coefficients"
-            )
-        if scene.live and scene.detector.needs_reference:
-            self.problems.append(
-                f"detector: {keys.detector} holds rates over the whole scene (anchor: state_rate), which a stream does "
-                "not show beforehand: use anchor: none"
-            )
-        self._check_lenses(scene)
-        if not scene.live:
-            self._check_frames(scene)
-            self._check_places(scene)
+        self.problems += scene_problems(scene)
         if self.problems:
             raise InputError(f"scene {self.path}", self.problems)
         return scene
@@ -217,7 +198,10 @@ class _Reader:
             return read()
         except InputError as error:
             here = error.source == f"scene {self.path}"
-            self.problems += [problem if here else f"{error.source}: {problem}" for problem in error.problems]
+            self.problems += [
+                problem if here or problem.startswith(error.source) else f"{error.source}: {problem}"
+                for problem in error.problems
+            ]
             return None
 
     def _keys(self) -> SceneKeys | None:
@@ -343,15 +327,6 @@ class _Reader:
                     f"({nearest(label, detector.labels)})"
                 )
 
-    def _check_places(self, scene: Scene) -> None:
-        """Whether each camera has a place at each step, and no vessel around it."""
-        found: set[str] = set()
-        for first in range(0, scene.steps, CHECKED_STEPS):
-            steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
-            for name, problems in place_problems(scene, steps, found).items():
-                self.problems += problems
-                found.add(name)
-
     def _copy(self, keys: SceneKeys, entries: dict[Any, Any], recorded: NamedSource | None) -> SceneCopy:
         return copy_scene(
             self.path,
@@ -362,70 +337,3 @@ class _Reader:
             mesh_files=self.meshes.files,
             pose_files=None if recorded is None else recorded.keys.files,
         )
-
-    def _check_frames(self, scene: Scene) -> None:
-        """Whether the scene's steps give each camera its frames. Most of its steps count: a log may have gaps."""
-        for camera in scene.cameras:
-            if camera.frame_rate_hz is None and not camera.start_offset_s:
-                continue
-            times_s = scene.times_s(0, scene.steps)
-            interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-            rate = camera.frame_rate_hz
-            if rate is not None and rate * interval_s > 1 + 1e-6:
-                self.problems.append(
-                    f"cameras.{camera.name}.frame_rate_hz: {rate:g} frames a second are more than the scene's steps of "
-                    f"{interval_s:g} s give: at most {1 / interval_s:g}, or leave it out for a frame at every step"
-                )
-            elif not len(scene.frame_steps(camera, 0, scene.steps)):
-                self.problems.append(
-                    f"cameras.{camera.name}.start_offset_s: the scene ends {times_s[-1]:g} s after its first step, "
-                    f"before the first frame is due ({camera.start_offset_s:g} s): no frame would be taken"
-                )
-
-    def _check_lenses(self, scene: Scene) -> None:
-        for camera in scene.cameras:
-            if problem := camera.intrinsics.lens_problem():
-                self.problems.append(f"cameras.{camera.name}.distortion: {problem}")
-
-
-def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:
-    if keys is None or keys.level == "none":
-        return None
-    if keys.spectrum is not None:
-        sea = jonswap_sea(
-            keys.significant_height_m or 0.0,
-            keys.peak_period_s or 0.0,
-            keys.direction_rad or 0.0,
-            seed,
-            keys.peakedness or PEAKEDNESS,
-        )
-        hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
-        return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
-    axes = level
-    if axes is None:
-        given = [getattr(keys, name) for name in AXES]
-        roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
-        axes = (roll, pitch, yaw)
-    return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)
-
-
-def _distortion(keys: CameraKeys) -> Distortion | None:
-    """The lens's distortion, if there is any: with coefficients of zero it is a pinhole."""
-    if keys.distortion is None or not any(keys.distortion.model_dump().values()):
-        return None
-    return Distortion(**keys.distortion.model_dump())
-
-
-def _camera(name: str, keys: CameraKeys) -> Camera:
-    intrinsics = Intrinsics.from_lens(
-        keys.focal_length_m,
-        keys.pixel_size_m,
-        keys.principal_point_px,
-        keys.image_size_px,
-        keys.skew,
-        keys.near_clip_m,
-        _distortion(keys),
-    )
-    place = keys.mount or keys.pose
-    values: Mapping[str, Any] = place.model_dump() if place is not None else {}
-    return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)

@@ -1,0 +1,70 @@
+"""What can be wrong with a scene whose parts are right each by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modsim3d.camera import Camera
+from modsim3d.scene import Scene
+from modsim3d.scene_places import place_problems
+
+CHECKED_STEPS = 1000
+"""Steps whose camera positions are looked at together; it bounds the memory."""
+
+
+def scene_problems(scene: Scene) -> list[str]:
+    """Every problem, each with its path in the scene file."""
+    problems = [
+        f"cameras.{camera.name}.distortion: {problem}"
+        for camera in scene.cameras
+        if (problem := camera.intrinsics.lens_problem())
+    ]
+    if scene.live:
+        return problems + _live_problems(scene)
+    problems += [problem for camera in scene.cameras if (problem := _frame_problem(scene, camera))]
+    return problems + _place_problems(scene)
+
+
+def _live_problems(scene: Scene) -> list[str]:
+    """What needs to know steps that have not come."""
+    problems = []
+    if scene.waves is not None and scene.waves.motion.needs_velocity:
+        problems.append(
+            "waves.spectrum: the sea needs to know how fast vessels are, which a stream tells too late: use "
+            "a level or coefficients"
+        )
+    if scene.detector.needs_reference:
+        problems.append(
+            "detector: holds rates over the whole scene (anchor: state_rate), which a stream does not show beforehand: "
+            "use anchor: none"
+        )
+    return problems
+
+
+def _frame_problem(scene: Scene, camera: Camera) -> str | None:
+    """Whether the scene's steps give a camera its frames. Most of its steps count: a log may have gaps."""
+    if camera.frame_rate_hz is None and not camera.start_offset_s:
+        return None
+    times_s = scene.times_s(0, scene.steps)
+    interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    rate = camera.frame_rate_hz
+    if rate is not None and rate * interval_s > 1 + 1e-6:
+        return (
+            f"cameras.{camera.name}.frame_rate_hz: {rate:g} frames a second are more than the scene's steps of "
+            f"{interval_s:g} s give: at most {1 / interval_s:g}, or leave it out for a frame at every step"
+        )
+    if not len(scene.frame_steps(camera, 0, scene.steps)):
+        return (
+            f"cameras.{camera.name}.start_offset_s: the scene ends {times_s[-1]:g} s after its first step, "
+            f"before the first frame is due ({camera.start_offset_s:g} s): no frame would be taken"
+        )
+    return None
+
+
+def _place_problems(scene: Scene) -> list[str]:
+    """Whether each camera has a place at each step, and no vessel around it."""
+    found: dict[str, tuple[str, ...]] = {}
+    for first in range(0, scene.steps, CHECKED_STEPS):
+        steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
+        found.update(place_problems(scene, steps, leave_out=found))
+    return [problem for problems in found.values() for problem in problems]

@@ -1,0 +1,67 @@
+"""Cameras and waves of a scene, from its keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from modsim3d.camera import Camera, Intrinsics, Mount
+from modsim3d.lens import Distortion
+from modsim3d.scene import Waves
+from modsim3d.scene_file import CameraKeys, WavesKeys
+from modsim3d.vessels import Vessel
+from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
+
+Axes = tuple[Axis, Axis, Axis]
+
+
+def camera_of(name: str, keys: CameraKeys) -> Camera:
+    """A camera ashore or on board."""
+    intrinsics = Intrinsics.from_lens(
+        keys.focal_length_m,
+        keys.pixel_size_m,
+        keys.principal_point_px,
+        keys.image_size_px,
+        keys.skew,
+        keys.near_clip_m,
+        _distortion(keys),
+    )
+    place = keys.mount or keys.pose
+    values: Mapping[str, Any] = place.model_dump() if place is not None else {}
+    return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)
+
+
+def _distortion(keys: CameraKeys) -> Distortion | None:
+    """The lens's distortion, if there is any: with coefficients of zero it is a pinhole."""
+    if keys.distortion is None or not any(keys.distortion.model_dump().values()):
+        return None
+    return Distortion(**keys.distortion.model_dump())
+
+
+def waves_of(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:
+    """How waves move the vessels.
+
+    Args:
+        keys: What the scene file says.
+        seed: Of the scene.
+        vessels: Of the scene.
+        level: Of the level that it names, roll, pitch and yaw.
+    """
+    if keys is None or keys.level == "none":
+        return None
+    if keys.spectrum is not None:
+        sea = jonswap_sea(
+            keys.significant_height_m or 0.0,
+            keys.peak_period_s or 0.0,
+            keys.direction_rad or 0.0,
+            seed,
+            keys.peakedness or PEAKEDNESS,
+        )
+        hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
+        return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
+    axes = level
+    if axes is None:
+        given = [getattr(keys, name) for name in AXES]
+        roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
+        axes = (roll, pitch, yaw)
+    return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)
