@@ -1,4 +1,4 @@
-"""Plug-ins as real packages: metadata and module on the path, nothing installed."""
+"""Plug-ins as packages on the path, with their metadata; tests/packaging installs one."""
 
 import json
 import os
@@ -7,12 +7,10 @@ import shutil
 import subprocess
 import sys
 import tomllib
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hatchling.builders.wheel import WheelBuilder
 
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.plugins import POSE_SOURCES, SHAPES, WAVE_LEVELS, load_plugin, plugin_names
@@ -89,11 +87,19 @@ def scene_with(folder, poses=None, waves=None, steps=5):
 DRIFT = {"drift": {"current_m_s": [0.5, 0.1], "gap_m": 30}}
 
 
-def test_the_document_quotes_the_package_that_is_tested():
-    assert blocks("toml") == [(EXAMPLE / "pyproject.toml").read_text(encoding="utf-8")]
-    assert blocks("python")[0] == (EXAMPLE / "modsim3d_drift.py").read_text(encoding="utf-8")
-    body = blocks("python")[0].partition("class")[2].strip().splitlines()
-    assert len(body) <= 10
+def test_readme_and_document_quote_the_package_that_is_tested():
+    project, module = ((EXAMPLE / name).read_text(encoding="utf-8") for name in ("pyproject.toml", "modsim3d_drift.py"))
+    assert blocks("toml") == [project]
+    assert blocks("python") == [module]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"```python\n{module}```" in readme
+    assert f"```toml\n{project[project.index('[project.entry-points]') :]}```" in readme
+
+
+def test_each_part_of_the_example_is_ten_lines_or_fewer():
+    parts = (EXAMPLE / "modsim3d_drift.py").read_text(encoding="utf-8").split("\n\n\n")[1:]
+    assert [part.split("(")[0] for part in parts] == ["class Drift", "SWELL = ", "def barge"]
+    assert max(len(part.strip().splitlines()) for part in parts) <= 10
 
 
 def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
@@ -233,7 +239,7 @@ def test_a_plugin_that_does_not_do_what_it_must_is_told_in_one_message(site, tmp
 
 
 def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
-    (source,) = [code for code in blocks("python") if "SWELL" in code]
+    (source,) = blocks("python")
     site.add("my-sea", "0.3", "my_sea", source, {WAVE_LEVELS: {"swell": "my_sea:SWELL", "wrong": "my_sea:Axis"}})
     axes, plugin = find_level("swell")
     assert axes == (Axis(0.99, 0.995, 4e-5), Axis(0.99, 0.995, 6e-5), Axis(sigma_rad=1e-5))
@@ -251,7 +257,7 @@ def test_own_wave_levels_need_no_plugin(level):
 
 
 def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
-    (source,) = [code for code in blocks("python") if "def barge" in code]
+    (source,) = blocks("python")
     site.add("yard", "1", "yard", source + "\nlaunch = 3\ndef sink(): return 1 / 0\n", {
         SHAPES: {"barge": "yard:barge", "launch": "yard:launch", "sink": "yard:sink"}
     })  # fmt: skip
@@ -272,7 +278,7 @@ def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
 
 
 def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_shape_and_names_its_package(site, tmp_path):
-    (source,) = [code for code in blocks("python") if "def barge" in code]
+    (source,) = blocks("python")
     site.add("yard", "1", "yard", source, {SHAPES: {"barge": "yard:barge"}})
     path = crossing(tmp_path)
     plain = load_scene(path)
@@ -322,15 +328,6 @@ def test_entry_points_of_the_example_can_be_loaded_by_group_and_name(site):
     found, plugin = load_plugin(POSE_SOURCES, "drift", "poses.drift")
     assert found.__name__ == "Drift"
     assert str(plugin) == "the plug-in 'drift' of modsim3d-drift 1.0"
-
-
-def test_example_builds_as_a_package(tmp_path):
-    """The wheel that `pip install .` would install holds the module and its entry point."""
-    project = shutil.copytree(EXAMPLE, tmp_path / "project", ignore=shutil.ignore_patterns("__pycache__"))
-    (wheel,) = WheelBuilder(str(project)).build(directory=str(tmp_path), versions=["standard"])
-    names = zipfile.ZipFile(wheel).namelist()
-    assert "modsim3d_drift.py" in names
-    assert "modsim3d_drift-1.0.dist-info/entry_points.txt" in names
 
 
 LIVE = """

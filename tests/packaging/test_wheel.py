@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -11,9 +13,13 @@ import venv
 import zipfile
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
+import yaml
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+EXAMPLE = REPOSITORY / "tests" / "plugin_example"
+PLUGINS_PAGE = REPOSITORY / "docs" / "plugins.md"
 
 
 FOREIGN = ("PYTHONPATH", "VIRTUAL_ENV")
@@ -103,3 +109,22 @@ def test_installed_wheel_simulates_a_shipped_scene(installed: Path, tmp_path: Pa
     assert [len(json.loads(file.read_text())) for file in annotations] == [3] * len(annotations)
     for table in ("frames", "truth", "detections"):
         assert (out / f"{table}.parquet").stat().st_size > 0
+
+
+def test_installed_wheel_finds_the_parts_of_an_installed_package(installed: Path, tmp_path: Path) -> None:
+    plug_in = shutil.copytree(EXAMPLE, tmp_path / "plug_in", ignore=shutil.ignore_patterns("__pycache__"))
+    pip = (installed / "python", "-m", "pip", "install", "--quiet", "--no-index", "--no-build-isolation", "--no-deps")
+    run(*pip, plug_in, cwd=tmp_path)
+    (quoted,) = re.findall(r"```yaml\n(.*?)```", PLUGINS_PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    camera = yaml.safe_load((REPOSITORY / "scenes" / "simulation_2.yaml").read_text(encoding="utf-8"))["cameras"]["C0"]
+    camera["mount"] |= {"vessel": "a", "position_m": [14, 0, 5]}
+    detector = str(REPOSITORY / "scenes" / "detectors" / "thesis.yaml")
+    scene = yaml.safe_load(quoted) | {"cameras": {"C0": camera}, "detector": detector}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    run(installed / "modsim3d", "run", "scene.json", "--out", "run", "--no-sheet", cwd=tmp_path)
+    used = json.loads((tmp_path / "run" / "run.json").read_text())["plugins"]
+    assert set(used) == {"modsim3d.pose_sources:drift", "modsim3d.wave_levels:swell", "modsim3d.shapes:barge"}
+    assert set(used.values()) == {"modsim3d-drift 1.0"}
+    own_ship = pq.read_table(tmp_path / "run" / "ownship.parquet").to_pylist()
+    assert [own_ship[-1][axis] for axis in ("w1_m", "w2_m")] == pytest.approx([9.9 * 0.5, 9.9 * 0.1])
+    assert own_ship[-1]["pitch_rad"] != 0
