@@ -13,7 +13,7 @@ from modsim3d.selection import Selection
 from modsim3d.view.birds_eye import BirdsEye
 from modsim3d.view.film_layout import FilmLayout
 from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
-from modsim3d.view.legend import Entry, detection_entries, vessel_entries
+from modsim3d.view.legend import Entry, detection_entries, id_entries, vessel_entries
 from modsim3d.view.look import PLAIN_LOOK, Look
 from modsim3d.view.map_picture import map_height_px
 from modsim3d.view.window import Box, Window
@@ -74,8 +74,10 @@ class FilmPlan:
         entries: list[Entry] = []
         if "detections" in self.kinds:
             entries += detection_entries(self.layers_of("detections"), scene.annotation.mode)
-        if set(self.kinds) & {"ids", "scene", "corners"}:
-            entries += vessel_entries(scene.vessel_names)[: None if "ids" in self.kinds else -1]
+        if "ids" in self.kinds:
+            entries += id_entries(scene.vessel_names, [obstacle.name for obstacle in scene.obstacles])
+        elif set(self.kinds) & {"scene", "corners"}:
+            entries += vessel_entries(scene.vessel_names)
         panels = self.panels()
         several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
         aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)

@@ -190,6 +190,17 @@ def test_a_crop_shows_the_same_pixels_larger(monkeypatch, run, tmp_path):
     assert np.abs(part[head[0] : head[0] + 600] - shown).mean() < 1.0
 
 
+def test_titles_of_several_panels_stand_above_them_and_cover_nothing():
+    layout = FilmLayout(400, 2, (2.0, 2.0, 2.0), ())
+    panels = [Image.new("RGB", size, (1, 2, 3)) for size in layout.panel_sizes]
+    sheet = np.asarray(layout.compose("head", ["a title that is far too long for a panel of this width"] * 3, panels))
+    covered = (sheet == (1, 2, 3)).all(axis=2)
+    assert covered.sum() == sum(width * height for width, height in layout.panel_sizes)
+    above = sheet[layout.head_px : layout.head_px + layout.title_px]
+    assert (above[:, : layout.panel_width] < 128).any() and (above[:, layout.panel_width + 4 :] < 128).any()
+    assert FilmLayout(400, 1, (2.0,), ()).title_px == 0
+
+
 def test_crop_to_vessels_keeps_every_box_in_sight(run):
     from modsim3d.film_plan import crop_to_vessels
     from modsim3d.selection import select

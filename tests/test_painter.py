@@ -15,6 +15,7 @@ from modsim3d.view import palette
 from modsim3d.view.hatching import silhouette_mask
 from modsim3d.view.ids_picture import ids_picture
 from modsim3d.view.layers import DETECTIONS, Layers
+from modsim3d.view.legend import id_entries, letters
 from modsim3d.view.painter import Subject, paint
 from modsim3d.view.plain import background
 from modsim3d.view.scene_picture import scene_picture
@@ -167,6 +168,28 @@ def test_id_map_has_each_vessels_colour_where_its_id_is(hiding, renderer):
         assert same.mean() > 0.5  # the rest is hatched by what it hides, or under its number
     changed = (picture == picture[0, 0]).all(axis=-1)
     assert not changed[ids > 0].any()
+
+
+def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
+    scene = load_scene("strait")
+    solids = Solids.at(scene, scene.cameras[1], 59)
+    window = Window.whole(scene.cameras[1].intrinsics.image_size_px, 1280)
+    picture = np.asarray(ids_picture(solids, window, renderer))
+    ids, vessels = solids.ids(window, renderer), len(scene.vessels)
+    names = [obstacle.name for obstacle in scene.obstacles]
+    seen = {names[value - 1 - vessels] for value in np.unique(ids).tolist() if value > vessels}
+    assert seen >= {"north_island", "north_shore", "breakwater"}
+    for i, name in enumerate(names):
+        here = ids == vessels + 1 + i
+        if here.sum() > 500:
+            assert (picture[here] == palette.obstacle_colour(i)).all(axis=-1).mean() > 0.8, name
+    key = {entry.text: entry.colour for entry in id_entries(scene.vessel_names, names)}
+    assert key["a north_island"] != key["c north_shore"] != key["d breakwater"]
+    assert len({palette.obstacle_colour(i) for i in range(4)}) == 4
+
+
+def test_obstacles_have_letters_however_many_there_are():
+    assert [letters(i) for i in (0, 25, 26, 51, 52, 701, 702)] == ["a", "z", "aa", "az", "ba", "zz", "aaa"]
 
 
 def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):

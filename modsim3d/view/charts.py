@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 
@@ -53,7 +54,7 @@ class Axes:
         """The whole SVG: ticks, labels and what is in it."""
         left, right, top, bottom = _MARGIN
         inner = f'x="{left}" y="{top}" width="{self.width - left - right}" height="{self.height - top - bottom}"'
-        clip = f"c{abs(hash((title, x_label, y_label))) % 10**9}"
+        clip = f"c{crc32(repr((title, x_label, y_label)).encode())}"  # the same in each process, unlike hash()
         return (
             f'<svg viewBox="0 0 {self.width:g} {self.height:g}" width="{self.width:g}" height="{self.height:g}" '
             'style="max-width:100%;margin-right:0.6rem" font-size="11" fill="var(--ink)" role="img" '

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from modsim3d.view import palette
 from modsim3d.view.legend import Entry, legend
-from modsim3d.view.pen import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font, text_size
+from modsim3d.view.pen import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
 
 GAP_PX = 4
 SEVERAL = 0.7
@@ -44,6 +44,11 @@ class FilmLayout:
         return 2 * self.text_px
 
     @property
+    def title_px(self) -> int:
+        """Height of the titles above a row of panels; a single panel has none."""
+        return round(1.7 * self.text_px) if len(self.aspects) > 1 else 0
+
+    @property
     def nominal_width(self) -> int:
         """The width that lines and text in a panel are meant for: more than its own if it is one of several."""
         return max(self.panel_width, round(SEVERAL * self.width))
@@ -63,6 +68,7 @@ class FilmLayout:
         sizes, places, y = self.panel_sizes, [], self.head_px
         for first in range(0, len(sizes), self.columns):
             row = sizes[first : first + self.columns]
+            y += self.title_px
             places += [(i * (self.panel_width + GAP_PX), y) for i in range(len(row))]
             y += max(height for _, height in row) + GAP_PX
         return places
@@ -82,19 +88,21 @@ class FilmLayout:
 
         Args:
             head: The line at the top.
-            titles: Of the panels; shown in them if there are several.
+            titles: Of the panels; shown above them if there are several.
             panels: Of the sizes that `panel_sizes` asks for.
         """
         sheet = self._blank.copy()
         draw = ImageDraw.Draw(sheet)
         draw.text((self.text_px // 2, self.text_px // 3), head, fill=palette.INK, font=font(self.text_px))
-        for title, panel, place in zip(titles, panels, self._places, strict=True):
-            sheet.paste(panel, place)
-            if len(panels) > 1:
-                _, top, _, bottom = text_size("Ag", self.text_px)
-                right = text_size(title, self.text_px)[2]
-                pad = self.text_px // 3
-                x, y = place
-                draw.rectangle((x, y, x + right + 2 * pad, y + bottom - top + 2 * pad), fill=palette.PAPER)
-                draw.text((x + pad, y + pad - top), title, fill=palette.INK, font=font(self.text_px))
+        for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
+            sheet.paste(panel, (x, y))
+            if self.title_px:
+                sheet.paste(self._title(title), (x, y - self.title_px))
         return sheet
+
+    def _title(self, text: str) -> Image.Image:
+        """What is above a panel, as wide as it."""
+        strip = Image.new("RGB", (self.panel_width, self.title_px), palette.PAPER)
+        place = self.text_px // 2, self.text_px // 4
+        ImageDraw.Draw(strip).text(place, text, fill=palette.INK, font=font(self.text_px))
+        return strip

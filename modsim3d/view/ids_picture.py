@@ -1,4 +1,4 @@
-"""ID maps: who is front-most at each pixel, each vessel in its colour and with its number."""
+"""ID maps: who is front-most at each pixel, vessels in their colours with numbers, obstacles in greys with letters."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from PIL import Image
 from modsim3d.render.id_pass import Ids
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view.hatching import hatch_hidden
-from modsim3d.view.palette import Colour
+from modsim3d.view.legend import letters
+from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour
 from modsim3d.view.pen import Pen, font, text_size
-from modsim3d.view.plain import background, owner_colour
+from modsim3d.view.plain import background
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 
@@ -36,33 +37,33 @@ def ids_picture(solids: Solids, window: Window, drawer: IdDrawer, nominal_width_
         return picture
     left, top, right, bottom = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
     shown = ids[top:bottom, left:right]
+    vessels = len(solids.extents_m)
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
     for owner in np.unique(solids.owners).tolist():
         if owner + 1 < len(table):
-            table[owner + 1] = owner_colour(owner, len(solids.extents_m))
+            table[owner + 1] = vessel_colour(owner) if owner < vessels else obstacle_colour(owner - vessels)
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))
     pen = Pen(picture, nominal_width_px)
     hatch_hidden(picture, window, solids, ids, pen.unit)
-    _number(pen, shown, left, top, len(solids.extents_m))
+    _mark(pen, shown, left, top, vessels)
     return picture
 
 
-def _number(pen: Pen, ids: Ids, left: int, top: int, vessels: int) -> None:
-    """Write each vessel's number on what is seen of it, where it fits."""
+def _mark(pen: Pen, ids: Ids, left: int, top: int, vessels: int) -> None:
+    """Write each vessel's number and each obstacle's letter on what is seen of it, where it fits."""
     size = max(9, round(pen.text_px * 0.9))
     for value in np.unique(ids[ids > 0]).tolist():
-        if value > vessels:
-            continue
+        text = str(value) if value <= vessels else letters(value - vessels - 1)
         here = ids == value
         row = int(np.argmax(here.sum(axis=1)))
         columns = np.flatnonzero(here[row])
-        x0, y0, x1, y1 = text_size(str(value), size)
+        x0, y0, x1, y1 = text_size(text, size)
         if len(columns) < x1 - x0 + 4 or here.sum(axis=0).max() < y1 - y0 + 4:
             continue
         x = left + int(columns[len(columns) // 2])
         middle = np.flatnonzero(here[:, x - left])
         y = top + int(middle[len(middle) // 2])
         at = (x - (x0 + x1) / 2, y - (y0 + y1) / 2)
-        pen.draw.text(at, str(value), fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))
+        pen.draw.text(at, text, fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))

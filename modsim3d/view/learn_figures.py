@@ -90,16 +90,17 @@ def _key(index: int, name: str, y: float) -> str:
 def error_scatter(groups: Mapping[str, Array], x_label: str, y_label: str, caption: str) -> str:
     """Pairs of errors, shape (n, 2) each, with the ellipse that holds 95 % of a normal distribution like them."""
     everything = np.concatenate([*groups.values(), np.zeros((1, 2))])
-    reach = max(float(np.quantile(np.abs(everything), 0.995)) * 1.15, 1e-6)
+    rims = {name: _ellipse(points) for name, points in groups.items() if len(points) > 2}
+    widest = max((float(np.abs(rim).max()) for rim in rims.values()), default=0.0)
+    reach = max(float(np.quantile(np.abs(everything), 0.995)) * 1.15, 1.05 * widest, 1e-6)
     axes = _Axes((-reach, reach), (-reach, reach), x_label, y_label)
     for index, (name, points) in enumerate(groups.items()):
         shown = points[np.abs(points).max(axis=1, initial=0) <= reach][:: max(1, len(points) // _MOST_DOTS)]
         dots = "".join(f"M{axes.across(a):.1f} {axes.down(b):.1f}h0" for a, b in shown)
         ink = colour(index)
         axes.parts.append(f'<path d="{dots}" stroke="{ink}" stroke-width="2.4" stroke-linecap="round" opacity=".5"/>')
-        if len(points) > 2:
-            rim = _ellipse(points)
-            axes.line(rim[:, 0], rim[:, 1], ink)
+        if name in rims:
+            axes.line(rims[name][:, 0], rims[name][:, 1], ink)
         axes.parts.append(_key(index, name, _TOP + 14 * (index + 1)))
     return _svg(axes.parts, caption)
 

@@ -50,11 +50,30 @@ def detection_entries(layers: Layers, mode: int) -> list[Entry]:
 
 
 def vessel_entries(names: Sequence[str]) -> list[Entry]:
-    """The key to colours and numbers."""
-    shown = [Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)]
-    more = [Entry(f"and {len(names) - MOST_VESSELS} more", palette.PAPER, "filled")]
-    hatched = [Entry("hidden", palette.VESSELS[0], "hatched")]
-    return shown[:MOST_VESSELS] + (more if len(names) > MOST_VESSELS else []) + hatched
+    """The key to the colours and numbers of vessels."""
+    return _first_ones([Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)])
+
+
+def id_entries(vessels: Sequence[str], obstacles: Sequence[str]) -> list[Entry]:
+    """The key to an ID map.
+
+    Args:
+        vessels: Their names.
+        obstacles: Theirs.
+    """
+    land = [Entry(f"{letters(i)} {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
+    return [*vessel_entries(vessels), *_first_ones(land), Entry("hidden", palette.VESSELS[0], "hatched")]
+
+
+def letters(index: int) -> str:
+    """What marks an obstacle on an ID map, where vessels have numbers: a to z, aa, ab, ..."""
+    rest, last = divmod(index, 26)
+    return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
+
+
+def _first_ones(entries: list[Entry]) -> list[Entry]:
+    more = [Entry(f"and {len(entries) - MOST_VESSELS} more", palette.PAPER, "filled")]
+    return entries[:MOST_VESSELS] + (more if len(entries) > MOST_VESSELS else [])
 
 
 def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:

@@ -132,7 +132,7 @@ def _draw_truth(pen: Pen, window: Window, subject: Subject, layers: Layers) -> l
                 labels.append(Label(full, text + (f", {share}" if share else ""), palette.ALARM, below=True))
                 continue
         if share:
-            labels.append(Label(full, share, palette.TRUTH, below=True))
+            labels.append(Label(full, share if short else f"{truth.vessels[i]} {share}", palette.TRUTH, below=True))
     return labels
 
 

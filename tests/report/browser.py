@@ -91,15 +91,22 @@ class Browser:
 
     def open(self, path: Path, size: tuple[int, int] = (1280, 900), hash: str = "") -> None:
         """Load a file and wait for its player; what was said of the page before is forgotten."""
+        self._load(path, size, hash, "Boolean(window.player || document.querySelector('#failure:not([hidden])'))")
+
+    def visit(self, path: Path, size: tuple[int, int]) -> None:
+        """Load a file that has no player; what was said of the page before is forgotten."""
+        self._load(path, size, "", "document.readyState === 'complete' && location.protocol === 'file:'")
+
+    def _load(self, path: Path, size: tuple[int, int], hash: str, ready: str) -> None:
         self.resize(size)
         self.call("Page.navigate", url="about:blank")
         self.errors.clear()
         self.requests.clear()
         self.call("Page.navigate", url=path.resolve().as_uri() + hash)
         deadline = time.monotonic() + PATIENCE_S
-        while not self.run("Boolean(window.player || document.querySelector('#failure:not([hidden])'))"):
+        while not self.run(ready):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"the player does not start: {self.errors}")
+                raise TimeoutError(f"the page is not ready: {self.errors}")
             time.sleep(0.02)
 
     def resize(self, size: tuple[int, int]) -> None:
