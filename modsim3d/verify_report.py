@@ -86,7 +86,7 @@ def conclusion(verification: Verification) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.4g}"
+    return f"{value:.4g}".replace("-", "−").replace("inf", "∞")
 
 
 def _noticed(verdict: Verdict) -> str:

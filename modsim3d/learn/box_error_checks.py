@@ -31,7 +31,10 @@ from modsim3d.learn.parameters import Parameter
 
 GROUP = "box error"
 LEAST_DETECTIONS = 150
-"""True detections in a state, below which its box errors are not tested."""
+"""True detections in a state, below which its box errors are not tested; of errors that persist, what they are worth.
+
+A few vessels that keep their errors stray farther than any law that has their variance and skewness says.
+"""
 LEAST_PAIRS = 100
 _ROUNDING_PX = 1e-6
 _REPLAYS_AT_ONCE = 50
@@ -140,28 +143,35 @@ def _names(law: NormalLaw) -> list[str]:
 def _law_checks(
     state: PerformanceState, law: NormalLaw, fitted: Fitted | None, replayed: Array | None
 ) -> list[Parameter]:
-    asked, units = law.numbers(), law.units()
-    parameters = []
+    asked, parameters = law.numbers(), []
+    note = "" if fitted is None else _truncation_note(fitted.fit)
     for k, entry in enumerate(_names(law)):
-        measure = None
-        if fitted is not None:
-            fit = fitted.fit
-            error = fit.errors[k] if replayed is None else replayed[k]
-            wider = error / fit.errors[k]
-            measure = Estimate(
-                measured=float(fitted.found.numbers()[k]),
-                asked=float(asked[k]),
-                error=float(error * units[k]),
-                count=len(fitted.hits) / wider**2,
-                skewness=float(fit.skewness[k] * wider),
-                statistic=float(fit.step[k] / error),
-                grows=4 <= k < 8,
-            )
+        measure = None if fitted is None else _estimate(fitted, k, replayed)
+        few = measure is not None and measure.count < LEAST_DETECTIONS
         path = f"states.{state.name}.box_error.{entry}"
-        note = _truncation_note(fitted.fit) if fitted is not None and k == 0 else ""
         unit = ("" if 8 <= k < 14 or k >= 14 else "sides") if law.relative else "px" if k < 8 else ""
-        parameters.append(Parameter(path, GROUP, measure, float(asked[k]), unit, state.name, note=note))
+        parameters.append(
+            Parameter(
+                path, GROUP, None if few else measure, float(asked[k]), unit, state.name, note=note if k == 0 else ""
+            )
+        )
     return parameters
+
+
+def _estimate(fitted: Fitted, k: int, replayed: Array | None) -> Estimate:
+    """One of the law's numbers; replays say by how much errors that persist count for fewer."""
+    fit = fitted.fit
+    error = fit.errors[k] if replayed is None else replayed[k]
+    wider = error / fit.errors[k]
+    return Estimate(
+        measured=float(fitted.found.numbers()[k]),
+        asked=float(fitted.law.numbers()[k]),
+        error=float(error * fitted.law.units()[k]),
+        count=len(fitted.hits) / max(wider, 1.0) ** 2,
+        skewness=float(fit.skewness[k] * wider),
+        statistic=float(fit.step[k] / error),
+        grows=4 <= k < 8,
+    )
 
 
 def _truncation_note(fit: ErrorFit) -> str:

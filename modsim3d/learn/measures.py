@@ -84,7 +84,7 @@ class Estimate:
         return abs(self.z)
 
     def interval(self, alpha: float) -> Interval:
-        """Such that the asked value is outside just where the test fails."""
+        """Such that the asked value is outside just where the test fails; infinite where it cannot fail."""
         upper = skewed_quantile(alpha / 2, self.skewness)
         lower = skewed_quantile(alpha / 2, -self.skewness)
         centre = self.asked + self.z * self.error
@@ -99,7 +99,7 @@ class Estimate:
             critical = above - reach * self.error
             for _ in range(20):
                 above = min(critical + reach * self.error * (1 + above / self.asked) ** 2, 10 * self.asked)
-        return below, above
+        return below if math.isfinite(below) else None, above if math.isfinite(above) else None
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
-from scipy import special
+from scipy import optimize, special
 
 LEAST_SKEW = 1e-3
 """Below this a distribution is taken for normal."""
+RARE_SKEW = 1.0
+"""Above this a statistic is a count of events of which hardly one is expected."""
 
 
 def binomial_tails(count: float, trials: float, rate: float) -> tuple[float, float]:
@@ -38,28 +40,38 @@ def poisson_interval(count: float, alpha: float) -> tuple[float, float]:
 
 
 def skewed_tails(z: float, skewness: float) -> tuple[float, float]:
-    """Pr(Z ≤ z) and Pr(Z ≥ z) of a standardised sum with some skewness, by a shifted gamma distribution.
+    """Pr(Z ≤ z) and Pr(Z ≥ z) of a standardised sum with some skewness, by a shifted gamma or a Poisson distribution.
 
-    Pearson's type III has the first three moments right; of a sample variance of normal numbers it is the law.
+    Pearson's type III has the first three moments right; of a sample variance of normal numbers it is the law. So has a
+    Poisson number with mean 1 / skewness²; of rare events it is the law, and that none happens is nothing unusual.
     """
     if abs(skewness) < LEAST_SKEW:
         return float(special.ndtr(z)), float(special.ndtr(-z))
     if skewness < 0:
         above, below = skewed_tails(-z, -skewness)
         return below, above
+    if skewness > RARE_SKEW:
+        mean = skewness**-2
+        return poisson_tails(max(mean + z / skewness, 0.0), mean)
     shape = 4 / skewness**2
     place = max(shape + z * math.sqrt(shape), 0.0)
     return float(special.gammainc(shape, place)), float(special.gammaincc(shape, place))
 
 
 def skewed_quantile(tail: float, skewness: float) -> float:
-    """The z with Pr(Z ≥ z) = tail."""
+    """The z with Pr(Z ≥ z) = tail < 1/e; infinite where none is so rare: less than nothing cannot happen."""
     if abs(skewness) < LEAST_SKEW:
         return -float(special.ndtri(tail))
-    if skewness < 0:
-        shape = 4 / skewness**2
-        return (shape - float(special.gammaincinv(shape, tail))) / math.sqrt(shape)
+    if skewness < -RARE_SKEW:
+        return math.inf
+    if skewness > RARE_SKEW:
+        mean = skewness**-2
+        most = 10 * mean + 200
+        count = optimize.brentq(lambda count: poisson_tails(count, mean)[1] - tail, 0.0, most, xtol=1e-12)
+        return (float(count) - mean) * skewness
     shape = 4 / skewness**2
+    if skewness < 0:
+        return (shape - float(special.gammaincinv(shape, tail))) / math.sqrt(shape)
     return (float(special.gammainccinv(shape, tail)) - shape) / math.sqrt(shape)
 
 

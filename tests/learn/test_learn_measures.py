@@ -1,6 +1,7 @@
 """Tail probabilities, intervals and smallest noticeable changes of measured numbers."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def test_a_rate_fails_just_where_its_interval_leaves_the_asked_value_out(hits, m
         assert (measure.p_value() < alpha) == (not low <= asked <= high)
 
 
-@given(st.floats(-4, 4), st.floats(-0.5, 0.5), st.floats(1e-4, 0.2))
+@given(st.floats(-4, 4), st.floats(-0.5, 0.5) | st.floats(1.1, 9) | st.floats(-9, -1.1), st.floats(1e-4, 0.2))
 def test_an_estimate_fails_just_where_its_interval_leaves_the_asked_value_out(z, skewness, alpha):
     measure = Estimate(measured=5 + z, asked=5.0, error=1.0, count=10, skewness=skewness)
     low, high = measure.interval(alpha)
@@ -81,6 +82,24 @@ def test_skewed_tails_are_exact_for_a_sample_variance(n, z):
 @given(st.floats(1e-6, 0.4), st.floats(-0.8, 0.8))
 def test_quantile_undoes_the_tail(tail, skewness):
     assert skewed_tails(skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
+
+
+@given(st.floats(1e-6, 0.3), st.floats(1.01, 30))
+def test_quantile_undoes_the_tail_of_rare_events(tail, skewness):
+    assert skewed_tails(skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
+    assert skewed_quantile(tail, -skewness) == math.inf  # that none happens is likelier than any such tail
+
+
+@pytest.mark.parametrize("mean", [0.9, 0.05, 1e-6])
+def test_tails_of_rare_events_are_those_of_a_poisson_number(mean):
+    skewness = mean**-0.5
+    for count in range(1, 5):
+        below, above = skewed_tails((count - mean) * skewness, skewness)
+        assert above == pytest.approx(stats.poisson.sf(count - 1, mean), rel=1e-6)
+        assert below == pytest.approx(stats.poisson.cdf(count, mean), rel=1e-6)
+    for z in (-mean / mean**0.5, -mean / mean**0.5 - 1e-3):  # none, and as much as that by rounding
+        assert skewed_tails(z, skewness)[0] == pytest.approx(math.exp(-mean))
+        assert skewed_tails(-z, -skewness)[1] == pytest.approx(math.exp(-mean))
 
 
 def test_effective_trials_widen_the_interval():

@@ -105,6 +105,27 @@ def test_persistence_is_seen_between_the_frames_at_which_the_detector_runs(many:
         assert parameter.measure.p_value() < 1e-6
 
 
+def test_misses_that_persist_for_ever_are_obeyed_and_those_that_do_not_are_seen(many: ManyDetections) -> None:
+    for_ever = changed(persistence={"class_s": 1e9})
+    for seed in range(4):
+        found = judge(class_checks(for_ever, many.detect(for_ever, seed)))
+        assert found.obeys, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed]
+        cause = judge(class_checks(for_ever, many.detect(changed(), seed))).cause
+        assert cause is not None and cause.parameter.name == "persistence.class_s"
+
+
+def test_box_errors_that_stay_with_a_few_vessels_are_too_little_seen(many: ManyDetections) -> None:
+    for_ever = changed(persistence={"box_s": 1e6})
+    found = box_error_checks(for_ever, many.detect(for_ever, 0), MomentTable())
+    laws = [parameter for parameter in found if parameter.name.startswith("states.")]
+    assert laws and all(parameter.measure is None for parameter in laws)
+    persistence = found[-1].measure
+    assert persistence is not None and persistence.p_value() > 1e-4
+    for_a_moment = changed(persistence={"box_s": 0.05})
+    found = box_error_checks(for_a_moment, many.detect(for_a_moment, 0), MomentTable())
+    assert sum(p.measure is not None for p in found if p.name.startswith("states.")) > len(laws) / 3
+
+
 def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
     crowded = ManyDetections.of_scene(load_scene("harbour", mode=2, steps=40, source="analytic"))
     evidence = crowded.detect(parse_detector(variant("doubled, split and merged boxes")), 0)
