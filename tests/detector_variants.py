@@ -76,6 +76,8 @@ CHANGES: dict[str, Callable[[Data], None]] = {
     "gates": _with(gates={"max_range_m": 1700, "min_box_px": 6, "max_occlusion": 0.6, "update_interval_s": 0.4}),
     "persistence of misses, 1 s": _with(persistence={"class_s": 1.0}),
     "persistence of box errors, 1 s": _with(persistence={"box_s": 1.0}),
+    "persistence of misses and box errors, 10 s": _with(persistence={"class_s": 10.0, "box_s": 10.0}),
+    "misses and box errors that never change": _with(persistence={"class_s": 1e9, "box_s": 1e9}),
     "relative box errors": _every_state(_relative),
     "mixed box errors": _every_state(_mixed),
     "false positives per image": _per_image,
