@@ -103,7 +103,8 @@ def learn_command(
     comments += [f"Remark: {remark}" for remark in report.remarks]
     comments += ["Corrected once for the bias of the matching."] if correct else []
     comments += [f"Left simple: {note}" for note in report.learned.form.notes]
-    out.parent.mkdir(parents=True, exist_ok=True)
+    for path in (out, page):
+        path.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(detector_text(report.learned.detector(values), comments), encoding="utf-8", newline="\n")
     write_page(report, page)
     console = Console()

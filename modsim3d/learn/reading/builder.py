@@ -13,6 +13,8 @@ from modsim3d.errors import InputError
 from modsim3d.learn.labelled import NOBODY, Found, Images, Labelled, Truth, sorted_by_image
 
 MOST_PROBLEMS = 20
+MOST_PX = 1e7
+"""Larger is no place in an image, and its square would leave no digits."""
 
 
 @dataclass
@@ -67,6 +69,9 @@ def corners(values: Any, where: str, problems: Problems) -> list[float] | None:
     x, y, width, height = values
     if not all(map(math.isfinite, values)):
         problems.add(f"{where}: bbox must be finite (got {values})")
+        return None
+    if max(map(abs, values)) > MOST_PX:
+        problems.add(f"{where}: bbox must be in pixels, at most {MOST_PX:g} (got {values})")
         return None
     if width <= 0 or height <= 0:
         problems.add(f"{where}: bbox has no area: width {width:g}, height {height:g}")

@@ -20,7 +20,7 @@ import orjson
 
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import Labelled
-from modsim3d.learn.reading.builder import MOST_PROBLEMS, Problems, Rows, corners, one_condition
+from modsim3d.learn.reading.builder import MOST_PROBLEMS, MOST_PX, Problems, Rows, corners, one_condition
 from modsim3d.validation import load_json, nearest
 
 ID = int | str
@@ -199,26 +199,39 @@ def _images(
     sizes, names, sequences, times, own = [], [], [], [], []
     numbers: dict[Any, int] = {}
     for index, entry in entries:
+        where, known = f"images[{index}]", len(problems.lines)
         given = [entry.get("width"), entry.get("height")]
-        size = [float(side) for side in given if isinstance(side, int | float) and side > 0]
+        size = [float(side) for side in given if isinstance(side, int | float) and 0 < side <= MOST_PX]
         if len(size) < 2:
-            problems.add(f"images[{index}]: width and height must be above 0 (got {given[0]} and {given[1]})")
+            problems.add(f"{where}: width and height must be pixels, above 0 (got {given[0]!r} and {given[1]!r})")
+        sequence = entry.get("sequence", entry.get("video_id"))
+        if not isinstance(sequence, ID | None):
+            problems.add(f"{where}: sequence must be a whole number or text (got {str(sequence)[:40]})")
+        time = _time_s(entry, frame_rate_hz)
+        if time is None:
+            problems.add(
+                f"{where}: time_s and frame_id must be numbers (got {entry.get('time_s', entry.get('frame_id'))!r})"
+            )
+        if len(problems.lines) > known:
             continue
         rows[entry["id"]] = len(rows)
         sizes.append(size)
         names.append(str(entry.get("file_name", entry["id"])))
-        sequences.append(numbers.setdefault(entry.get("sequence", entry.get("video_id")), len(numbers)))
+        sequences.append(numbers.setdefault(sequence, len(numbers)))
         own.append(None if entry.get("condition") is None else str(entry["condition"]))
-        times.append(_time_s(entry, frame_rate_hz))
+        times.append(math.nan if time is None else time)
     return rows, sizes, names, sequences, times, own
 
 
-def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float:
-    """Of an image, NaN where it is not known."""
-    time, frame = entry.get("time_s"), entry.get("frame_id")
-    if isinstance(time, int | float):
-        return float(time)
-    return frame / frame_rate_hz if isinstance(frame, int | float) and frame_rate_hz is not None else math.nan
+def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | None:
+    """Of an image, NaN where it is not known, None where it is no number."""
+    time = entry.get("time_s")
+    if time is None and frame_rate_hz is not None:
+        frame = entry.get("frame_id")
+        time = frame / frame_rate_hz if isinstance(frame, int | float) else frame
+    if time is None:
+        return math.nan
+    return float(time) if isinstance(time, int | float) and math.isfinite(time) else None
 
 
 def _place(entry: Any, where: str, known: _Known, problems: Problems) -> tuple[int, int] | None:
@@ -236,7 +249,7 @@ def _place(entry: Any, where: str, known: _Known, problems: Problems) -> tuple[i
 def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
     """What an entry names by its key; None with a problem if there is no such thing."""
     value = entry.get(key)
-    if isinstance(value, int | str) and value in known:
+    if isinstance(value, int | float | str) and value in known:
         return known[value]
     # Looking for what was meant takes long where there is much to be meant: not for what nobody will see.
     hint = f" ({nearest(str(value), map(str, known))})" if len(problems.lines) < MOST_PROBLEMS else ""
