@@ -6,7 +6,7 @@ import math
 from typing import Annotated, Literal
 
 import shapely
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from modsim3d.validation import MAX_COORDINATE_M, Metres, Number, Probability, Strict, shown
 from modsim3d.waves import GRAVITY_M_S2, STEEPEST
@@ -26,6 +26,17 @@ Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Vector = tuple[Metres, Metres, Metres]
 Size = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
+TURN_RAD = 6.3
+
+
+def _radians(angle: float) -> float:
+    """An angle that may be one; most of those in degrees are larger."""
+    if abs(angle) > TURN_RAD:
+        raise ValueError(f"{angle:g} is more than a whole turn: angles are in radians (180° is 3.14159)")
+    return angle
+
+
+Angle = Annotated[Number, AfterValidator(_radians)]
 MAX_IMAGE_SIDE_PX = 12_000
 ImageSide = Annotated[int, Field(strict=True, gt=0, le=MAX_IMAGE_SIDE_PX)]
 
@@ -34,9 +45,9 @@ class PoseKeys(Strict):
     """A camera ashore: position in WCF, angles against the base pose."""
 
     position_m: Vector
-    roll_rad: Number = 0.0
-    pitch_rad: Number = 0.0
-    yaw_rad: Number = 0.0
+    roll_rad: Angle = 0.0
+    pitch_rad: Angle = 0.0
+    yaw_rad: Angle = 0.0
 
 
 class MountKeys(PoseKeys):
@@ -112,7 +123,7 @@ class WavesKeys(Strict):
     spectrum: Literal["jonswap"] | None = None
     significant_height_m: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
     peak_period_s: Annotated[float, Field(strict=True, ge=0.5, le=30)] | None = None
-    direction_rad: Number | None = None
+    direction_rad: Angle | None = None
     peakedness: Annotated[float, Field(strict=True, ge=1, le=10)] | None = None
     apply_to: Literal["ownship", "all"] = "ownship"
     composition: Literal["rigid", "additive"] = "rigid"
@@ -168,7 +179,7 @@ class ObstacleKeys(Strict):
     mesh: str | dict[str, str] | None = None
     size_m: tuple[Size, Size, Size] | None = None
     position_m: Vector = (0.0, 0.0, 0.0)
-    heading_rad: Number = 0.0
+    heading_rad: Angle = 0.0
 
     @field_validator("polygon_m")
     @classmethod

@@ -285,6 +285,11 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("scene", "cameras/a\\b", lens(pose=ASHORE), ("cameras.a\\b: a camera's name goes into file names",)),
     ("scene", "cameras/..", lens(pose=ASHORE), ("a camera's name goes into file names",)),
     ("scene", "cameras/" + "x" * 300, lens(pose=ASHORE), ("at most 100 letters",)),
+    # degrees
+    ("scene", "cameras/C0/mount/pitch_rad", 10, ("pitch_rad: 10 is more than a whole turn: angles are in radians",)),
+    ("scene", "cameras/shore/pose/yaw_rad", -180, ("cameras.shore.pose.yaw_rad: -180 is more than a whole turn",)),
+    ("scene", "waves", {"spectrum": "jonswap", "direction_rad": 90}, ("waves.direction_rad: 90 is more than",)),
+    ("scene", "obstacles", {"a": {"mesh": "ferry", "heading_rad": 45}}, ("obstacles.a.heading_rad: 45 is more than",)),
     # what belongs together
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], ("cameras.shore.mount: give exactly",)),
     ("scene", "cameras/shore/pose", DELETED, ("cameras.shore.mount: give exactly one of pose (ashore) and mount",)),
