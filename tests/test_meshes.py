@@ -262,6 +262,11 @@ def test_corners_of_obj_may_count_back_and_name_textures_and_normals(tmp_path: P
     assert triangles(load_mesh("box.obj", tmp_path)) == triangles(shoebox())
 
 
+def test_lines_of_obj_may_be_indented_and_have_tabs(tmp_path: Path) -> None:
+    (tmp_path / "box.obj").write_bytes(obj().replace(b"f ", b"  f\t").replace(b"v ", b"\tv\t"))
+    assert triangles(load_mesh("box.obj", tmp_path)) == triangles(shoebox())
+
+
 def test_comments_need_not_be_utf_8(tmp_path: Path) -> None:
     box = trimesh.Trimesh(shoebox().vertices, shoebox().faces, process=False)
     stl = box.export(file_type="stl_ascii").encode().replace(b"solid ", b"solid Fj\xf8rd ", 1)
@@ -396,7 +401,7 @@ REFUSED = {
     "line.ply": (ply([f"{row.split()[0]} 7 4" for row in BOX_ROWS]), "has no beam and no height"),
     "cut.ply": (ply(BOX_ROWS[:5]), "has 17 rows of the 20 that its header tells"),
     "index.ply": (ply(BOX_ROWS, ["3 0 1 900", *BOX_FACES[1:]]), "cannot be read as PLY|that use vertex 900"),
-    "index.obj": (obj() + b"f 1 2 900\n", "cannot be read as OBJ|that use vertex 899"),
+    "index.obj": (obj() + b"f 1 2 900\n", "has the corner '900' in line 21: there is no such vertex, of 8"),
     "words.ply": (ply(["a b c", *BOX_ROWS[1:]]), "cannot be read as PLY"),
     "count.ply": (ply(BOX_ROWS, header=PLY_FACES.replace("vertex 8", "vertex eight")), "'element vertex eight'"),
     "points.stl": (b"solid\nfacet\nendfacet\n" + b"vertex 0 0 0\n" * (MAX_VERTICES + 1), "has 150001 vertices"),

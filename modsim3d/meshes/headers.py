@@ -116,29 +116,35 @@ def read_obj(file: BinaryIO, size: int) -> bytes:
     Raises:
         Refused: It is too large, or names a material library outside its folder.
     """
-    check_faces(_scan(file, size, b"\nf "))
+    check_faces(max(1, _scan(file, size, b"\nf ")))  # far too many are not read; indented ones are counted below
     content = _whole(file, size)
     triangles = vertices = 0
+    last = (0, 0)  # vertex that a face names, and line
     kept: list[bytes] = []
     for number, line in enumerate(content.replace(b"\\\n", b" ").splitlines(), start=1):
         if len(line) > MAX_LINE_BYTES:
             raise Refused(f"has a line of {len(line)} characters (line {number}): triangulate its faces")
-        if line.startswith(b"f "):
-            corners = line.split()[1:]
+        keyword, _, rest = line.replace(b"\t", b" ").strip().partition(b" ")
+        if keyword == b"f":
+            corners = rest.split()
             triangles += max(1, len(corners) - 2)
             if triangles <= MAX_FACES:  # what is refused below need not be kept
-                kept.append(b"f " + b" ".join(_corner(corner, vertices, number) for corner in corners))
-        elif line.startswith(b"v "):
+                indices = [_corner(corner, vertices, number) for corner in corners]
+                last = max(last, (max(indices, default=0), number))
+                kept.append(b"f " + b" ".join(b"%d" % index for index in indices))
+        elif keyword == b"v":
             vertices += 1
-            kept.append(b" ".join(line.split()[:4]))
-        elif line.startswith(b"mtllib"):
-            check_reference(line[6:].decode("utf-8", "replace").strip(), "mtllib")
+            kept.append(b"v " + b" ".join(rest.split()[:3]))
+        elif keyword == b"mtllib":
+            check_reference(rest.decode("utf-8", "replace").strip(), "mtllib")
     check_faces(triangles)
     check_vertices(vertices)
+    if last[0] > vertices:
+        raise Refused(f"has the corner '{last[0]}' in line {last[1]}: there is no such vertex, of {vertices}")
     return _as_utf8(b"\n".join([*kept, b""]))
 
 
-def _corner(corner: bytes, vertices: int, line: int) -> bytes:
+def _corner(corner: bytes, vertices: int, line: int) -> int:
     """The vertex of a corner `vertex/texture/normal`, counted from one; a negative one counts back from the last."""
     try:
         index = int(corner.partition(b"/")[0])
@@ -147,4 +153,4 @@ def _corner(corner: bytes, vertices: int, line: int) -> bytes:
     index = index if index > 0 else vertices + 1 + index
     if index < 1:
         raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}: there is no such vertex")
-    return b"%d" % index
+    return index
