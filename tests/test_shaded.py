@@ -12,7 +12,7 @@ import shapely
 from modsim3d.annotate.comparison import ROUNDING_PX
 from modsim3d.errors import ModsimError
 from modsim3d.render.context import open_context
-from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer
+from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
 from modsim3d.scene_reader import load_scene
 from modsim3d.view import palette, shaded_picture
 from modsim3d.view.look import Look
@@ -140,6 +140,16 @@ def test_a_face_is_lightest_turned_to_the_lamp(shaded):
         lamp = Lamp((0.0, 0.0, -1.0), (1, 1, 1), 2.0)
         found.append(int(shaded.draw(faces, matrix, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1)).colour[50, 50, 0]))
     assert found[0] > found[1] > found[2] > 0
+
+
+def test_a_face_reflects_by_lamberts_law():
+    normals = np.array([[0.0, 0.0, -1.0], [0.0, -0.6, -0.8], [0.0, 0.0, 1.0]])
+    faces = LitFaces(np.zeros((3, 3, 3)), normals, np.array([[1.0, 1.0, 1.0], [1.0, 0.5, 0.0], [1.0, 1.0, 1.0]]))
+    lamp, ambient = Lamp((0.0, 0.0, -2.0), (1.0, 0.5, 0.25), 0.9 * np.pi), (0.05, 0.05, 0.05)
+    light = lit_colours(faces, [lamp], ambient) ** 2.2
+    np.testing.assert_allclose(light[0], (0.95, 0.5, 0.275))
+    np.testing.assert_allclose(light[1], (0.77, 0.5**2.2 * 0.41, 0.0))
+    np.testing.assert_allclose(light[2], 0.05)  # turned away: the light from everywhere is left
 
 
 def test_sky_is_above_the_horizon_and_sea_below(shaded, scene, solids):

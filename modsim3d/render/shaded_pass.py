@@ -23,7 +23,7 @@ from modsim3d.render.id_pass import MAX_REGION_PX
 from modsim3d.render.shaded import import_pyrender
 
 GAMMA = 2.2
-"""pyrender's shader ends with this power, near enough to the curve of sRGB."""
+"""From what a screen is given to light, near enough to the curve of sRGB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class ShadedRenderer:
         self._context = context
         self._pyrender = import_pyrender()
         self._material = self._pyrender.MetallicRoughnessMaterial(
-            baseColorFactor=[1.0, 1.0, 1.0, 1.0], metallicFactor=0.0, roughnessFactor=0.75, doubleSided=True
+            baseColorFactor=[1.0, 1.0, 1.0, 1.0], doubleSided=True
         )
         self._camera_type = _camera_type(self._pyrender)
         self._drawer = _renderer_type(context)(1, 1)
@@ -104,7 +104,7 @@ class ShadedRenderer:
                 shape (3, 3).
             near_m: No corner is nearer.
             size: Width and height of the picture.
-            lamps: At most four.
+            lamps: From far away.
             ambient: Light from everywhere: a face shows this share of its colour whatever the lamps.
         """
         if not len(faces.colours) or not min(size):
@@ -112,16 +112,13 @@ class ShadedRenderer:
             return Lit(np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32))
         if max(size) > MAX_REGION_PX:
             raise RendererError(f"a picture of {size[0]} × {size[1]} px was asked for; {MAX_REGION_PX} a side is most")
-        scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0], ambient_light=np.array(ambient, dtype=np.float64))
+        scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
         scene.add(self._camera_type(_clip(pixels, near_m, size)))
-        scene.add(self._mesh(faces))
-        for lamp in lamps:
-            colour = np.array(lamp.colour, dtype=np.float64)  # integers would be taken for 0 to 255
-            scene.add(self._pyrender.DirectionalLight(colour, lamp.strength), pose=_facing(lamp.towards_camera))
+        scene.add(self._mesh(faces, lit_colours(faces, lamps, ambient)))
         self._drawer.viewport_width, self._drawer.viewport_height = size
         with _kept_state(self._context.gl):
             flags = self._pyrender.RenderFlags
-            drawn, inverse = self._drawer.render(scene, flags.OFFSCREEN | flags.SKIP_CULL_FACES)
+            drawn, inverse = self._drawer.render(scene, flags.OFFSCREEN | flags.SKIP_CULL_FACES | flags.FLAT)
         with np.errstate(divide="ignore"):
             return Lit(drawn, np.float32(near_m) / inverse)
 
@@ -130,13 +127,12 @@ class ShadedRenderer:
         with _kept_state(self._context.gl):
             self._drawer.delete()
 
-    def _mesh(self, faces: LitFaces) -> Any:
-        nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # what is behind is then not shaded
-        linear = np.column_stack([faces.colours**GAMMA, np.ones(len(faces.colours))])
+    def _mesh(self, faces: LitFaces, colours: Array) -> Any:
+        nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # what is behind is then not drawn
+        opaque = np.column_stack([colours, np.ones(len(colours))])
         primitive = self._pyrender.Primitive(
             positions=faces.corners_camera[nearest_first].reshape(-1, 3),
-            normals=np.repeat(faces.normals_camera[nearest_first], 3, axis=0),
-            color_0=np.repeat(linear[nearest_first], 3, axis=0),
+            color_0=np.repeat(opaque[nearest_first], 3, axis=0),
             material=self._material,
             mode=self._pyrender.GLTF.TRIANGLES,
         )
@@ -153,14 +149,19 @@ def _clip(pixels: Array, near_m: float, size: tuple[int, int]) -> Array:
     return clip
 
 
-def _facing(towards: tuple[float, float, float]) -> Array:
-    """A lamp's pose: its third axis points back along its light."""
-    third = np.array(towards) / np.linalg.norm(towards)
-    first = np.cross(np.eye(3)[np.argmin(np.abs(third))], third)
-    first /= np.linalg.norm(first)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([first, np.cross(third, first), third])
-    return pose
+def lit_colours(faces: LitFaces, lamps: Sequence[Lamp], ambient: tuple[float, float, float]) -> Array:
+    """The colour of each face in the light of lamps, as a screen has it: Lambert's law, shape (T, 3).
+
+    A flat face in light from far away has one colour, so it is found here once and not at each pixel of a buffer,
+    where it took most of the time of a picture (benchmarks/drawing.py).
+    """
+    light = np.tile(np.array(ambient, dtype=np.float64), (len(faces.colours), 1))
+    for lamp in lamps:
+        towards = np.array(lamp.towards_camera) / np.linalg.norm(lamp.towards_camera)
+        turned = np.maximum(faces.normals_camera @ towards, 0.0)
+        light += turned[:, None] * np.array(lamp.colour) * lamp.strength / np.pi
+    colours: Array = np.clip(faces.colours**GAMMA * light, 0.0, 1.0) ** (1 / GAMMA)
+    return colours
 
 
 def _camera_type(pyrender: Any) -> Any:

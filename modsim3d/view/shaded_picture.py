@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from modsim3d.camera import CameraPoses, Intrinsics
@@ -108,12 +109,12 @@ class ShadedPainter:
             return depth_m
         lit = self._lit(faces, solids, window, region, samples)
         here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
-        colour: Floats = lit.colour.astype(np.float32) / np.float32(255)
-        drawn = lit.drawn[..., None].astype(np.float32)
+        colour = lit.colour
         if self.look.extinction_per_m:
             along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
-            colour = fogged(colour, np.where(lit.drawn, lit.depth_m, 0) / along, self.look) * drawn
-        cover = _reduced(drawn, samples)
+            misty = fogged(colour / np.float32(255), np.where(lit.drawn, lit.depth_m, 0) / along, self.look)
+            colour = np.rint(misty * lit.drawn[..., None] * 255).astype(np.uint8)
+        cover = _reduced(lit.drawn * np.uint8(255), samples)[..., None]
         canvas[here] = canvas[here] * (1 - cover) + _reduced(colour, samples)
         depth_m[here] = lit.depth_m[::samples, ::samples]
         return depth_m
@@ -147,23 +148,22 @@ class ShadedPainter:
         rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
         unit = SMEAR * window.size[0] / 1280
         from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
-        drawn = lit.drawn[from_row, columns] & behind.sea[here]
-        share = (drawn * behind.mirror[here] * REFLECTION)[..., None]
-        seen = lit.colour[from_row, columns].astype(np.float32) / 255
+        # Most of the sea shows nobody: only the pixels that do are worked out.
+        shown = np.nonzero(lit.drawn[from_row, columns] & behind.sea[here])
+        source = from_row[shown], shown[1]
+        share: Floats = (behind.mirror[here][shown] * np.float32(REFLECTION))[:, None]
+        seen = lit.colour[source].astype(np.float32) / np.float32(255)
         if self.look.extinction_per_m:
-            depth = np.where(drawn, lit.depth_m[from_row, columns], 0)
+            depth = lit.depth_m[source]
             seen = fogged(seen, depth, self.look)
-            share = share * np.exp(-self.look.extinction_per_m * depth)[..., None]
-        canvas[here] = canvas[here] * (1 - share) + seen * share
+            share = share * np.exp(-self.look.extinction_per_m * depth)[:, None]
+        part = canvas[here]
+        part[shown] = part[shown] * (1 - share) + seen * share
 
 
-def _reduced(image: Floats, samples: int) -> Floats:
-    """Means of blocks, shape (h / samples, w / samples, n)."""
-    total: Floats = np.zeros_like(image[::samples, ::samples])
-    for i in range(samples):
-        for j in range(samples):
-            total += image[i::samples, j::samples]
-    return total / np.float32(samples**2)
+def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
+    """Means of blocks, from 0 to 1, shape (h / samples, w / samples) or (h / samples, w / samples, 3)."""
+    return np.asarray(Image.fromarray(image).reduce(samples), dtype=np.float32) / np.float32(255)
 
 
 def lit_faces(solids: Solids) -> LitFaces:

@@ -78,7 +78,7 @@ class Picture {
       this.plates.push({ box: target, colour: colours.alarm, text: this.narrow ? name : `missed: ${name}`, below: true });
     }
     // Over all boxes: no line crosses a text.
-    if (shown.names) for (const truth of frame.truths) this.name(truth, recording.facts.vessels[truth.vessel].name);
+    if (shown.names) this.names(frame.truths, recording.facts.vessels);
     if (shown.labels) this.labels();
   }
 
@@ -155,14 +155,19 @@ class Picture {
     this.stroke(colour, 3);
   }
 
-  // A vessel's ID in the middle of what is seen of it.
-  name({ visible, full }, text) {
-    const [x0, y0, x1, y1] = visible ?? full, { context } = this;
+  // IDs in the middle of what is seen of vessels, the nearest first; one that another is in the way of is left out.
+  names(truths, vessels) {
+    const { context } = this, placed = [];
     context.font = `600 ${FONT_PX}px system-ui, sans-serif`;
-    const [x, y] = this.toCanvas((x0 + x1) / 2, (y0 + y1) / 2), left = x - context.measureText(text).width / 2;
     Object.assign(context, { lineJoin: 'round', lineWidth: 3, strokeStyle: '#000', fillStyle: '#fff' });
-    context.strokeText(text, left, y + FONT_PX / 3);
-    context.fillText(text, left, y + FONT_PX / 3);
+    for (const { visible, full, vessel } of truths.toReversed()) {
+      const [x0, y0, x1, y1] = visible ?? full, { name } = vessels[vessel], wide = context.measureText(name).width;
+      const [x, y] = this.toCanvas((x0 + x1) / 2, (y0 + y1) / 2), left = x - wide / 2, base = y + FONT_PX / 3;
+      if (placed.some((other) => left < other.left + other.wide && other.left < left + wide && Math.abs(base - other.base) < FONT_PX)) continue;
+      placed.push({ left, wide, base });
+      context.strokeText(name, left, base);
+      context.fillText(name, left, base);
+    }
   }
 
   // Texts on plates of their colours by their boxes, lines to them first; where other plates are in the way farther off,

@@ -326,7 +326,7 @@ class Player {
 }
 
 function describe(truth, confidence) {
-  const seen = truth.fraction === null ? '' : percent(truth.fraction), by = truth.hider ? ` by ${truth.hider}` : '';
+  const seen = truth.fraction === null ? '' : percent(truth.fraction), by = truth.hider ? ` by ${truth.hider.replace(/^obstacle:/, '')}` : '';
   const what = truth.missed ? 'missed' : truth.detected ? `detected ${confidence?.toFixed(2) ?? ''}`
     : truth.fraction === 0 ? 'hidden' : 'not annotated';
   return [`${truth.depth.toFixed(0)} m`, seen, truth.fraction === 0 ? `hidden${by}` : what];
