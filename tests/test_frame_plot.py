@@ -80,6 +80,19 @@ def test_image_edges_are_the_limits_and_zoom_keeps_every_vessel_in_sight(frame):
     assert not near.texts
 
 
+def test_labels_do_not_lie_on_each_other_and_a_zoomed_figure_is_as_flat_as_what_it_shows(frames):
+    frame = max(frames, key=lambda each: len(each.detections))
+    for zoom in (False, True):
+        figure = frame.plot(zoom=zoom)
+        figure.draw_without_rendering()
+        (axes,) = figure.axes
+        plates = [note.get_window_extent() for note in axes.texts]
+        assert len(plates) > 10
+        assert not any(one.overlaps(other) for i, one in enumerate(plates) for other in plates[:i])
+        image = axes.get_window_extent()
+        assert image.width > 0.8 * figure.bbox.width and figure.bbox.height - image.height < 1.5 * figure.dpi
+
+
 def test_plot_draws_on_axes_that_it_is_given(frame):
     figure = Figure()
     left, right = figure.subplots(1, 2)

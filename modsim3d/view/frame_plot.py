@@ -14,8 +14,13 @@ from modsim3d.view import palette
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
 
-WIDTH_IN = 9.0
+WIDTH_IN, FURNITURE_IN = 9.0, 0.9
+"""Width of a figure of its own, and the height of what stands around the image in it."""
+FARTHEST_ROWS = 5
+"""How many rows of text a label may move away from its box."""
 MARGIN = 0.35
 """Of the boxes' width and height, around them when zoomed in."""
 LEAST_VIEW_PX = 240.0
@@ -37,16 +42,18 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
         from matplotlib.figure import Figure
     except ImportError:
         raise ModsimError("frame.plot() needs matplotlib: pip install 'modsim3d[view]'") from None
+    left, top, right, bottom = view = _view(frame, zoom)
     if axes is None:
-        width, height = frame.image_size_px
-        figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * height / width), layout="constrained")
-        axes = figure.add_subplot()
+        height_in = WIDTH_IN * (bottom - top) / (right - left) + FURNITURE_IN
+        axes = Figure(figsize=(WIDTH_IN, height_in), layout="constrained").add_subplot()
+    figure = cast("Figure", axes.figure)
     _background(axes, frame)
-    _truth(axes, frame, labels)
-    _detections(axes, frame, labels)
-    _frame_view(axes, frame, zoom)
+    notes = _truth(axes, frame, labels) + _detections(axes, frame, labels)
+    _show(axes, view)
     axes.set_title(f"{frame.camera}, {frame.timestamp} s, detector {frame.state}")
-    return cast("Figure", axes.figure)
+    figure.draw_without_rendering()
+    _keep_apart(notes, figure.dpi / 72)
+    return figure
 
 
 def _background(axes: Axes, frame: Frame) -> None:
@@ -81,8 +88,8 @@ def below_horizon(corners_px: Array, sea_half_plane: Array) -> Array:
     return np.array(kept).reshape(-1, 2)
 
 
-def _truth(axes: Axes, frame: Frame, labels: bool) -> None:
-    truth = frame.truth
+def _truth(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:
+    truth, notes = frame.truth, []
     for i, name in enumerate(truth.vessels):
         _box(axes, truth.full_boxes_px[i], palette.TRUTH, 1.0, dashed=True)
         missed = truth.annotated[i] and not truth.detected[i]
@@ -91,34 +98,58 @@ def _truth(axes: Axes, frame: Frame, labels: bool) -> None:
         if missed:
             _box(axes, truth.boxes_px[i], palette.ALARM, 1.8)
             if labels:
-                _label(axes, truth.boxes_px[i], f"{name} missed", palette.ALARM, below=True)
+                notes.append(_label(axes, truth.boxes_px[i], f"{name} missed", palette.ALARM, below=True))
+    return notes
 
 
-def _detections(axes: Axes, frame: Frame, labels: bool) -> None:
-    found = frame.detections
+def _detections(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:
+    found, notes = frame.detections, []
     for i, vessel in enumerate(found.vessels):
         colour = palette.ALARM if vessel is None else palette.vessel_colour(frame.scene_vessels.index(vessel))
         _box(axes, found.boxes_px[i], colour, 1.8, dashed=vessel is None)
         if labels:
             what = f"{found.labels[i]} {found.confidence[i]:.2f}"
-            _label(axes, found.boxes_px[i], f"{vessel or 'false'}: {what}", colour)
+            notes.append(_label(axes, found.boxes_px[i], f"{vessel or 'false'}: {what}", colour))
+    return notes
 
 
-def _frame_view(axes: Axes, frame: Frame, zoom: bool) -> None:
-    """Pixels as in an image: rows downwards, equal in both directions."""
-    width, height = frame.image_size_px
-    left, top, right, bottom = 0.0, 0.0, float(width), float(height)
+def _view(frame: Frame, zoom: bool) -> tuple[float, float, float, float]:
+    """The part of the image that is shown: left, top, right, bottom."""
+    width, height = map(float, frame.image_size_px)
     true = [vessel is not None for vessel in frame.detections.vessels]
     boxes = np.concatenate([frame.truth.full_boxes_px, frame.detections.boxes_px[true]])
-    if zoom and len(boxes):
-        low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
-        half = np.maximum((high - low) * (0.5 + MARGIN), LEAST_VIEW_PX / 2)
-        (left, top), (right, bottom) = (low + high) / 2 - half, (low + high) / 2 + half
-    axes.set_xlim(max(left, 0.0), min(right, float(width)))
-    axes.set_ylim(min(bottom, float(height)), max(top, 0.0))
+    if not (zoom and len(boxes)):
+        return 0.0, 0.0, width, height
+    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    half = np.maximum((high - low) * (0.5 + MARGIN), LEAST_VIEW_PX / 2)
+    (left, top), (right, bottom) = ((low + high) / 2 - half).tolist(), ((low + high) / 2 + half).tolist()
+    return max(left, 0.0), max(top, 0.0), min(right, width), min(bottom, height)
+
+
+def _show(axes: Axes, view: tuple[float, float, float, float]) -> None:
+    """Pixels as in an image: rows downwards, equal in both directions."""
+    left, top, right, bottom = view
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
     axes.set_xlabel("column [px]")
     axes.set_ylabel("row [px]")
+
+
+def _keep_apart(notes: list[Annotation], point_px: float) -> None:
+    """Move labels away from their boxes until none lies on another; one that finds no place is left out."""
+    taken: list[Bbox] = []
+    for note in notes:
+        plate = note.get_window_extent().padded(2 * point_px)
+        away = 1 if note.get_verticalalignment() == "bottom" else -1
+        for row in range(FARTHEST_ROWS + 1):
+            moved = plate.translated(0, away * row * plate.height)
+            if not any(moved.overlaps(other) for other in taken):
+                note.xyann = (0, away * (3 + row * plate.height / point_px))
+                taken.append(moved)
+                break
+        else:
+            note.remove()
 
 
 def _box(axes: Axes, box_px: Array, colour: palette.Colour, width: float, *, dashed: bool = False) -> None:
@@ -129,9 +160,9 @@ def _box(axes: Axes, box_px: Array, colour: palette.Colour, width: float, *, das
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_unit(colour), lw=width, ls=line))
 
 
-def _label(axes: Axes, box_px: Array, text: str, colour: palette.Colour, below: bool = False) -> None:
+def _label(axes: Axes, box_px: Array, text: str, colour: palette.Colour, below: bool = False) -> Annotation:
     """Text on a plate of its colour; a vessel's name is text, not mathematics."""
-    axes.annotate(
+    return axes.annotate(
         text,
         (box_px[0], box_px[3 if below else 1]),
         xytext=(0, -3 if below else 3),
