@@ -90,6 +90,7 @@ def test_labels_do_not_lie_on_each_other_and_a_zoomed_figure_is_as_flat_as_what_
         assert len(plates) > 10
         assert not any(one.overlaps(other) for i, one in enumerate(plates) for other in plates[:i])
         image = axes.get_window_extent()
+        assert max(plate.x1 for plate in plates) <= image.x1
         assert image.width > 0.8 * figure.bbox.width and figure.bbox.height - image.height < 1.5 * figure.dpi
 
 

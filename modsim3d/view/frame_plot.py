@@ -52,7 +52,7 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
     _show(axes, view)
     axes.set_title(f"{frame.camera}, {frame.timestamp} s, detector {frame.state}")
     figure.draw_without_rendering()
-    _keep_apart(notes, figure.dpi / 72)
+    _keep_apart(notes, axes.get_window_extent().x1, figure.dpi / 72)
     return figure
 
 
@@ -136,16 +136,17 @@ def _show(axes: Axes, view: tuple[float, float, float, float]) -> None:
     axes.set_ylabel("row [px]")
 
 
-def _keep_apart(notes: list[Annotation], point_px: float) -> None:
-    """Move labels away from their boxes until none lies on another; one that finds no place is left out."""
+def _keep_apart(notes: list[Annotation], right_px: float, point_px: float) -> None:
+    """Move labels left into the image, and away from their boxes until none lies on another; or leave one out."""
     taken: list[Bbox] = []
     for note in notes:
         plate = note.get_window_extent().padded(2 * point_px)
+        left = max(0.0, plate.x1 - right_px)
         away = 1 if note.get_verticalalignment() == "bottom" else -1
         for row in range(FARTHEST_ROWS + 1):
-            moved = plate.translated(0, away * row * plate.height)
+            moved = plate.translated(-left, away * row * plate.height)
             if not any(moved.overlaps(other) for other in taken):
-                note.xyann = (0, away * (3 + row * plate.height / point_px))
+                note.xyann = (-left / point_px, away * (3 + row * plate.height / point_px))
                 taken.append(moved)
                 break
         else:
