@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -48,19 +49,44 @@ def with_state(model: DetectorModel, index: int, **changes: object) -> DetectorM
     return replace(model, states=tuple(states))
 
 
-def single_changes(model: DetectorModel) -> Iterator[Change]:
-    """Each parameter changed once, every other one up and every other one down where both can be."""
+def single_changes(model: DetectorModel, frame_s: float) -> Iterator[Change]:
+    """Each parameter changed once, every other one up and every other one down where both can be.
+
+    Args:
+        model: What a run was made with.
+        frame_s: Seconds from one frame to the next, over which correlations in time are taken.
+    """
     up = True
-    for index, state in enumerate(model.states):
-        for change in (*_stay_rate(model, index), *_state_changes(model, index, state)):
-            wanted, other = change if up else change[::-1]
-            chosen = wanted or other
-            if chosen is not None:
-                yield chosen
-                up = not up
+    for change in _every_pair(model, frame_s):
+        wanted, other = change if up else change[::-1]
+        chosen = wanted or other
+        if chosen is not None:
+            yield chosen
+            up = not up
 
 
 Pair = tuple[Change | None, Change | None]
+
+
+def _every_pair(model: DetectorModel, frame_s: float) -> Iterator[Pair]:
+    for index, state in enumerate(model.states):
+        if len(model.states) > 1:
+            yield from _stay_rate(model, index)
+        yield from _state_changes(model, index, state)
+    yield from _persistence(model, frame_s)
+
+
+def _persistence(model: DetectorModel, frame_s: float) -> Iterator[Pair]:
+    """How much stays from one frame to the next; none is there to begin with unless the model has it."""
+    for key in ("class_s", "box_s"):
+        time_s = getattr(model.persistence, key)
+        kept = math.exp(-frame_s / time_s) if time_s else 0.0
+
+        def lasting(value: float, key: str = key) -> DetectorModel:
+            times = {key: -frame_s / math.log(value) if value > 1e-12 else 0.0}
+            return replace(model, persistence=replace(model.persistence, **times))
+
+        yield _pair("correlation in time", f"persistence.{key}", kept, CORRELATION, lasting, low=-1e-9, high=1.0)
 
 
 def _stay_rate(model: DetectorModel, index: int) -> Iterator[Pair]:

@@ -132,7 +132,7 @@ def test_changes_that_are_noticeable_are_caught_and_named(many):
     evidence, table = many.detect(model, 5), MomentTable()
     verify(model, evidence, table)
     noticeable = named = 0
-    for change in list(single_changes(model))[::9]:
+    for change in list(single_changes(model, 0.2))[::9]:
         verification = verify(change.model, evidence, table.branch())
         verdict = next(v for v in verification.verdicts if v.parameter.name == change.name)
         reach = verdict.noticed[0 if change.up else 1]
