@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
@@ -22,7 +23,7 @@ from modsim3d.learn.error_fit import (
     fitted_law,
     statistics,
 )
-from modsim3d.learn.error_replay import REPLAYS, latent_paths, products, replayed_errors
+from modsim3d.learn.error_replay import REPLAYS, latent_paths, own_root, products, replayed_errors
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
 from modsim3d.learn.measures import Estimate, Exact
@@ -39,6 +40,7 @@ LEAST_PAIRS = 100
 _ROUNDING_PX = 1e-6
 _REPLAYS_AT_ONCE = 50
 _CONDITION = 1e8
+_KNOWN, _LEAST_SHARE = 10.0, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +262,7 @@ def _replay(model: DetectorModel, evidence: Evidence, fits: list[Fitted]) -> Rep
 def _persistence(
     evidence: Evidence, fits: list[Fitted], model: DetectorModel, replayed: Replayed | None
 ) -> Estimate | None:
-    """Correlation of errors with those of the same vessel one frame before."""
+    """Correlation of latent numbers with those of the same vessel one frame before."""
     if not fits:
         return None
     now, before = _frame_pairs(model, evidence, fits)
@@ -268,20 +270,39 @@ def _persistence(
         return None
     # Means and spreads that are off would look like a correlation: they are taken out as they were found.
     whitened = np.concatenate([_own_scale(fitted.fit.whitened) for fitted in fits])
-    measured = float(products(whitened, now, before))
+    product = float(products(whitened, now, before))
     if replayed is None:
-        return Estimate(measured, 0.0, (4 * len(now)) ** -0.5, len(now))
-    chances = evidence.chances
-    rows = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
-    apart = chances.time_s[rows[now]] - chances.time_s[rows[before]]
-    asked = float(np.exp(-apart / model.persistence.box_s).mean())
-    # Truncation breaks part of the correlation; what is left of the asked one is what replays show.
-    left = float(replayed.products.mean())
-    error = float(replayed.products.std())
-    scale = asked / left if abs(left) > 3 * error else 1.0
+        asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
+    else:
+        chances = evidence.chances
+        rows = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
+        apart = chances.time_s[rows[now]] - chances.time_s[rows[before]]
+        asked = float(np.exp(-apart / model.persistence.box_s).mean())
+        left, error = float(replayed.products.mean()), float(replayed.products.std())
+        known = error / math.sqrt(len(replayed.products))
+    # Of a correlation truncation leaves a part: that is what replays show, or for a small one what boxes leave of it.
+    share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
+    scale = 1 / max(share, _LEAST_SHARE)
     return Estimate(
-        asked + (measured - left) * scale, asked, error * abs(scale), len(now), statistic=(measured - left) / error
+        asked + (product - left) * scale, asked, error * scale, len(now), statistic=(product - left) / error
     )
+
+
+def _shares_left(fits: list[Fitted], now: Indices, before: Indices) -> Array:
+    """How much of a small correlation of latent numbers is left between whitened errors of pairs, shape (m,).
+
+    A first draw that counts has w = R (s − E s) and s = S z with the latent numbers z; one that does not has none of
+    them. So E[w zᵀ] = α R C S⁻ᵀ, where R C Rᵀ = 1; and E[w · w′] = ρ tr(E[w zᵀ] E[w′ zᵀ]ᵀ) where z and z′ are
+    correlated by a small ρ.
+    """
+    gains = []
+    for fitted in fits:
+        inverse = np.linalg.inv(own_root(fitted.law))
+        left = np.swapaxes(np.linalg.inv(fitted.fit.roots), 1, 2) @ inverse.T
+        gains.append(fitted.fit.acceptance[:, None, None] * left)
+    gain = np.concatenate(gains)
+    shares: Array = np.einsum("mij,mij->m", gain[now], gain[before]) / 4
+    return shares
 
 
 def _own_scale(whitened: Array) -> Array:

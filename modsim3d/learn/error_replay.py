@@ -44,7 +44,7 @@ def replayed_errors(law: NormalLaw, sample: ErrorSample, latent: Array, rng: np.
     """Errors in the law's standard deviations, shape (count, n, 4), of a sample's boxes from latent numbers."""
     boxes, images = sample.boxes_px[sample.rows], sample.images_px[sample.rows]
     means, stds = law.at(boxes)
-    root = _own_root(law)
+    root = own_root(law)
     standard = latent @ root.T
     bad = np.nonzero(~_accepted(means + stds * standard, boxes, images))
     for _ in range(_MOST_DRAWS):
@@ -58,7 +58,7 @@ def replayed_errors(law: NormalLaw, sample: ErrorSample, latent: Array, rng: np.
     return standard
 
 
-def _own_root(law: NormalLaw) -> Array:
+def own_root(law: NormalLaw) -> Array:
     """How latent numbers become standardised errors, shape (4, 4): the root is that of the file's covariance."""
     covariance = law.correlation * np.outer(law.std, law.std)
     return symmetric_root(covariance) / law.std[:, None]

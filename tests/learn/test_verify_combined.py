@@ -16,6 +16,7 @@ from modsim3d.learn.class_checks import class_checks
 from modsim3d.learn.clutter_checks import clutter_checks
 from modsim3d.learn.error_fit import MomentTable
 from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.measures import Estimate
 from modsim3d.learn.parameters import Parameter, judge
 from modsim3d.learn.run_lengths import run_lengths
 from modsim3d.learn.state_checks import state_checks
@@ -124,6 +125,30 @@ def test_box_errors_that_stay_with_a_few_vessels_are_too_little_seen(many: ManyD
     for_a_moment = changed(persistence={"box_s": 0.05})
     found = box_error_checks(for_a_moment, many.detect(for_a_moment, 0), MomentTable())
     assert sum(p.measure is not None for p in found if p.name.startswith("states.")) > len(laws) / 3
+
+
+def box_persistence(asked: DetectorModel, evidence: Evidence) -> Estimate:
+    measure = box_error_checks(asked, evidence, MomentTable())[-1].measure
+    assert isinstance(measure, Estimate)
+    return measure
+
+
+def test_what_truncation_leaves_of_a_correlation_of_box_errors_is_not_taken_for_all_of_it(many: ManyDetections) -> None:
+    # Half of the first draws leave no box: of a correlation of 0.2 from frame to frame 0.05 is left.
+    made_with = changed(persistence={"box_s": -0.2 / np.log(0.2)})
+    found = [box_persistence(changed(), many.detect(made_with, seed)) for seed in range(4)]
+    error = float(np.mean([measure.error for measure in found])) / 2
+    assert error < 0.04
+    assert np.mean([measure.measured for measure in found]) == pytest.approx(0.2, abs=4 * error)
+
+
+def test_of_errors_that_nothing_cuts_all_of_a_correlation_is_left(many: ManyDetections) -> None:
+    data = variant("relative box errors")
+    for state in data["states"].values():
+        state["box_error"]["covariance"] = [[value / 100 for value in row] for row in state["box_error"]["covariance"]]
+    model = parse_detector(data)
+    measure = box_persistence(model, many.detect(model, 0))
+    assert measure.error == pytest.approx((4 * measure.count) ** -0.5, rel=0.01)
 
 
 def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
