@@ -41,6 +41,7 @@ _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
     ".plots figure { width: 25rem; margin: 0; } .plots svg { width: 100%; height: auto; } "
     ".wide { overflow-x: auto; font-size: 0.9rem; } "
+    "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } .shares .soft { color: inherit; opacity: 0.8; } table.shares th + th { text-align: right; } "
     ".wide td, .wide th { white-space: nowrap; padding: 0.2rem 0.9rem 0.2rem 0; }"
 )
 _SHARES = (
@@ -70,6 +71,8 @@ def _scatter(report: Report) -> list[str]:
     pairs = report.learned.observed.pairs()
     detection = report.learned.observed.detection[~report.learned.observed.missed]
     error = errors_px(report.labelled.found.boxes_px[detection], pairs.truth_px)
+    relative = all(unit.endswith("relative") for unit in report.learned.form.units.values())
+    error = error / pairs.sides_px if relative else error  # in the unit in which they are learned
     plots = []
     for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
         groups = {
@@ -77,9 +80,10 @@ def _scatter(report: Report) -> list[str]:
             for index, state in enumerate(report.learned.form.states)
             if np.any(pairs.state == index)
         }
-        x, y = ERROR_COMPONENTS[i], ERROR_COMPONENTS[j]
+        units = ("widths", "heights") if relative else ("px", "px")
+        x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
-        plots.append(pictures.error_scatter(groups, f"{x} in px", f"{y} in px", caption))
+        plots.append(pictures.error_scatter(groups, x, y, caption))
     return ['<div class="plots">', *plots, "</div>"]
 
 

@@ -144,4 +144,4 @@ def confusion_table(names: Sequence[str], counts: Array, shares: Array) -> str:
                 f'{counts[row, column]:.0f}<br><span class="soft">{share:.3f}</span></td>'
             )
         lines.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}</tr>")
-    return "<table>\n" + "\n".join(lines) + "\n</table>"
+    return '<table class="shares">\n' + "\n".join(lines) + "\n</table>"

@@ -96,6 +96,7 @@ def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
         assert title in result.output
     page = out.with_suffix(".html").read_text()
     assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
+    assert "e_x in widths" in page and "e_h in heights" in page  # as the file has them
 
 
 def test_the_same_data_give_the_same_bytes(exported, tmp_path):
