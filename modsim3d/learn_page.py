@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.learn.average_precision import Curve, Ranking
 from modsim3d.learn.figures import errors_px
-from modsim3d.learn_report import Report, lead, tables
+from modsim3d.learn_report import NEVER_LEARNED, Report, lead, tables
 from modsim3d.view import learn_figures as pictures
 from modsim3d.view import page
 
@@ -33,7 +33,7 @@ def write_page(report: Report, path: Path) -> None:
     notes = report.learned.form.notes
     body.append(page.heading("Left simple"))
     body += [page.paragraph(note) for note in notes] or [page.paragraph("Nothing: there was enough of everything.")]
-    body.append(page.paragraph(_POINTS, "soft"))
+    body += [page.paragraph(NEVER_LEARNED), page.paragraph(_POINTS, "soft")]
     path.write_text(page.page("A detector, learned", body), encoding="utf-8")
 
 

@@ -319,6 +319,12 @@ def _bias(bias: Bias) -> Table:
     return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
 
 
+NEVER_LEARNED = (
+    "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, box "
+    "errors with both a fixed and a growing part, confidence that follows size or visibility."
+)
+
+
 def lead(report: Report) -> str:
     """What it rests on, in one sentence."""
     learned, labelled = report.learned, report.labelled

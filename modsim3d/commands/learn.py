@@ -77,7 +77,7 @@ def learn_command(
     from modsim3d.learn.matching import Rule
     from modsim3d.learn_detector import Asked, learn_detector
     from modsim3d.learn_page import write_page
-    from modsim3d.learn_report import lead, tables
+    from modsim3d.learn_report import NEVER_LEARNED, lead, tables
     from modsim3d.validation import read_text
 
     page = out.with_suffix(".html") if page is None else page
@@ -114,6 +114,7 @@ def learn_command(
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
     _say_notes(console, report)
+    console.print(f"\n{NEVER_LEARNED}", highlight=False, markup=False)
     console.print(f"\nwritten  {out}, {page}", highlight=False, markup=False, soft_wrap=True)
 
 

@@ -92,7 +92,7 @@ def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
     assert text.startswith("# Learned by modsim3d learn. 700 images, ")
     assert "Corrected once for the bias of the matching." in text
     for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
-                  "points gained if mended", "Bias of the matching", "Left simple"):  # fmt: skip
+                  "points gained if mended", "Bias of the matching", "Left simple", "Never learned"):  # fmt: skip
         assert title in result.output
     page = out.with_suffix(".html").read_text()
     assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
