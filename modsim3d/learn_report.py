@@ -320,8 +320,8 @@ def _bias(bias: Bias) -> Table:
 
 
 NEVER_LEARNED = (
-    "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, box "
-    "errors with both a fixed and a growing part, confidence that follows size or visibility."
+    "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
+    "box errors with both a fixed and a growing part, confidence that follows size or visibility."
 )
 
 
