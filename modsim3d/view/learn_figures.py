@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Told apart by colour-blind people (Okabe & Ito (2008))."""
-_MOST_DOTS = 1500
+_MOST_DOTS, _MOST_POINTS = 1500, 800
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP, _RIGHT = 460, 320, 56, 46, 14, 14
 
 
@@ -74,10 +74,17 @@ def precision_recall(curves: Mapping[str, tuple[Array, Array]], caption: str) ->
     """Curves of recall and precision."""
     axes = _Axes((0, 1), (0, 1.02), "recall", "precision")
     for index, (name, (recall, precision)) in enumerate(curves.items()):
-        kept = np.unique(np.linspace(0, len(recall) - 1, min(len(recall), 800)).astype(np.int64))
+        kept = _along(recall, precision)
         axes.line(recall[kept], precision[kept], colour(index))
         axes.parts.append(_key(index, name, _HEIGHT - _BOTTOM - 14 * (len(curves) - index)))
     return _svg(axes.parts, caption)
+
+
+def _along(recall: Array, precision: Array) -> NDArray[np.int64]:
+    """Places of points that lie evenly along a curve: most detections may be false, and lie at its end."""
+    steps = np.abs(np.diff(recall, prepend=recall[0])) + np.abs(np.diff(precision, prepend=precision[0]))
+    walked = np.cumsum(steps)
+    return np.unique(np.append(np.searchsorted(walked, np.linspace(0, walked[-1], _MOST_POINTS)), len(recall) - 1))
 
 
 def _key(index: int, name: str, y: float) -> str:
