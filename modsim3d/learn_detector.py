@@ -119,7 +119,8 @@ def _about_matches(labelled: Labelled, matched: Matched, rule: Rule) -> list[str
         if near > _MANY_NEAR:
             remarks.append(
                 f"{near:.0%} of the matches have an IoU of less than {rule.least_iou + _NEAR_THE_GATE:.2g}: larger "
-                "errors were cut off, and count as a miss and a false detection each (--bias says how much that does)"
+                "errors were cut off, and count as a miss and a false detection each (--bias says how much that does; "
+                "--match centre, at a distance that is large against the errors, cuts off less)"
             )
     return remarks
 
