@@ -80,6 +80,17 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     assert np.all(high / low < 1.25)
 
 
+def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(tmp_path):
+    simulate("harbour", tmp_path, mode=2, steps=400)
+    labelled = read_coco("all", *write_coco(labelled_run(tmp_path / "run")[0], tmp_path / "coco"))
+    states = each_its_own(("clear", "haze"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
+    learned = learn(labelled, states.names, image_state, transitions, Settings(replicates=100))
+    asked = asked_of()
+    assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
+
+
 def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
     out = tmp_path / "detector.yaml"
     files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
