@@ -39,8 +39,7 @@ def detect_run(
     """
     if not run.finished:
         raise RunDirectoryError(
-            f"{run.folder} holds an interrupted run, whose truth is not complete: finish it with "
-            "`modsim3d run SCENE --resume` first"
+            f"{run.folder} holds an interrupted run, whose truth is not complete: {run.how_to_finish}"
         )
     if folder.resolve() == run.folder.resolve():
         raise RunDirectoryError(f"{folder} is the run that the truth is read from: choose another folder")

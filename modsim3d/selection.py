@@ -158,7 +158,9 @@ def times_of(run: StoredRun) -> Array:
         ModsimError: None is there.
     """
     if not run.steps:
-        raise ModsimError(f"{run.folder} holds an interrupted run that has not finished a single block of steps")
+        raise ModsimError(
+            f"{run.folder} holds an interrupted run that has not finished a single block of steps: {run.how_to_finish}"
+        )
     return np.array([float(text) for text in run.scene.timestamps(0, run.steps)])
 
 

@@ -16,7 +16,7 @@ from modsim3d.block import Frame, frames_of
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.block_files import TABLES, finished_truth
-from modsim3d.formats.run_directory import RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
+from modsim3d.formats.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
 from modsim3d.formats.table_reader import read_frames, read_truth
 from modsim3d.scene import Scene
 from modsim3d.scene_reader import load_scene
@@ -40,6 +40,13 @@ class StoredRun:
     scene: Scene
     finished: bool
     steps: int
+
+    @property
+    def how_to_finish(self) -> str:
+        """What to do with an interrupted run: what came in live cannot come again, but is kept."""
+        if (self.folder / UNFINISHED / POSES_FILE).is_file():
+            return f"`modsim3d run {self.scene.path} --out DIR` makes a finished run of the poses that came in"
+        return "finish it with `modsim3d run SCENE --resume` first"
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """The frames of steps first to stop − 1, in order of step and camera.

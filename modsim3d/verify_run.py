@@ -46,9 +46,7 @@ def verify_run(run: StoredRun, detector: Path | None = None) -> VerifiedRun:
         ModsimError: The run was interrupted, or this detector cannot have made it.
     """
     if not run.finished:
-        raise RunDirectoryError(
-            f"{run.folder} holds an interrupted run: finish it with `modsim3d run SCENE --resume` first"
-        )
+        raise RunDirectoryError(f"{run.folder} holds an interrupted run: {run.how_to_finish}")
     scene = run.scene if detector is None else load_scene(run.scene.path, detector=detector)
     model = scene.detector
     seen = [

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -303,6 +304,22 @@ def test_a_bad_line_is_told_with_its_number_and_what_is_finished_is_kept(tmp_pat
     for name in ("detections_C0", "annotations_shore", "poses"):
         kept = (out / "unfinished" / f"{name}.jsonl").read_text().splitlines()
         assert [list(json.loads(each)) for each in kept] == [["0.0"], ["0.1"]]
+
+
+@pytest.mark.parametrize("command", [["detect", "--out", "again"], ["verify"], ["view", "--frame", "0.1"]])
+def test_an_interrupted_live_run_says_how_to_make_a_finished_one_of_it(tmp_path, monkeypatch, stdin, capsys, command):
+    stdin("".join(lines(2)) + "{")
+    path, out = scene_of(tmp_path, {"stream": "-"}), tmp_path / "out"
+    with pytest.raises(InputError):
+        run_scene(load_scene(path), out)
+    monkeypatch.chdir(tmp_path)
+    name, *options = command
+    monkeypatch.setattr(sys, "argv", ["modsim3d", name, str(out), *options])
+    with pytest.raises(SystemExit):
+        cli.main()
+    (advice,) = re.findall(r"`modsim3d run (\S+) --out DIR` makes a finished run", capsys.readouterr().err)
+    run_scene(load_scene(advice), tmp_path / "finished")
+    assert open_run(tmp_path / "finished").steps == 2
 
 
 def test_own_ship_missing_names_camera_vessel_and_time(tmp_path, stdin):
