@@ -39,9 +39,10 @@ def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
     if outlines.convex[row]:
         known = np.flatnonzero(outlines.convex)
         exact = visible_regions(outlines.take(known), solids.intrinsics).visible[known.searchsorted(row)]
+        region = "exact region" if len(known) == len(outlines) else "region that only meshes may hide"
     else:  # what is before a mesh is not known exactly
-        exact = image_silhouettes(outlines.take(np.array([row])), solids.intrinsics)[0]
-    return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer)
+        exact, region = image_silhouettes(outlines.take(np.array([row])), solids.intrinsics)[0], "whole silhouette"
+    return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region)
 
 
 def describe_case(scene: Scene, case: Case) -> str:

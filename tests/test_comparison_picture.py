@@ -1,8 +1,12 @@
 """Which pixels two sources differ in, and the picture of it."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 import shapely
 
+from modsim3d import draw_run
 from modsim3d.scene_reader import load_scene
 from modsim3d.view import palette
 from modsim3d.view.comparison_picture import BOTH, KEY_PX, PIXELS, comparison_picture, differing_pixels
@@ -42,3 +46,19 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
     for colour in (BOTH, *(colour for _, colour in PIXELS[2:])):
         assert (pixels == colour).all(axis=-1).sum() > 50
     assert (pixels == palette.SEA).all(axis=-1).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "vessel", "region"),
+    [
+        ("harbour", "ship3", "exact region"),
+        ("strait", "barge", "region that only meshes may hide"),
+        ("strait", "ferry", "whole silhouette"),
+    ],
+)
+def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, name, vessel, region):
+    """A mesh's silhouette is no exact visible region: what is missing of it may simply be hidden."""
+    monkeypatch.setattr(draw_run, "comparison_picture", lambda *arguments: arguments[-1])
+    scene = load_scene(name)
+    case = SimpleNamespace(camera=0, step=0, vessel=scene.vessel_names.index(vessel), boxes_px={})
+    assert draw_run.draw_case(scene, case, None) == region

@@ -31,12 +31,17 @@ BOTH: Colour = (150, 158, 164)
 PIXELS = (
     ("pixels of both", BOTH),
     ("of the rendered source only", palette.ALARM),
-    ("of the exact region only", palette.VESSELS[2]),
+    ("of the {region} only", palette.VESSELS[2]),
 )
 
 
 def comparison_picture(
-    boxes_px: Mapping[str, Sequence[float]], vessel: int, solids: Solids, exact: shapely.Geometry, drawer: IdDrawer
+    boxes_px: Mapping[str, Sequence[float]],
+    vessel: int,
+    solids: Solids,
+    exact: shapely.Geometry,
+    drawer: IdDrawer,
+    region: str = "exact region",
 ) -> Image.Image:
     """The boxes of a case and what each source sees of its vessel, with a key.
 
@@ -46,6 +51,7 @@ def comparison_picture(
         solids: What stands before the camera.
         exact: What is seen of the vessel, as a region of the image.
         drawer: Draws ID buffers.
+        region: What to call it in the key.
     """
     x0, y0, x1, y1 = boxes_px["rendered full"]
     width = 1.6 * max(x1 - x0, (y1 - y0) * SIZE_PX[0] / SIZE_PX[1], 24.0)
@@ -66,7 +72,7 @@ def comparison_picture(
             (pen.dashed_box if dashed else pen.box)(window.corners(box), colour, weight)
     picture = Image.new("RGB", (SIZE_PX[0], SIZE_PX[1] + KEY_PX), palette.PAPER)
     picture.paste(shown, (0, KEY_PX))
-    _key(Pen(picture, 1280), [int((differing == i + 1).sum()) for i in range(len(PIXELS))])
+    _key(Pen(picture, 1280), [int((differing == i + 1).sum()) for i in range(len(PIXELS))], region)
     return picture
 
 
@@ -115,7 +121,7 @@ def _rings(region: shapely.Geometry) -> list[Array]:
     return [shapely.get_coordinates(line) for line in lines]
 
 
-def _key(pen: Pen, counts: Sequence[int]) -> None:
+def _key(pen: Pen, counts: Sequence[int], region: str) -> None:
     x = 8
     for name, (colour, dashed, weight) in STYLES.items():
         pen.draw.rectangle((x, 6, x + 24, 24), fill=palette.SEA)
@@ -124,7 +130,7 @@ def _key(pen: Pen, counts: Sequence[int]) -> None:
     x = 8
     for (name, colour), count in zip(PIXELS, counts, strict=True):
         pen.draw.rectangle((x, 6 + LINE_PX, x + 24, 24 + LINE_PX), fill=colour)
-        x = _text(pen, x, 6 + LINE_PX, f"{count} {name}")
+        x = _text(pen, x, 6 + LINE_PX, f"{count} {name.format(region=region)}")
 
 
 def _text(pen: Pen, x: int, y: int, text: str) -> int:
