@@ -83,7 +83,7 @@ class _Recorder:
         self.states: dict[str, int] = {}
 
     def fixed(self) -> None:
-        """What never changes: axes and lenses."""
+        """What never changes: axes, lenses and obstacles."""
         self.stream.log("world", self.sdk.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for camera in self.scene.cameras:
             lens = camera.intrinsics
@@ -93,6 +93,10 @@ class _Recorder:
                 camera_xyz=self.sdk.ViewCoordinates.RDF,  # c1 right, c2 down, c3 forward
             )
             self.stream.log(["world", "cameras", camera.name, "image"], pinhole, static=True)
+        for index, obstacle in enumerate(self.scene.obstacles):
+            corners = np.concatenate([vertices[solid.faces].reshape(-1, 3) for solid, vertices in obstacle.solids])
+            mesh = self.sdk.Mesh3D(vertex_positions=corners, albedo_factor=palette.obstacle_colour(index))
+            self.stream.log(["world", "obstacles", obstacle.name], mesh, static=True)
 
     def space(self, steps: Indices) -> None:
         """Where cameras and vessels are at some steps."""

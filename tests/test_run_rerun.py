@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -21,7 +22,11 @@ STEPS, EVERY = 14, 2
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("rerun")
-    run_scene(load_scene(str(crossing(folder, STEPS)), source="analytic"), folder / "run")
+    path = crossing(folder, STEPS)
+    scene = json.loads(path.read_text())
+    scene["obstacles"] = {"pier": {"polygon_m": [[900, 300], [950, 300], [950, 320], [900, 320]], "height_m": 5}}
+    path.write_text(json.dumps(scene))
+    run_scene(load_scene(str(path), source="analytic"), folder / "run")
     return folder / "run"
 
 
@@ -98,6 +103,12 @@ def test_camera_is_a_pinhole_that_looks_where_it_does(run, recording):
     camera_R_world = scene.sight(camera, np.array([0])).camera_poses.camera_R_world[0]
     # Rerun stores matrices column by column: read row by row, this is the transpose of world_R_camera.
     np.testing.assert_allclose(np.reshape(pose["mat3x3"], (3, 3)), camera_R_world, atol=1e-6)
+
+
+def test_obstacles_stand_where_they_do(recording):
+    corners = np.array(recording["/world/obstacles/pier"][None]["vertex_positions"]).reshape(-1, 3)
+    assert len(corners) == 3 * 12  # a prism over a rectangle
+    np.testing.assert_allclose((corners.min(axis=0), corners.max(axis=0)), ((900, 300, 0), (950, 320, 5)))
 
 
 def test_without_the_sdk_the_error_names_the_extra(monkeypatch, capsys, run, tmp_path):
