@@ -266,25 +266,28 @@ class _Map:
         bodies = {vessel: shapely.Polygon(self.axes.transData.transform(ring)) for vessel, ring in self.bodies.items()}
         for note, half_m, vessel in self.names:
             box = note.get_window_extent()
-            inside = frame.x0 <= (box.x0 + box.x1) / 2 <= frame.x1 and frame.y0 <= (box.y0 + box.y1) / 2 <= frame.y1
             text = np.array([box.width, box.height]) / 2
             beside = text + half_m * metre + 2 * point
             within = not half_m.any() or bool((half_m * metre > text + 2 * point).all())
             others = [body for owner, body in bodies.items() if owner != vessel]
-            for around in _AROUND if within else _AROUND[1:]:
+            there = frame.contains((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
+            for around in (_AROUND if within else _AROUND[1:]) if there else ():
                 x, y = (np.array(around) * beside).tolist()
                 moved = box.translated(x, y)
-                if not (inside and frame.x0 <= moved.x0 and moved.x1 <= frame.x1):
-                    continue
-                if not (frame.y0 <= moved.y0 and moved.y1 <= frame.y1):
-                    continue
-                on_vessel = bool(shapely.intersects(shapely.box(*moved.extents), others).any())
-                if not on_vessel and not any(moved.overlaps(other) for other in taken):
+                if _is_free(moved, frame, others, taken):
                     note.set_position((x / point, y / point))
                     taken.append(moved)
                     break
             else:
                 note.remove()
+
+
+def _is_free(place: Bbox, frame: Bbox, bodies: list[shapely.Polygon], taken: list[Bbox]) -> bool:
+    """Whether a name may stand there: inside the map, on no other name and on no other vessel."""
+    inside = frame.x0 <= place.x0 and place.x1 <= frame.x1 and frame.y0 <= place.y0 and place.y1 <= frame.y1
+    if not inside or any(place.overlaps(other) for other in taken):
+        return False
+    return not shapely.intersects(shapely.box(*place.extents), bodies).any()
 
 
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
