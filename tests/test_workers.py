@@ -74,7 +74,7 @@ def test_workers_without_a_renderer_say_what_one_process_says(tmp_path):
 
 def test_interrupted_command_says_how_to_go_on(tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
-    command = [*COMMAND[:-2], "simulation_3", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
+    command = [*COMMAND[:-2], "simulation_2", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     parts = tmp_path / "run" / "unfinished"
     deadline = time.monotonic() + 60
