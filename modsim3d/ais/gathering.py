@@ -8,15 +8,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from modsim3d.ais.cleaning import sift, without_position
 from modsim3d.ais.layouts import Layout
 from modsim3d.ais.options import Options, time_text
 from modsim3d.ais.recognise import recognise, source_of
-from modsim3d.ais.region import Region
 from modsim3d.ais.reports import Chunk, Particulars, Positions
-from modsim3d.ais.swapped import check_range, check_together, check_waters, inside_if_swapped, swapped_error
+from modsim3d.ais.swapped import AroundRegion, check_range, check_together, check_waters
 from modsim3d.errors import InputError
 
 NMEA = "NMEA sentences"
@@ -77,42 +74,6 @@ class Extent:
         )
 
 
-@dataclass
-class _Around:
-    """What of a file is in the region asked for, and what would be if latitude and longitude were exchanged."""
-
-    region: Region | None
-    inside: int = 0
-    swapped: int = 0
-    first: Positions | None = None
-
-    def add(self, positions: Positions) -> None:
-        """Count some positions."""
-        if self.region is None:
-            return
-        self.inside += int(self.region.holds(positions.latitude_deg, positions.longitude_deg).sum())
-        swapped = np.flatnonzero(inside_if_swapped(positions, self.region))
-        self.swapped += len(swapped)
-        if self.first is None and len(swapped):
-            self.first = positions.take(swapped[:1])
-
-    def check(self, source: str, table: bool) -> None:
-        """Refuse a file of which nothing is inside as it stands, or a table of which a good part is not.
-
-        Sentences say themselves which number is which; what is elsewhere in them is other traffic.
-
-        Raises:
-            InputError: With the first such row.
-        """
-        if self.first is None or self.region is None:
-            return
-        part = table and not self.region.meets_its_mirror and self.swapped > BAD_SHARE * self.inside
-        if self.inside and not part:
-            return
-        why = f"swapped, it would be in the region {self.region} (or are the region's corners swapped?)"
-        raise swapped_error(source, self.first, 0, why)
-
-
 @dataclass(frozen=True, eq=False)
 class Gathered:
     """Everything that was kept.
@@ -155,7 +116,7 @@ def gather(paths: Sequence[Path], options: Options) -> Gathered:
     ]
     extent = Extent()
     for file, (tally, layout) in enumerate(zip(tallies, layouts, strict=True)):
-        around = _Around(options.region)
+        around = AroundRegion(options.region)
         for chunk in _chunks(tally.path, file, layout):
             _count(chunk, tally)
             extent.add(chunk.positions)

@@ -7,6 +7,8 @@ move another way than their courses say, but that way if exchanged.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from modsim3d.ais.cleaning import NO_LATITUDE
@@ -30,6 +32,8 @@ PUBLISHED_WATERS = tuple(
     )
 )
 """Where the traffic in files of the Danish Maritime Authority and of MarineCadastre is, with room around it."""
+FEW_SHARE = 0.1
+"""Of what is in a region, so much again may be elsewhere and in it if exchanged: single wrong rows are left out."""
 MIN_SPEED_KN, MAX_SPEED_KN, MIN_WAY_DEG, MAX_INTERVAL_S = 2.0, 102.0, 5e-4, 300.0
 """Between which reports a course says where the vessel went."""
 STEADY_DEG, FITS_DEG, TELLING_DEG = 15.0, 20.0, 60.0
@@ -38,7 +42,7 @@ MIN_WAYS, MIN_SHARE = 5, 0.9
 """How many telling ways of a file there must be, and how many of them must fit if turned round."""
 
 
-def swapped_error(source: str, positions: Positions, row: int, why: str) -> InputError:
+def _swapped_error(source: str, positions: Positions, row: int, why: str) -> InputError:
     """The error that names a row."""
     latitude, longitude = positions.latitude_deg[row], positions.longitude_deg[row]
     place = f"latitude {latitude:g}, longitude {longitude:g}"
@@ -57,7 +61,7 @@ def check_range(source: str, positions: Positions) -> None:
     latitude, longitude = np.abs(positions.latitude_deg), np.abs(positions.longitude_deg)
     wrong = (latitude > 90) & (latitude <= 180) & (longitude <= 90) & (positions.latitude_deg != NO_LATITUDE)
     if wrong.any():
-        raise swapped_error(source, positions, int(np.argmax(wrong)), "a latitude lies between −90 and 90")
+        raise _swapped_error(source, positions, int(np.argmax(wrong)), "a latitude lies between −90 and 90")
 
 
 def check_waters(source: str, positions: Positions) -> None:
@@ -70,7 +74,7 @@ def check_waters(source: str, positions: Positions) -> None:
     wrong = ~_in_waters(latitude, longitude) & _in_waters(longitude, latitude)
     if wrong.any():
         why = "swapped, it would be in the waters that such files cover; if it is right, say so with --region"
-        raise swapped_error(source, positions, int(np.argmax(wrong)), why)
+        raise _swapped_error(source, positions, int(np.argmax(wrong)), why)
 
 
 def _in_waters(latitude_deg: Array, longitude_deg: Array) -> Mask:
@@ -96,7 +100,43 @@ def check_origin(source: str, positions: Positions, origin: tuple[float, float])
         )
 
 
-def inside_if_swapped(positions: Positions, region: Region) -> Mask:
+@dataclass
+class AroundRegion:
+    """What of a file is in the region asked for, and what would be if latitude and longitude were exchanged."""
+
+    region: Region | None
+    inside: int = 0
+    swapped: int = 0
+    first: Positions | None = None
+
+    def add(self, positions: Positions) -> None:
+        """Count some positions."""
+        if self.region is None:
+            return
+        self.inside += int(self.region.holds(positions.latitude_deg, positions.longitude_deg).sum())
+        swapped = np.flatnonzero(_inside_if_swapped(positions, self.region))
+        self.swapped += len(swapped)
+        if self.first is None and len(swapped):
+            self.first = positions.take(swapped[:1])
+
+    def check(self, source: str, table: bool) -> None:
+        """Refuse a file of which nothing is inside as it stands, or a table of which a good part is not.
+
+        Sentences say themselves which number is which; what is elsewhere in them is other traffic.
+
+        Raises:
+            InputError: With the first such row.
+        """
+        if self.first is None or self.region is None:
+            return
+        part = table and not self.region.meets_its_mirror and self.swapped > FEW_SHARE * self.inside
+        if self.inside and not part:
+            return
+        why = f"swapped, it would be in the region {self.region} (or are the region's corners swapped?)"
+        raise _swapped_error(source, self.first, 0, why)
+
+
+def _inside_if_swapped(positions: Positions, region: Region) -> Mask:
     """Which positions are outside a region, but inside it with latitude and longitude exchanged."""
     latitude, longitude = positions.latitude_deg, positions.longitude_deg
     return ~region.holds(latitude, longitude) & region.holds(longitude, latitude)
@@ -119,7 +159,7 @@ def check_together(sources: list[str], positions: Positions) -> None:
     ):
         if wrong.any():
             row = int(np.flatnonzero(wrong)[np.lexsort((positions.row[wrong], positions.file[wrong]))[0]])
-            raise swapped_error(sources[positions.file[row]], positions, row, why)
+            raise _swapped_error(sources[positions.file[row]], positions, row, why)
 
 
 def _vessels_astray(positions: Positions) -> Mask:
