@@ -39,7 +39,7 @@ def compare_command(
         if renderer is None:
             raise ModsimError("the rendered source is needed to compare with")
         with progress_bar() as bar:
-            task = bar.add_task(loaded.name, total=-(-loaded.steps // every))
+            task = bar.add_task(loaded.name, total=None if loaded.live else -(-loaded.steps // every))
             report = compare_sources(
                 loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
             )
