@@ -39,9 +39,12 @@ def crowded_strait(tmp_path_factory):
     scene["obstacles"]["bay"] = {"polygon_m": bay, "height_m": 2}
     arch = {"position_m": [230, 20, 0], "size_m": [40, 2, 25], "heading_rad": 0.7, "mesh": {"file": "gate.obj"}}
     scene["obstacles"]["gate"] = arch
+    torn = {"position_m": [200, -40, 0], "size_m": [30, 2, 18], "heading_rad": 1.9, "mesh": {"file": "torn.obj"}}
+    scene["obstacles"]["torn"] = torn
     scene["cameras"]["quay"]["distortion"] = {"k1": -0.12, "k2": 0.03}
     scene["detector"] = str(data_folder("scenes") / "detectors" / "thesis.yaml")
     (folder / "gate.obj").write_text(_gate(), encoding="utf-8")
+    (folder / "torn.obj").write_text("\n".join(_gate().splitlines()[:-2]), encoding="utf-8")  # not watertight
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene), encoding="utf-8")
     run_scene(load_scene(str(folder / "scene.yaml")), folder / "run")
     run = open_run(folder / "run")
@@ -110,4 +113,4 @@ def test_the_cases_that_are_hard_are_in_the_pictures(crowded_strait):
     scene = crowded_strait.scene
     names = ["", *scene.occluder_names]
     shown = {names[owner] for owner in np.unique(owners_buffer(scene, 0, 1)).tolist()}
-    assert {"own", "obstacle:bay", "obstacle:gate", "kayak", "ferry"} <= shown
+    assert {"own", "obstacle:bay", "obstacle:gate", "obstacle:torn", "kayak", "ferry"} <= shown
