@@ -148,17 +148,20 @@ class ShadedPainter:
         rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
         unit = SMEAR * window.size[0] / 1280
         from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
-        # Most of the sea shows nobody: only the pixels that do are worked out.
-        shown = np.nonzero(lit.drawn[from_row, columns] & behind.sea[here])
-        source = from_row[shown], shown[1]
-        share: Floats = (behind.mirror[here][shown] * np.float32(REFLECTION))[:, None]
-        seen = lit.colour[source].astype(np.float32) / np.float32(255)
+        source = (from_row * region.width + columns).ravel()
+        # Most of the sea shows nobody: only the pixels that do are worked out, by one number each, which is quick.
+        shown = np.flatnonzero(lit.drawn.ravel().take(source) & behind.sea[here].ravel())
+        source = source[shown]
+        row, column = np.divmod(shown, region.width)
+        target = (row + region.y) * canvas.shape[1] + column + region.x
+        share: Floats = (behind.mirror.ravel().take(target) * np.float32(REFLECTION))[:, None]
+        seen = lit.colour.reshape(-1, 3).take(source, axis=0).astype(np.float32) / np.float32(255)
         if self.look.extinction_per_m:
-            depth = lit.depth_m[source]
+            depth = lit.depth_m.ravel().take(source)
             seen = fogged(seen, depth, self.look)
             share = share * np.exp(-self.look.extinction_per_m * depth)[:, None]
-        part = canvas[here]
-        part[shown] = part[shown] * (1 - share) + seen * share
+        pixels = canvas.reshape(-1, 3)
+        pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
 
 
 def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
