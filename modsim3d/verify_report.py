@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from modsim3d.frames import Array
 from modsim3d.learn.class_checks import miss_probabilities
 from modsim3d.learn.error_fit import PAIRS
 from modsim3d.learn.evidence import Evidence
+from modsim3d.learn.measures import Exact
 from modsim3d.learn.parameters import FALLS_SHORT, OVERALL_ALPHA, UNTESTED, Verdict, Verification
 from modsim3d.learn.run_lengths import expected_run_lengths, missed_again, run_lengths
 from modsim3d.verify_run import VerifiedRun
@@ -43,13 +45,17 @@ def row_of(verdict: Verdict) -> tuple[str, ...]:
         asked = _number(verdict.asked) + unit if math.isfinite(verdict.asked) else "–"
         return verdict.parameter.name, asked, "–", "–", "–", verdict.verdict
     low, high = verdict.interval
+    if isinstance(verdict.parameter.measure, Exact):
+        wrong, count = _counts(verdict.parameter.measure)
+        asked = "always" if verdict.parameter.asked is None else _number(verdict.asked) + unit
+        return verdict.parameter.name, asked, f"{wrong} of {count} wrong", "exact", "once", verdict.verdict
     promised = verdict.parameter.promised
     asked = _number(verdict.asked) if promised is None else f"{_number(promised)}, by rule {_number(verdict.asked)}"
     return (
         verdict.parameter.name,
         asked + unit,
         _number(verdict.measured),
-        f"{_number(low)} … {_number(high)}" if high > low else "exact",
+        f"{_number(low)} … {_number(high)}",
         _noticed(verdict),
         verdict.verdict,
     )
@@ -79,10 +85,18 @@ def conclusion(verification: Verification) -> str:
         short = sum(verdict.verdict == FALLS_SHORT for verdict in verification.verdicts)
         also = f"; {short} obey the thesis's rule and fall short of what is asked for" if short else ""
         return f"The run obeys its detector file: nothing in {tested} tests speaks against it{also}."
+    measure = cause.parameter.measure
+    said = f"asked {_number(cause.asked)}, measured {_number(cause.measured or 0.0)}"
+    if isinstance(measure, Exact):
+        said = "wrong {} times of {}".format(*_counts(measure))
     return (
         f"The run does NOT obey the detector file: {len(verification.failed)} of {tested} tests fail. What stands out "
-        f"is {cause.parameter.name}: asked {_number(cause.asked)}, measured {_number(cause.measured or 0.0)}."
+        f"is {cause.parameter.name}: {said}."
     )
+
+
+def _counts(measure: Exact) -> tuple[str, str]:
+    return f"{measure.wrong}", f"{measure.count:.0f}"
 
 
 def _number(value: float) -> str:
@@ -160,8 +174,9 @@ def _page(verified: VerifiedRun) -> str:
             "with 90 % power.",
             "soft",
         ),
+        *([page.heading("What fails"), _table(verification.failed)] if verification.failed else []),
         page.heading("Performance states"),
-        charts.figure([_timeline(model, evidence)], "Which state the detector was in"),
+        *_timelines(model, evidence),
         page.heading("Box errors"),
         *_scatters(verification, model, evidence),
         page.heading("Misses and confidence"),
@@ -173,15 +188,32 @@ def _page(verified: VerifiedRun) -> str:
     ]
     notes = notes_of(verification)
     for group, verdicts in groups_of(verification).items():
-        body += [page.heading(group.capitalize()), page.table([row_of(verdict) for verdict in verdicts], HEADER)]
+        body += [page.heading(group.capitalize()), _table(verdicts)]
     if notes:
         body += [page.heading("Notes"), *(page.paragraph(note) for note in notes)]
     return page.page(f"{verified.run.scene.name}: does the run obey its detector file?", body)
 
 
-def _timeline(model: DetectorModel, evidence: Evidence) -> str:
+def _table(verdicts: Sequence[Verdict]) -> str:
+    bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
+    return page.table([row_of(verdict) for verdict in verdicts], HEADER, bad)
+
+
+def _timelines(model: DetectorModel, evidence: Evidence) -> list[str]:
+    """One for all cameras, or for each its own where they have states of their own."""
+    cameras = evidence.cameras if model.performance.per_camera else evidence.cameras[:1]
+    return [
+        charts.figure(
+            [_timeline(model, evidence, camera)],
+            "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else ""),
+        )
+        for camera, seen in enumerate(cameras)
+    ]
+
+
+def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
     images = evidence.images
-    ours = images.camera == images.camera[0]
+    ours = images.camera == camera
     times, states = images.time_s[ours], images.state[ours]
     changes = np.flatnonzero(np.diff(states, prepend=states[0] - 1))
     stops = np.append(times[changes[1:]], times[-1])

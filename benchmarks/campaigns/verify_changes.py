@@ -74,16 +74,16 @@ class Case:
 
 
 CASES = {
-    "Simulation 3": Case("simulation_3"),
-    "Simulation 1": Case("simulation_1"),
-    "Simulation 2": Case("simulation_2"),
+    "simulation_3": Case("simulation_3"),
+    "simulation_1": Case("simulation_1"),
+    "simulation_2": Case("simulation_2"),
     # In the thesis's short runs hardly a rate can be measured to a tenth of itself.
-    "Simulation 1, ten times as long": Case("simulation_1", steps=15_000, kinds=RATES),
-    "Simulation 3, relative box errors": Case("simulation_3", detector="relative box errors", kinds=("box error",)),
-    "Simulation 1, misses persist for 1 s": Case(
+    "simulation_1, 15000 steps": Case("simulation_1", steps=15_000, kinds=RATES),
+    "simulation_3, relative box errors": Case("simulation_3", detector="relative box errors", kinds=("box error",)),
+    "simulation_1, misses persist for 1 s": Case(
         "simulation_1", detector="persistence of misses, 1 s", kinds=("correlation in time", *RATES)
     ),
-    "Simulation 1, box errors persist for 1 s": Case(
+    "simulation_1, box errors persist for 1 s": Case(
         "simulation_1", detector="persistence of box errors, 1 s", kinds=("correlation in time", "box error s")
     ),
 }
@@ -214,22 +214,35 @@ def page(found: dict[str, list[dict[str, Any]]], versions: dict[str, str]) -> st
 def main() -> int:
     parser = argparse.ArgumentParser(prog="script/campaign verify_changes", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=SEEDS, help="for each change")
-    parser.add_argument("--only", help="cases whose name contains this")
+    parser.add_argument("--only", nargs="+", choices=CASES, help="the others stay as they are written")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for verify_changes.md and verify_changes.json")
     asked = parser.parse_args()
-    jobs = [(name, asked.seeds) for name in CASES if asked.only is None or asked.only in name]
-    found: dict[str, list[dict[str, Any]]] = {}
+    names = asked.only or list(CASES)
+    found = {} if asked.only is None else written(asked.out)
     with ProcessPoolExecutor(asked.processes, multiprocessing.get_context("spawn")) as pool:
-        for name, rows in pool.map(look_at_case, *zip(*jobs, strict=True)):
-            found[name] = rows
-            print(f"{name}: {len(rows)} changes, held: {holds(rows)}", file=sys.stderr, flush=True)
-    versions = {"modsim3d": version("modsim3d"), "NumPy": np.__version__}
-    asked.out.mkdir(parents=True, exist_ok=True)
-    data = json.dumps({"format": 1, "versions": versions, "changes": found}, indent=2).replace("Infinity", "null")
-    (asked.out / "verify_changes.json").write_text(data + "\n", encoding="utf-8")
-    (asked.out / "verify_changes.md").write_text(page(found, versions), encoding="utf-8")
+        for name, rows in pool.map(look_at_case, names, [asked.seeds] * len(names)):
+            print(f"{name}: {len(rows)} changes", file=sys.stderr, flush=True)
+            found = {case: rows if case == name else found[case] for case in CASES if case == name or case in found}
+            write(found, asked.out)
     return int(not all(holds(rows) for rows in found.values()))
+
+
+def written(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """What a folder has already."""
+    path = folder / "verify_changes.json"
+    changes: dict[str, list[dict[str, Any]]] = json.loads(path.read_text("utf-8"))["changes"] if path.exists() else {}
+    for row in (row for rows in changes.values() for row in rows):
+        row["needed_over_size"] = np.inf if row["needed_over_size"] is None else row["needed_over_size"]
+    return changes
+
+
+def write(found: dict[str, list[dict[str, Any]]], folder: Path) -> None:
+    versions = {"modsim3d": version("modsim3d"), "NumPy": np.__version__}
+    folder.mkdir(parents=True, exist_ok=True)
+    data = json.dumps({"format": 1, "versions": versions, "changes": found}, indent=2).replace("Infinity", "null")
+    (folder / "verify_changes.json").write_text(data + "\n", encoding="utf-8")
+    (folder / "verify_changes.md").write_text(page(found, versions), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -80,6 +80,13 @@ def work(seeds: int | None) -> list[tuple[str, str, int]]:
     return plain + [(scenes[name], name, min(seeds or VARIANT_SEEDS, VARIANT_SEEDS)) for name in others]
 
 
+def with_the_others(found: list[dict[str, Any]], path: Path) -> list[dict[str, Any]]:
+    """Rows that were looked at again in place of those that a file has."""
+    rows = json.loads(path.read_text(encoding="utf-8"))["runs"] if path.exists() else []
+    every = {(row["scene"], row["detector"]): row for row in [*rows, *found]}
+    return [every[scene, name] for scene, name, _ in work(None) if (scene, name) in every]
+
+
 def page(found: list[dict[str, Any]], versions: dict[str, str]) -> str:
     lines = [
         "# Honest runs that `verify` calls dishonest",
@@ -106,7 +113,7 @@ def page(found: list[dict[str, Any]], versions: dict[str, str]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="script/campaign verify_seeds", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, help="fewer than the campaign's own, for a try")
-    parser.add_argument("--only", help="detectors whose name contains this")
+    parser.add_argument("--only", help="detectors whose name contains this; the other rows stay as they are written")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for verify_seeds.md and verify_seeds.json")
     asked = parser.parse_args()
@@ -117,6 +124,8 @@ def main() -> int:
             found.append(row)
             said = f"{row['scene']}, {row['detector']}: {len(row['alarms'])} of {row['seeds']}"
             print(said, row["alarms"][:3], file=sys.stderr, flush=True)
+    if asked.only is not None:
+        found = with_the_others(found, asked.out / "verify_seeds.json")
     versions = {"modsim3d": version("modsim3d"), "NumPy": np.__version__}
     asked.out.mkdir(parents=True, exist_ok=True)
     data = json.dumps({"format": 1, "versions": versions, "runs": found}, indent=2)

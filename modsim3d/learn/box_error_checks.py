@@ -32,9 +32,11 @@ from modsim3d.learn.parameters import Parameter
 
 GROUP = "box error"
 LEAST_DETECTIONS = 150
-"""True detections in a state, below which its box errors are not tested; of errors that persist, what they are worth.
+"""True detections in a state, below which its box errors are not tested."""
+LEAST_WORTH = 300
+"""Independent errors that errors that persist have to be worth.
 
-A few vessels that keep their errors stray farther than any law that has their variance and skewness says.
+They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
 """
 LEAST_PAIRS = 100
 _ROUNDING_PX = 1e-6
@@ -149,7 +151,7 @@ def _law_checks(
     note = "" if fitted is None else _truncation_note(fitted.fit)
     for k, entry in enumerate(_names(law)):
         measure = None if fitted is None else _estimate(fitted, k, replayed)
-        few = measure is not None and measure.count < LEAST_DETECTIONS
+        few = measure is not None and replayed is not None and measure.count < LEAST_WORTH
         path = f"states.{state.name}.box_error.{entry}"
         unit = ("" if 8 <= k < 14 or k >= 14 else "sides") if law.relative else "px" if k < 8 else ""
         parameters.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 
 from PIL import Image
 
@@ -47,18 +47,25 @@ def heading(text: str) -> str:
     return f"<h2>{html.escape(text)}</h2>"
 
 
-def table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> str:
-    """A table; what looks like a number is set to the right, and so is what stands above numbers."""
+def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), bad: Container[int] = ()) -> str:
+    """A table; what looks like a number is set to the right, and so is what stands above numbers.
+
+    Args:
+        rows: Cells of each.
+        header: Names of the columns.
+        bad: Indices of rows that are to stand out.
+    """
     below = rows[0] if rows else [""] * len(header)
     head = "".join(_cell(name, under, "th") for name, under in zip(header, below, strict=False))
     lines = [f"<tr>{head}</tr>"] if header else []
-    lines += ["<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows]
+    for index, row in enumerate(rows):
+        lines.append(('<tr class="bad">' if index in bad else "<tr>") + "".join(map(_cell, row)) + "</tr>")
     return "<table>\n" + "\n".join(lines) + "\n</table>"
 
 
 def _cell(text: str, number: str | None = None, tag: str = "td") -> str:
     """A cell that is set as `number` is, or else as its own text."""
-    kind = ' class="number"' if (text if number is None else number).removeprefix("-")[:1].isdigit() else ""
+    kind = ' class="number"' if (text if number is None else number).lstrip("-−")[:1].isdigit() else ""
     return f"<{tag}{kind}>{html.escape(text)}</{tag}>"
 
 

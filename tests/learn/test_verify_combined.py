@@ -16,12 +16,12 @@ from modsim3d.learn.class_checks import class_checks
 from modsim3d.learn.clutter_checks import clutter_checks
 from modsim3d.learn.error_fit import MomentTable
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.measures import Estimate
+from modsim3d.learn.measures import Estimate, Exact
 from modsim3d.learn.parameters import Parameter, judge
 from modsim3d.learn.run_lengths import run_lengths
 from modsim3d.learn.state_checks import state_checks
 from modsim3d.scene_reader import load_scene
-from modsim3d.verify_report import row_of
+from modsim3d.verify_report import conclusion, row_of
 from tests.detector_variants import Data, thesis_data, variant
 
 
@@ -162,6 +162,12 @@ def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
 def test_a_number_that_nobody_asked_for_is_a_dash() -> None:
     verification = judge([Parameter("dropout, all states", "group", None)])
     assert row_of(verification.verdicts[0])[1] == "–"
+
+
+def test_what_must_always_hold_is_counted_in_words() -> None:
+    verification = judge([Parameter("states shared by all cameras", "group", Exact(3, 10))])
+    assert row_of(verification.verdicts[0])[1:4] == ("always", "3 of 10 wrong", "exact")
+    assert conclusion(verification).endswith("states shared by all cameras: wrong 3 times of 10.")
 
 
 def two_states() -> Data:

@@ -19,6 +19,7 @@ from modsim3d.learn.verification import verify
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import data_folder, load_scene
 from modsim3d.stored_run import open_run
+from modsim3d.verify_report import write_report
 from modsim3d.verify_run import verify_run
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
@@ -75,6 +76,20 @@ def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, mon
     report = json.loads((out / "verify.json").read_text())
     assert report["cause"] == "states.good.confidence.std"
     assert "does NOT obey" in capsys.readouterr().out
+    page = (out / "verify.html").read_text()
+    failing = [line for line in page.splitlines() if "DIFFERS" in line]
+    assert all(line.startswith('<tr class="bad">') for line in failing)
+    assert "states.good.confidence.std" in page.split("What fails")[1].split("</table>")[0]
+
+
+def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
+    detector = tmp_path / "detector.yaml"
+    detector.write_text(yaml.safe_dump(variant("a chain for each camera"), sort_keys=False))
+    run = tmp_path / "run"
+    run_scene(load_scene("simulation_3", steps=60, source="analytic", detector=detector), run)
+    write_report(verify_run(open_run(run)), tmp_path)
+    page = (tmp_path / "verify.html").read_text()
+    assert [f"was in: {camera}" in page for camera in ("C1", "C2")] == [True, True]
 
 
 def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many):
