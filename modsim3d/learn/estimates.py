@@ -13,7 +13,7 @@ from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.figures import error_columns
 from modsim3d.learn.form import FALSE_NEEDED, QUANTILES, Form, error_gaps, error_products, miss_products
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.persistence_fit import correlation_time, frame_interval_s, steps_between
+from modsim3d.learn.persistence_fit import correlation_time, frame_interval_s, relative_error, steps_between
 from modsim3d.learn.resampling import Column, Resampling, spread
 
 Columns = dict[str, Column]
@@ -136,15 +136,24 @@ def _persistence(observed: Observed, form: Form, resampling: Resampling) -> Colu
     if form.class_persists:
         products, expected, later = miss_products(observed, form.effects)
         gaps = steps_between(observed.labelled, observed.rows).apart_s
-        times = correlation_time(resampling, observed.image[later], products, expected, gaps)
-        columns["persistence.class_s"] = Column(times, "positive", np.array(float(len(products))))
+        image = observed.image[later]
+        columns["persistence.class_s"] = _correlation_column(resampling, image, products, expected, gaps)
     if form.box_persists:
         products, expected, later = error_products(observed, form.units)
-        times = correlation_time(
-            resampling, observed.pairs().image[later], products, expected, error_gaps(observed, form.units)
-        )
-        columns["persistence.box_s"] = Column(times, "positive", np.array(float(len(products))))
+        gaps, image = error_gaps(observed, form.units), observed.pairs().image[later]
+        columns["persistence.box_s"] = _correlation_column(resampling, image, products, expected, gaps)
     return columns
+
+
+def _correlation_column(
+    resampling: Resampling, image: Indices, products: Array, expected: Array, gaps_s: Array
+) -> Column:
+    """A correlation time; its replicates spread at least as pairs say, for runs of frames may be few."""
+    times = correlation_time(resampling, image, products, expected, gaps_s)
+    if times[0] > 0:
+        least = np.array(relative_error(products, expected, gaps_s, float(times[0])))
+        times = np.exp(_widened(np.log(np.maximum(times, 1e-12)), least))
+    return Column(times, "positive", np.array(float(len(products))))
 
 
 def _clutter(observed: Observed, form: Form, resampling: Resampling) -> Columns:

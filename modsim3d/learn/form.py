@@ -226,16 +226,15 @@ def _correlated(products: Array) -> bool:
 def miss_products(observed: Observed, effects: tuple[Effect, ...]) -> tuple[Array, Array, np.ndarray]:
     """Products of residuals of consecutive misses, those expected of the same draw, and the later rows' places.
 
-    Expected are they of residuals as large as they were found: runs of frames with more misses than others have larger
-    products and larger residuals alike, and say no less about how long both last.
+    Expected are they of earlier residuals as large as they were found: runs of frames with more misses than others have
+    larger products and larger residuals alike, and say no less about how long both last.
     """
     fit = fit_misses(observed, effects, resample(observed.labelled.images, 0, 0))
     rate = np.full(len(observed.rows), observed.missed.mean()) if fit is None else fit.chance
     steps = steps_between(observed.labelled, observed.rows)
     residual = observed.missed - rate
-    found, variance = residual**2, rate * (1 - rate)
     a, b = steps.earlier, steps.later
-    size = (found[a] + found[b]) / np.maximum(variance[a] + variance[b], 1e-12)
+    size = residual[a] ** 2 / np.maximum(rate[a] * (1 - rate[a]), 1e-12)
     return residual[a] * residual[b], (np.minimum(rate[a], rate[b]) - rate[a] * rate[b]) * size, b
 
 
@@ -255,7 +254,7 @@ def error_products(observed: Observed, units: Mapping[str, str]) -> tuple[Array,
     kept = np.flatnonzero(np.isfinite(white[:, 0]))
     steps = steps_between(observed.labelled, pairs.rows[kept])
     a, b = kept[steps.earlier], kept[steps.later]
-    return (white[a] * white[b]).mean(axis=1), (white[a] ** 2 + white[b] ** 2).mean(axis=1) / 2, b
+    return (white[a] * white[b]).mean(axis=1), (white[a] ** 2).mean(axis=1), b
 
 
 def first_times(observed: Observed, form: Form) -> tuple[float, float]:

@@ -94,3 +94,15 @@ def correlation_time(resampling: Resampling, image: Indices, products: Array, ex
         if value > 0:
             result[row] = np.exp(np.interp(value, levels, np.log(grid)))
     return result
+
+
+def relative_error(products: Array, expected: Array, apart_s: Array, time_s: float) -> float:
+    """Standard error of τ over τ, from how much each pair strays from what those before it lead to expect.
+
+    Given its past, a product is expected to be e^(−Δt/τ) of its residual's square, so that what remains of it is
+    independent of what remains of others, whatever persists; and there are many more pairs than runs of frames.
+    """
+    gap = float(np.median(apart_s))
+    kept = float(np.exp(-gap / time_s))
+    stray = np.sqrt(((products - kept * expected) ** 2).sum()) / expected.sum()
+    return float(stray / kept * time_s / gap)

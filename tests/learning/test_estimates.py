@@ -13,7 +13,7 @@ from modsim3d.learn.labelled import Labelled, joined
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Rule, match
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.persistence_fit import correlation_time
+from modsim3d.learn.persistence_fit import correlation_time, relative_error
 from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
 from modsim3d.learn.states import transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
@@ -196,6 +196,10 @@ def test_a_correlation_time_comes_back(even):
     once = resample(images(1), 0, 0)
     time = correlation_time(once, place, products, np.ones(n), gaps)
     assert time[0] == pytest.approx(0.8, rel=0.09)  # four standard errors
+    # Bartlett (1946): the variance of a correlation of neighbours is (1 − ρ²) / n.
+    error = relative_error(products, value[:-1] ** 2, gaps, 0.8)
+    theory = np.sqrt((1 - kept**2).mean() / n) / kept.mean() * 0.8 / np.median(gaps)
+    assert error == pytest.approx(theory, rel=0.05 if even else 0.25)
 
 
 def test_transitions_are_counted_with_one_made_up_of_each():
