@@ -78,6 +78,9 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     # And not because they are as wide as can be.
     low, high = learned.intervals(0.95)["states.clear.box_error_std"]
     assert np.all(high / low < 1.25)
+    for path, most in (("persistence.class_s", 1.7), ("persistence.box_s", 1.2)):
+        low, high = learned.intervals(0.95)[path]
+        assert high / low < most
 
 
 def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(tmp_path):
