@@ -101,6 +101,13 @@ def test_plot_draws_on_axes_that_it_is_given(frame):
     assert right.patches and not left.patches
 
 
+def test_plot_draws_on_axes_of_a_figure_within_a_figure(frame):
+    figure = Figure()
+    part = figure.subfigures(1, 2)[1]
+    assert frame.plot(part.subplots()) is figure
+    assert part.axes[0].patches
+
+
 @pytest.mark.parametrize("plane, area", [((0, 1, -30), 700), ((0, -1, 30), 300), ((0, 0, 1), 1000), ((0, 0, -1), 0)])
 def test_part_of_the_image_below_the_horizon_has_the_area_that_it_should(plane, area):
     corners = np.array([[0, 0], [10, 0], [10, 100], [0, 100]], dtype=float)

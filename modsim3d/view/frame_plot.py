@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
     if axes is None:
         height_in = WIDTH_IN * (bottom - top) / (right - left) + FURNITURE_IN
         axes = Figure(figsize=(WIDTH_IN, height_in), layout="constrained").add_subplot()
-    figure = cast("Figure", axes.figure)
+    figure = axes.figure.figure  # the whole one, where the axes are in a part of it
     _background(axes, frame)
     notes = _truth(axes, frame, labels) + _detections(axes, frame, labels)
     _show(axes, view)
