@@ -138,8 +138,10 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
     found: dict[tuple[bytes, bytes, int], list[Indices]] = {}
     for rows in frames if usual_s else []:
         times = images.time_s[rows]
-        # A state changes at multiples of an interval; frames may be a little early or late.
-        number = np.rint((times - times[0]) / usual_s) if interval_s is None else np.floor(times / usual_s + 1e-6)
+        if interval_s is None:  # by each gap: rounded times make the usual one a little too short or long to add up
+            number = np.cumsum(np.rint(np.diff(times, prepend=times[0]) / usual_s))
+        else:  # a state changes at multiples of an interval
+            number = np.floor(times / usual_s + 1e-6)
         numbers, first = np.unique(number, return_index=True)
         ours = image_state[rows[first]]
         key = (times[first].tobytes(), ours.tobytes(), int(images.source[rows[0]]))

@@ -261,6 +261,13 @@ def test_transitions_are_between_frames_that_follow_each_other_and_have_their_in
     assert not transitions_of(alone, np.array([0, 1]), 2).observed
 
 
+@pytest.mark.parametrize("rate_hz", [24, 27, 30])
+def test_transitions_are_all_there_where_times_are_rounded(rate_hz):
+    times = np.round(np.arange(300) / rate_hz, 2)
+    state = np.arange(300) % 2
+    assert transitions_of(images(300, time_s=times), state, 2).counts.tolist() == [[0, 149], [150, 0]]
+
+
 def at_the_edge(inner, outer, seed=2):
     """Boats in the middle and at the left edge of images, found with errors of 3 px."""
     rng = np.random.default_rng(seed)
