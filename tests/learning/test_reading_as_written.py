@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from modsim3d.errors import InputError
+from modsim3d.learn.reading.image_sizes import image_size_px
 from modsim3d.learn.reading.pair import Given, read_pair
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
@@ -52,6 +53,21 @@ def test_a_file_name_beside_a_number_that_is_another_images_id_decides(tmp_path)
     results = [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")]
     labelled = read_pair("day", *coco(tmp_path, results, names), Given())
     assert labelled.found.image.tolist() == [0, 2]
+
+
+@pytest.mark.parametrize(
+    ("results", "rows", "doubtful"),
+    [
+        ([result(11), result(12)], [0, 1], True),
+        ([result(11), result(13)], [0, 2], False),
+        ([result(10), result(11)], [0, 1], False),
+        ([result(11, file_name="000011.jpg")], [1], False),
+    ],
+)
+def test_numbers_that_are_ids_and_names_of_other_files_are_told(results, rows, doubtful, tmp_path):
+    labelled = read_pair("day", *coco(tmp_path, results, ("000010.jpg", "000011.jpg", "000012.jpg")), Given())
+    assert labelled.found.image.tolist() == rows
+    assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
 def test_a_file_name_that_two_images_have_stands_for_neither(tmp_path):
@@ -108,6 +124,14 @@ def test_a_track_that_is_twice_in_an_image_is_refused(tmp_path):
         read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(image_size_px=(640, 480)))
 
 
+def test_a_track_below_zero_is_nobodys(tmp_path):
+    boxes = [{"image_id": 11, "category_id": 1, "bbox": [x, 2, 30, 40], "track_id": -1} for x in (1, 50)]
+    assert read_pair("day", *coco(tmp_path, [result(11)], annotations=boxes), Given()).truth.identity.tolist() == [
+        -1,
+        -1,
+    ]
+
+
 def test_mot_frames_have_times_where_the_rate_is_known(tmp_path):
     (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
     (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
@@ -149,6 +173,17 @@ def test_a_photograph_that_is_to_be_turned_is_as_large_as_it_is_shown(yolo):
     photo.save(yolo / "set" / "images" / "val" / "a.jpg", exif=turned)
     labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", Given())
     assert labelled.images.sizes_px[0].tolist() == [100, 200]
+
+
+def test_the_size_of_an_image_is_known_without_its_pixels_and_too_large_ones_are_refused(yolo, monkeypatch):
+    picture = yolo / "set" / "images" / "val" / "b.png"
+    picture.write_bytes(picture.read_bytes()[:60])
+    assert image_size_px(picture) == (400, 300)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100_000)
+    assert image_size_px(picture) == (400, 300)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 50_000)
+    with pytest.raises(InputError, match=r"image .*b.png:\n.*cannot be read: Image size \(120000 pixels\)"):
+        image_size_px(picture)
 
 
 def test_yolo_folders_that_are_not_meant_are_refused(yolo):

@@ -58,7 +58,8 @@ def read_coco(
     notes = problems.settle()
     results = Problems(f"detections {detections}", skip_bad)
     found, entries = Rows(), _results(detections)
-    known = _known_to_results(entries, known, names, category_offset, results)
+    known, doubt = _known_to_results(entries, known, names, category_offset, results)
+    notes += doubt
     for index, entry in enumerate(entries):
         _result(entry, f"[{index}]", known, found, results)
     notes += results.settle()
@@ -89,14 +90,22 @@ class _Known:
 
 def _known_to_results(
     entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
-) -> _Known:
-    """What results may name: an `image_id` may be a file's name, and category IDs may count from elsewhere."""
+) -> tuple[_Known, list[str]]:
+    """What results may name: an `image_id` may be a file's name, and category IDs may count from elsewhere.
+
+    Returns:
+        That, and a remark where both readings of an `image_id` would do and differ.
+    """
     rows = [entry for entry in entries if isinstance(entry, dict)]
-    given = {entry.get("image_id") for entry in rows if isinstance(entry.get("image_id"), int | str)}
+    given = {image for entry in rows if isinstance(image := entry.get("image_id"), ID)}
     files, stems = _by_file(names)
-    images = known.images
+    images, doubt = known.images, []
     if len(given & stems.keys()) > len(given & images.keys()):
         images = stems
+    elif any("file_name" in entry for entry in rows):
+        pass  # which decides
+    elif given <= stems.keys() & images.keys() and any(stems[image] != images[image] for image in given):
+        doubt = ["each image_id of the results is an image's id, and the name of another's file too: taken for the id"]
     categories = {number - category_offset: category for number, category in known.categories.items()}
     classes = {number for entry in rows if isinstance(number := entry.get("category_id"), int)}
     if classes - categories.keys():
@@ -104,7 +113,7 @@ def _known_to_results(
             if {number + step for number in classes} <= categories.keys():
                 whole = category_offset + step
                 problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
-    return _Known(images, files, categories)
+    return _Known(images, files, categories), doubt
 
 
 def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
@@ -274,6 +283,13 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
     return math.nan
 
 
+def _identity(entry: Mapping[str, Any]) -> ID | None:
+    """Who it is; a number below 0 says that nobody knows, as in MOT."""
+    identity = entry.get("track_id", entry.get("instance_id"))
+    known = isinstance(identity, str) or (isinstance(identity, int) and identity >= 0)
+    return identity if known else None
+
+
 def _annotation(entry: Any, where: str, known: _Known, rows: Rows, problems: Problems) -> None:
     place = _place(entry, where, known, problems)
     box = corners(entry.get("bbox"), where, problems) if place else None
@@ -281,8 +297,7 @@ def _annotation(entry: Any, where: str, known: _Known, rows: Rows, problems: Pro
         return
     before = len(problems.lines)
     visible_fraction, distance_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
-    identity = entry.get("track_id", entry.get("instance_id"))
-    identity = identity if isinstance(identity, ID) else None
+    identity = _identity(entry)
     if rows.has(place[0], identity):
         problems.add(f"{where}: identity {identity!r} is in the image {entry['image_id']!r} already")
     if len(problems.lines) > before:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 from modsim3d.errors import InputError
@@ -31,14 +32,18 @@ def image_size_px(path: Path) -> tuple[float, float]:
     """Width and height as the image is shown.
 
     Raises:
-        InputError: It is no image.
+        InputError: It is no image, or too large a one.
     """
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with (
+            warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning),
+            Image.open(path) as image,
+        ):
             width, height = image.size
-            lying = image.getexif().get(_ORIENTATION) in _LYING
-    except (OSError, SyntaxError) as error:
+            # Of a PNG the tag would be sought behind its pixels, and all of them be unpacked for it.
+            lying = image.format != "PNG" and image.getexif().get(_ORIENTATION) in _LYING
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"image {path}", [f"cannot be read: {error}"]) from None
     return (height, width) if lying else (width, height)
