@@ -10,7 +10,7 @@ import reprlib
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, BinaryIO, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -30,6 +30,7 @@ Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)
 GZIP = b"\x1f\x8b"
 MAX_TEXT_BYTES = 1 << 30
 """Parsed, text takes about ten times its size; a few megabytes can unpack to any size."""
+PIECE_BYTES = 1 << 20
 
 
 class Strict(BaseModel):
@@ -106,7 +107,7 @@ def read_text(path: Path, what: str) -> str:
     try:
         with path.open("rb") as file:
             packed = file.peek(2).startswith(GZIP)
-            content = (gzip.GzipFile(fileobj=file) if packed else file).read(MAX_TEXT_BYTES + 1)
+            content = _at_most(MAX_TEXT_BYTES + 1, gzip.GzipFile(fileobj=file) if packed else file)
         if len(content) > MAX_TEXT_BYTES:
             unpacked = "unpacks to" if packed else "has"
             raise InputError(f"{what} {path}", [f"{unpacked} more than {MAX_TEXT_BYTES:,} bytes: give a part of it"])
@@ -124,6 +125,14 @@ def read_text(path: Path, what: str) -> str:
     except ValueError:
         problem = "this cannot be a file's name"  # it holds a null character
     raise InputError(f"{what} {path}", [problem])
+
+
+def _at_most(count: int, stream: BinaryIO | gzip.GzipFile) -> bytearray:
+    """So many bytes or all there are, piece by piece: a single read would set aside room for the whole count."""
+    content = bytearray()
+    while len(content) < count and (piece := stream.read(min(PIECE_BYTES, count - len(content)))):
+        content += piece
+    return content
 
 
 def load_yaml(path: Path, what: str) -> Any:

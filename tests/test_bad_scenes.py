@@ -7,11 +7,13 @@ import gzip
 import json
 import struct
 import sys
+import tracemalloc
 
 import pytest
 
 from modsim3d import cli
 from modsim3d.scene_reader import load_scene
+from modsim3d.validation import read_text
 from tests.scenes import write_scene
 
 BOATS = {"own": ([8, 4, 2], []), "other": ([20, 6, 9], [])}
@@ -107,6 +109,18 @@ def test_poses_that_unpack_to_more_than_can_be_read_are_refused(tmp_path, refuse
     (tmp_path / "poses.json").write_bytes(gzip.compress(long) if packed else long)
     said = refused(scene_of(tmp_path, "poses.json"))
     assert ("unpacks to more than" if packed else "has more than") in said
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_short_text_takes_little_room(tmp_path, packed):
+    path = tmp_path / "short.txt"
+    path.write_bytes(gzip.compress(b"short") if packed else b"short")
+    tracemalloc.start()
+    try:
+        assert read_text(path, "text") == "short"
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
