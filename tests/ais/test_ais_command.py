@@ -147,6 +147,12 @@ def test_a_file_that_is_swapped_is_found_by_the_courses_in_it(monkeypatch, tmp_p
     assert "the way their courses say" in said
 
 
+def test_a_course_off_by_a_right_angle_among_others_that_are_right_refuses_no_file(monkeypatch, tmp_path):
+    others = [(s, lat + 0.1, lon, {**v, "mmsi": 219000002}) for s, lat, lon, v in drive(*CAPE_TOWN)]
+    path = written(tmp_path, drive(*CAPE_TOWN, course=0) + others)
+    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
+
+
 @pytest.mark.parametrize(
     "changes",
     [
