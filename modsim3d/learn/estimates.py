@@ -137,15 +137,15 @@ def _persistence(observed: Observed, form: Form, resampling: Resampling) -> Colu
         products, expected, later = miss_products(observed, form.effects)
         gaps = steps_between(observed.labelled, observed.rows).apart_s
         image = observed.image[later]
-        columns["persistence.class_s"] = _correlation_column(resampling, image, products, expected, gaps)
+        columns["persistence.class_s"] = correlation_column(resampling, image, products, expected, gaps)
     if form.box_persists:
         products, expected, later = error_products(observed, form.units)
         gaps, image = error_gaps(observed, form.units), observed.pairs().image[later]
-        columns["persistence.box_s"] = _correlation_column(resampling, image, products, expected, gaps)
+        columns["persistence.box_s"] = correlation_column(resampling, image, products, expected, gaps)
     return columns
 
 
-def _correlation_column(
+def correlation_column(
     resampling: Resampling, image: Indices, products: Array, expected: Array, gaps_s: Array
 ) -> Column:
     """A correlation time; its replicates spread at least as pairs say, for runs of frames may be few."""

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_shares import KINDS, error_shares
+from modsim3d.learn.estimates import correlation_column
 from modsim3d.learn.figures import figures
 from modsim3d.learn.labelled import Labelled, joined
 from modsim3d.learn.learned import Settings, learn
@@ -179,6 +180,19 @@ def test_misses_follow_size_as_they_were_made_to():
         ours = observed.label == label
         assert fit.rates[0, 0, label] == pytest.approx(observed.missed[ours].mean(), abs=1e-6)
     assert np.abs(fit.chance - chance).max() < 0.06
+
+
+def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
+    rng, runs, pairs = np.random.default_rng(3), 10, 40
+    place, gaps = np.repeat(np.arange(runs), pairs), np.full(runs * pairs, 0.2)
+    products = np.tile(rng.normal(0.7, 1, pairs), runs) * np.linspace(0.99, 1.01, runs).repeat(pairs)
+    resampling = resample(images(runs), 400, 0)
+    plain = correlation_time(resampling, place, products, np.ones(len(place)), gaps)
+    column = correlation_column(resampling, place, products, np.ones(len(place)), gaps)
+    least = relative_error(products, np.ones(len(place)), gaps, plain[0])
+    assert column.values[0] == pytest.approx(plain[0])
+    assert np.log(plain[1:]).std() < 0.1 * least
+    assert np.log(column.values[1:]).std() == pytest.approx(least, rel=0.01)
 
 
 @pytest.mark.parametrize("even", [True, False])
