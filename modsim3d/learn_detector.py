@@ -93,7 +93,7 @@ def learn_detector(labelled: Labelled, settings: Settings, asked: Asked) -> Repo
         level=asked.level,
         beta=asked.beta,
         matched_by=str(settings.rule),
-        remarks=(*labelled.notes, *_about_matches(labelled, matched, settings.rule)),
+        remarks=(*labelled.notes, *_about_matches(labelled, matched, settings.rule, state_map.names, image_state)),
     )
 
 
@@ -101,7 +101,9 @@ _NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
 _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
-def _about_matches(labelled: Labelled, matched: Matched, rule: Rule) -> list[str]:
+def _about_matches(
+    labelled: Labelled, matched: Matched, rule: Rule, states: tuple[str, ...], image_state: np.ndarray
+) -> list[str]:
     """What the matches themselves say against them."""
     remarks, (found, truth) = [], matched.pairs
     if not len(found):
@@ -114,14 +116,17 @@ def _about_matches(labelled: Labelled, matched: Matched, rule: Rule) -> list[str
                 f"categories: do results count from elsewhere (--category-offset {-step})?"
             )
     if rule.method in ("confidence", "optimal"):
-        overlaps = iou(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth])
-        near = float((overlaps < rule.least_iou + _NEAR_THE_GATE).mean())
-        if near > _MANY_NEAR:
-            remarks.append(
-                f"{near:.0%} of the matches have an IoU of less than {rule.least_iou + _NEAR_THE_GATE:.2g}: larger "
-                "errors were cut off, and count as a miss and a false detection each (--bias says how much that does; "
-                "--match centre, at a distance that is large against the errors, cuts off less)"
-            )
+        near = iou(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth]) < rule.least_iou + _NEAR_THE_GATE
+        state = image_state[labelled.truth.image[truth]]
+        for k, name in enumerate(states):
+            share = float(near[state == k].mean()) if np.any(state == k) else 0.0
+            if share > _MANY_NEAR:
+                remarks.append(
+                    f"{share:.0%} of the matches{f' in {name}' if len(states) > 1 else ''} have an IoU of less than "
+                    f"{rule.least_iou + _NEAR_THE_GATE:.2g}: larger errors were cut off, and count as a miss and a "
+                    "false detection each (--bias says how much that does; --match centre, at a distance that is "
+                    "large against the errors, cuts off less)"
+                )
     return remarks
 
 

@@ -372,6 +372,21 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
     assert "nothing matches" in learn_detector(blank(20), settings, Asked()).remarks[0]
 
 
+def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_all_are_near_the_gate():
+    rng, image = np.random.default_rng(3), np.repeat(np.arange(200), 2)
+    haze = np.arange(200) >= 188
+    boxes = np.tile([[100.0, 100, 160, 160], [300.0, 300, 360, 360]], (200, 1))
+    moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
+    labelled = Labelled(
+        ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
+        truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
+    )  # fmt: skip
+    settings = Settings(replicates=20, clutter="calibrated")
+    (remark,) = learn_detector(labelled, settings, Asked()).remarks
+    assert "of the matches in haze have an IoU of less than 0.6" in remark
+    assert learn_detector(labelled, settings, Asked(states=("all=clear,haze",))).remarks == ()
+
+
 def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
     arguments = pairs_of_conditions(tmp_path, 1)
     results = json.loads(arguments[5].read_text())
