@@ -181,33 +181,28 @@ def _errors(report: Report, groups: Sequence[Figures]) -> Table:
 
 
 def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
-    rows = tuple(
-        (
-            _name(report, figures),
-            *(
-                _cell(figures.columns["error correlation"], report.level, figures.units, 2, place)
-                for place in range(len(PAIRS))
-            ),
-        )
-        for figures in groups
-    )
-    header = ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in PAIRS))
-    return Table("Correlation coefficients of the box errors", header, rows)
+    return _by_pair("Correlation coefficients of the box errors", report, groups, "error correlation", 2, PAIRS)
 
 
 def _covariances(report: Report, groups: Sequence[Figures]) -> Table:
+    return _by_pair("Covariances of the box errors in square pixels", report, groups, "error covariance", 1, CELLS)
+
+
+def _by_pair(
+    title: str,
+    report: Report,
+    groups: Sequence[Figures],
+    key: str,
+    digits: int,
+    pairs: Sequence[tuple[int, int]],
+) -> Table:
+    """A column of each group, an entry for each pair of components."""
+    places = range(len(pairs))
     rows = tuple(
-        (
-            _name(report, figures),
-            *(
-                _cell(figures.columns["error covariance"], report.level, figures.units, 1, place)
-                for place in range(len(CELLS))
-            ),
-        )
-        for figures in groups
+        (_name(report, each), *(_cell(each.columns[key], report.level, each.units, digits, k) for k in places))
+        for each in groups
     )
-    header = ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in CELLS))
-    return Table("Covariances of the box errors in square pixels", header, rows)
+    return Table(title, ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in pairs)), rows)
 
 
 def _label_errors(report: Report, figures: Figures) -> Table:
