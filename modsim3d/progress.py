@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -13,6 +13,15 @@ def progress_bar() -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    class Bar(Progress):
+        """Leaves nothing on the screen of what failed before its first step: an error stands alone."""
+
+        def __exit__(self, kind: type[BaseException] | None, *rest: Any) -> None:
+            if kind is not None and not any(task.completed for task in self.tasks):
+                self.live.transient = True
+                self.console.quiet = not self.console.is_terminal
+            super().__exit__(kind, *rest)
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     # Refreshed when told: a thread that refreshes would keep workers from being copies of this process.
-    return Progress(*columns, console=Console(stderr=True), auto_refresh=False)
+    return Bar(*columns, console=Console(stderr=True), auto_refresh=False)

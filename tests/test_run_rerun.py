@@ -111,10 +111,12 @@ def test_obstacles_stand_where_they_do(recording):
     np.testing.assert_allclose((corners.min(axis=0), corners.max(axis=0)), ((900, 300, 0), (950, 320, 5)))
 
 
-def test_without_the_sdk_the_error_names_the_extra(monkeypatch, capsys, run, tmp_path):
+def test_without_the_sdk_the_error_names_the_extra_and_no_empty_bar_stands_before_it(
+    monkeypatch, capsys, run, tmp_path
+):
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert call(monkeypatch, "rerun", run, "--out", tmp_path / "x.rrd") == 2
-    assert "modsim3d[rerun]" in capsys.readouterr().err
+    assert capsys.readouterr().err == "modsim3d: modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
 
 
 def test_file_that_cannot_be_written_is_one_message(monkeypatch, capsys, run, tmp_path):
