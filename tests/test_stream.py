@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow as pa
 import pytest
+import yaml
 
 from modsim3d import cli
 from modsim3d.errors import InputError, ModsimError
@@ -358,6 +359,20 @@ def test_a_stream_without_a_line_is_an_error(tmp_path, stdin):
 def test_wrong_keys_of_a_stream_are_told(tmp_path, poses, part):
     with pytest.raises(InputError, match=part):
         load_scene(scene_of(tmp_path, poses))
+
+
+def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
+    sea = {"spectrum": "jonswap", "significant_height_m": 1.0, "peak_period_s": 5.5, "direction_rad": 2.6}
+    thesis = yaml.safe_load((ROOT / "scenes/detectors/thesis.yaml").read_text())
+    anchored = thesis | {
+        "dropout": {"model": "logistic", "anchor": "state_rate", "distance_m": {"per_doubling": 1, "reference": 50}}
+    }
+    detector = tmp_path / "anchored.json"
+    detector.write_text(json.dumps(anchored))
+    with pytest.raises(InputError) as caught:
+        live_scene(tmp_path, waves=sea, detector=str(detector))
+    assert "waves.spectrum: the sea needs to know how fast vessels are" in str(caught.value)
+    assert "detector: holds rates over the whole scene (anchor: state_rate)" in str(caught.value)
 
 
 @pytest.mark.parametrize(
