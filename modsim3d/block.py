@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.annotate.record import Truth
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
-from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
 if TYPE_CHECKING:
@@ -33,19 +32,19 @@ class CameraBlock:
     """
 
     camera: int
-    steps: NDArray[np.int64]
+    steps: Indices
     truth: Truth
-    target_rows: NDArray[np.int64]
+    target_rows: Indices
     detections: Detections
 
-    def truth_row(self) -> NDArray[np.int64]:
+    def truth_row(self) -> Indices:
         """Row of `truth` that each detection came from, −1 for a false positive, shape (m,)."""
         target = self.detections.target
         if not len(self.target_rows):
             return np.full(len(target), -1)
         return np.where(target >= 0, self.target_rows[target], -1)
 
-    def detected(self) -> NDArray[np.bool_]:
+    def detected(self) -> Mask:
         """Whether each truth row was detected, whatever its label came out as, by itself or with another."""
         found = np.zeros(len(self.truth), dtype=bool)
         drawn = self.detections
@@ -105,8 +104,8 @@ class FrameTruth:
     in_frame_fraction: Array
     depth_m: Array
     occluded_by: tuple[dict[str, float], ...]
-    annotated: NDArray[np.bool_]
-    detected: NDArray[np.bool_]
+    annotated: Mask
+    detected: Mask
 
     def __len__(self) -> int:
         """Number of vessels."""

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.vessels import Solid, Vessel, shoebox
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +31,7 @@ class Bodies:
     boxed: bool
     vertices_m: Array
     centres_m: Array
-    present: NDArray[np.bool_]
+    present: Mask
     positions_m: Array
     world_R_body: Array
 
@@ -52,7 +49,7 @@ class Bodies:
 
 def vessel_bodies(
     vessels: Sequence[Vessel],
-    present: NDArray[np.bool_],
+    present: Mask,
     positions_m: Array,
     world_R_vessel: Array,
     *,
@@ -69,7 +66,7 @@ def vessel_bodies(
         as_shoeboxes: Whether each is to be taken for its shoebox.
         boxed: Whether they get a box.
     """
-    there: NDArray[np.bool_] = np.any(present, axis=0)
+    there: Mask = np.any(present, axis=0)
     solids: dict[int, tuple[Solid, list[int]]] = {}
     for index, vessel in enumerate(vessels):
         if there[index]:

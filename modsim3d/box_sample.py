@@ -6,17 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.modes import annotation_boxes
+from modsim3d.arrays import Array
 from modsim3d.block import Block
 from modsim3d.detector.box_error import NormalBoxError
 from modsim3d.detector.records import TRUE
 from modsim3d.detector.truncation import standard_points, truncated_errors
-from modsim3d.frames import Array
 from modsim3d.scene import Scene
-
-Indices = NDArray[np.int64]
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
 """Few enough that a run hardly takes longer for them; what so few boxes leave open is told beside the mean."""

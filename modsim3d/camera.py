@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modsim3d.frames import Array, camera_R_parent, vehicle_R_nominal, world_R_vehicle
+from modsim3d.arrays import Array, Indices
+from modsim3d.frames import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 from modsim3d.lens import Distortion
 
 DEFAULT_NEAR_CLIP_M = 0.1
@@ -363,7 +364,7 @@ def _clip_by(triangles: Array, height: Array) -> Array:
     return parts[np.argsort(source, kind="stable")]
 
 
-def _crossing(corners: Array, heights: Array, rows: NDArray[np.int64], inner: int, outer: int) -> Array:
+def _crossing(corners: Array, heights: Array, rows: Indices, inner: int, outer: int) -> Array:
     """Where edges leave the half-space, shape (k, 3).
 
     From the corner inside, so that two triangles with this edge get the very same point.

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
@@ -23,9 +22,9 @@ from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Camera
 from modsim3d.errors import ModsimError
-from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
 from modsim3d.vessels import shoebox
@@ -220,7 +219,7 @@ def _compare_camera(
     renderer: IdRenderer,
     index: int,
     camera: Camera,
-    steps: NDArray[np.int64],
+    steps: Indices,
 ) -> None:
     started = time.perf_counter()
     sight = scene.sight(camera, steps)
@@ -285,7 +284,7 @@ class _Place:
     """Where the rows of a comparison are, and what each source said of them."""
 
     camera: int
-    steps: NDArray[np.int64]
+    steps: Indices
     outlines: Outlines
     seen: dict[str, Occlusion]
 

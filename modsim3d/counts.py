@@ -8,8 +8,8 @@ import numpy as np
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.block import Block, CameraBlock
+from modsim3d.boxes import iou, sizes
 from modsim3d.earth import shift_px
-from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
 WORTH_A_WARNING_PX = 1.0
@@ -80,7 +80,7 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
     rows = part.truth_row()[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
     boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
-    asked = annotated[:, 2:] - annotated[:, :2] + drawn.errors_px[true, 2:]
+    asked = sizes(annotated) + drawn.errors_px[true, 2:]
     detected = int(part.detected().sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
     curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
@@ -98,17 +98,9 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
         merged=int((drawn.partner >= 0).sum()),
         mislabelled=int((drawn.label[true] != labels[truth.vessel[rows]]).sum()),
         false_positives=len(drawn) - len(true),
-        clipped=int(np.any(boxes[:, 2:] - boxes[:, :2] < asked - 1e-6, axis=1).sum()),
+        clipped=int(np.any(sizes(boxes) < asked - 1e-6, axis=1).sum()),
         redrawn=int(drawn.redrawn[true].sum()),
-        below_half_iou=int((_iou(boxes, annotated) < 0.5).sum()),
+        below_half_iou=int((iou(boxes, annotated) < 0.5).sum()),
         off_by_curvature=len(curvature_px),
         largest_curvature_px=float(curvature_px.max(initial=0.0)),
     )
-
-
-def _iou(a: Array, b: Array) -> Array:
-    """Intersection over union of boxes, row by row, shape (n,)."""
-    overlap = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
-    union = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - overlap
-    ratio: Array = overlap / union
-    return ratio

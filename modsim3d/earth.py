@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 
 RADIUS_M = 6_371_000.0
 """Mean radius of the Earth (Moritz, 2000, "Geodetic Reference System 1980": R1 = 6 371 008.77 m)."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
-from modsim3d.frames import Array
 from modsim3d.scene import Scene
 from modsim3d.selection import Selection
 from modsim3d.view.birds_eye import BirdsEye

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 
 _EARLY = 1e-6  # of an interval: 0.3 / 0.1 is a hair below 3, and the frame at 0.3 s is due
 
 
-def frames_due(times_s: Array, rate_hz: float, offset_s: float) -> NDArray[np.int64]:
+def frames_due(times_s: Array, rate_hz: float, offset_s: float) -> Indices:
     """How many frames a camera should have taken by each time, shape (n,).
 
     Frame k is due at offset + k / rate.
@@ -24,7 +23,7 @@ def frames_due(times_s: Array, rate_hz: float, offset_s: float) -> NDArray[np.in
     return np.maximum(due, 0)
 
 
-def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> NDArray[np.bool_]:
+def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> Mask:
     """At which of consecutive steps a camera takes a frame: where one has fallen due since the step before.
 
     A step gives one frame at most; where several fall due between two steps, the later ones are lost.
@@ -39,5 +38,5 @@ def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> NDArr
     """
     if rate_hz is None:
         return times_s >= offset_s - _EARLY
-    taken: NDArray[np.bool_] = np.diff(frames_due(times_s, rate_hz, offset_s), prepend=0) > 0
+    taken: Mask = np.diff(frames_due(times_s, rate_hz, offset_s), prepend=0) > 0
     return taken

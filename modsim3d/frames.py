@@ -9,9 +9,9 @@ All functions broadcast over leading axes, so that a run of time steps costs one
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from modsim3d.arrays import Array
 
 BASE_R_WORLD: Array = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Camera base pose: c3 along w1, c1 = −w2, c2 = −w3 (Jessen & Mohr (2023), eq. 7.14)."""

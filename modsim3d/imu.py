@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.random_streams import Streams
 
 LEAST_UNIFORM = 2.0**-54  # stands for the 0 whose normal would be −∞

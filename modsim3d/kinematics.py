@@ -8,11 +8,9 @@ taken as it is; the acceleration there is that of the neighbour.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array, rotation_vector
-
-Flags = NDArray[np.bool_]
+from modsim3d.arrays import Array, Mask
+from modsim3d.frames import rotation_vector
 
 
 def slopes(times_s: Array, values: Array) -> Array:
@@ -65,7 +63,7 @@ def second_derivative(times_s: Array, between: Array) -> Array:
     return derivative
 
 
-def velocities(times_s: Array, positions_m: Array, present: Flags) -> Array:
+def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
     """Velocities of vessels that come and go; one that has just come, or is about to leave, is at an end of its row.
 
     Args:

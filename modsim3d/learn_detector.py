@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.boxes import iou
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.estimates import least_inflation
@@ -13,7 +14,7 @@ from modsim3d.learn.figures import Figures, figures
 from modsim3d.learn.gate_bias import bias_of
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.matching import Matched, Rule, iou, match
+from modsim3d.learn.matching import Matched, Rule, match
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
 from modsim3d.learn_report import Report

@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array
+from modsim3d.boxes import errors_between
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.learn.average_precision import Curve, Ranking
-from modsim3d.learn.figures import errors_px
 from modsim3d.learn_report import NEVER_LEARNED, Report, lead, tables
 from modsim3d.view import learn_figures as pictures
 from modsim3d.view import page
-
-Array = NDArray[np.float64]
 
 
 def write_page(report: Report, path: Path) -> None:
@@ -71,7 +69,7 @@ def _curve_pictures(report: Report) -> list[str]:
 def _scatter(report: Report) -> list[str]:
     pairs = report.learned.observed.pairs()
     detection = report.learned.observed.detection[~report.learned.observed.missed]
-    error = errors_px(report.labelled.found.boxes_px[detection], pairs.truth_px)
+    error = errors_between(report.labelled.found.boxes_px[detection], pairs.truth_px)
     relative = all(unit.endswith("relative") for unit in report.learned.form.units.values())
     error = error / pairs.sides_px if relative else error  # in the unit in which they are learned
     plots = []

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import corner_form
 from modsim3d.detector.records import FALSE_KINDS, KINDS
-from modsim3d.frames import Array
+from modsim3d.formats.tables import CENTRE_FORM
 from modsim3d.learn.labelled import NOBODY, Found, Images, Labelled, Truth, sorted_by_image
 from modsim3d.stored_run import StoredRun, open_run
-
-Indices = NDArray[np.int64]
 
 
 def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
@@ -69,8 +68,7 @@ def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
 def _found(
     table: pa.Table, image: Indices, labels: tuple[str, ...], vessels: list[str], truth: Truth, images: int
 ) -> Found:
-    centre = np.column_stack([_numbers(table, "x_px"), _numbers(table, "y_px")])
-    half = np.column_stack([_numbers(table, "width_px"), _numbers(table, "height_px")]) / 2
+    boxes = corner_form(np.column_stack([_numbers(table, name) for name in CENTRE_FORM]))
     kind = _places(table, "kind", KINDS)
     row_of = np.full(images * max(len(vessels), 1), NOBODY)
     row_of[truth.image * len(vessels) + truth.identity] = np.arange(len(truth))
@@ -80,7 +78,7 @@ def _found(
     found = Found(
         image=image,
         label=_places(table, "label", labels),
-        boxes_px=np.concatenate([centre - half, centre + half], axis=1),
+        boxes_px=boxes,
         confidence=_numbers(table, "confidence"),
         origin=origin,
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 
 MOST_ITERATIONS = 100
 

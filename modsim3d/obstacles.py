@@ -8,11 +8,11 @@ from functools import cache
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.bodies import Bodies
 from modsim3d.earth import drop_m
-from modsim3d.frames import Array, world_R_vehicle
+from modsim3d.frames import world_R_vehicle
 from modsim3d.vessels import Solid
 
 PREFIX = "obstacle:"
@@ -80,7 +80,7 @@ def _triangular_prism() -> Solid:
     return Solid(np.array([(x, y, z) for z in (0.0, 1.0) for x, y in ring]), _prism_faces(3))
 
 
-def _prism_faces(sides: int) -> NDArray[np.int64]:
+def _prism_faces(sides: int) -> Indices:
     """Triangles of a prism: its lower corners counter-clockwise seen from above, and then its upper ones."""
     walls = []
     for low in range(sides):

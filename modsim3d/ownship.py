@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.kinematics import first_derivative, second_derivative, slopes, turning
 from modsim3d.random_streams import Streams
 from modsim3d.scene import Scene
@@ -33,7 +32,7 @@ class OwnShips:
         measured_forces_m_s2: With the unit's errors, shape (S, K, 3).
     """
 
-    vessels: NDArray[np.int64]
+    vessels: Indices
     positions_m: Array
     headings_rad: Array
     angles_rad: Array

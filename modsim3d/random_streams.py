@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.arrays import Array
+
 _NUMBERS_PER_BLOCK = 4  # one value of Philox4x64's counter gives four 64-bit numbers
 _UNIFORMS, _GENERATOR = 0, 1  # apart in the key: the two ways of counting steps would run into each other
 
@@ -42,7 +44,7 @@ class Streams:
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
 
-    def uniforms(self, purpose: str, *names: str, first: int, count: int, width: int = 1) -> NDArray[np.float64]:
+    def uniforms(self, purpose: str, *names: str, first: int, count: int, width: int = 1) -> Array:
         """Uniform numbers for consecutive steps; ask for one width only under one purpose.
 
         Args:

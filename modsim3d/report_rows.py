@@ -9,16 +9,14 @@ from functools import cached_property
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
-from modsim3d.formats.tables import BOX_SIDES
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import corner_form
+from modsim3d.formats.tables import BOX_SIDES, CENTRE_FORM
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view.report.tally import Tally
 
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 NOBODY = -1
 """The vessel of a false positive; the row of an occluder that is no vessel."""
 
@@ -116,17 +114,15 @@ class RunRows:
 
     def drawn_boxes_px(self) -> Array:
         """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
-        centre = np.column_stack([numbers(self.drawn, name) for name in ("x_px", "y_px")])
-        half = np.column_stack([numbers(self.drawn, name) for name in ("width_px", "height_px")]) / 2
-        return np.concatenate([centre - half, centre + half], axis=1)
+        return corner_form(np.column_stack([numbers(self.drawn, name) for name in CENTRE_FORM]))
 
     @cached_property
-    def annotated(self) -> Flags:
+    def annotated(self) -> Mask:
         """Shape (n,)."""
         return _flags(self.truth, "annotated")
 
     @cached_property
-    def detected(self) -> Flags:
+    def detected(self) -> Mask:
         """Shape (n,)."""
         return _flags(self.truth, "detected")
 
@@ -185,5 +181,5 @@ def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     return np.asarray(found.fill_null(NOBODY).to_numpy(), dtype=np.int64)
 
 
-def _flags(table: pa.Table, name: str) -> Flags:
+def _flags(table: pa.Table, name: str) -> Mask:
     return np.asarray(table[name].to_numpy(), dtype=bool)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import RunDirectoryError
-from modsim3d.frames import Array
 from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
@@ -28,8 +28,6 @@ NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""
 SIGHT_STEPS = 250
 """Steps whose geometry is made together: few calls, little memory."""
-
-Indices = NDArray[np.int64]
 
 
 def write_report(

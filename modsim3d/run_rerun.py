@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Indices
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
 from modsim3d.scene import AtSea, Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette
 
-Indices = NDArray[np.int64]
 SIGHT_STEPS = 250
 """Steps whose geometry is made together."""
 

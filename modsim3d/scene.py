@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.inside import first_body_around
 from modsim3d.annotate.modes import Annotation
 from modsim3d.annotate.outlines import Outlines, outline
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.bodies import Bodies, vessel_bodies
 from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
 from modsim3d.detector.model import DetectorModel
 from modsim3d.earth import lowered
 from modsim3d.errors import InputError
 from modsim3d.frame_timing import takes_frame
-from modsim3d.frames import Array, vehicle_R_nominal, world_R_vehicle
+from modsim3d.frames import vehicle_R_nominal, world_R_vehicle
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.kinematics import velocities
 from modsim3d.obstacles import PREFIX, Obstacle, obstacle_bodies
@@ -27,8 +27,6 @@ from modsim3d.poses import LivePoses, Poses, PoseSource
 from modsim3d.scene_copy import SceneCopy
 from modsim3d.vessels import Vessel
 from modsim3d.waves import Passage, WaveMotion
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +77,8 @@ class Sight:
     steps: Indices
     poses: Poses
     world_R_vessel: Array
-    others: NDArray[np.bool_]
-    carriers: NDArray[np.bool_]
+    others: Mask
+    carriers: Mask
     camera_poses: CameraPoses
     obstacles: tuple[Obstacle, ...] = ()
     curved: bool = False
@@ -105,7 +103,7 @@ class Sight:
         return self._bodies(vessels, self.carriers & with_mesh, boxed=False)
 
     def _bodies(
-        self, vessels: Sequence[Vessel], present: NDArray[np.bool_], *, as_shoeboxes: bool = False, boxed: bool = True
+        self, vessels: Sequence[Vessel], present: Mask, *, as_shoeboxes: bool = False, boxed: bool = True
     ) -> list[Bodies]:
         return vessel_bodies(
             vessels, present, self.poses.positions_m, self.world_R_vessel, as_shoeboxes=as_shoeboxes, boxed=boxed

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import numpy as np
-from numpy.typing import NDArray
-
+from modsim3d.arrays import Indices
 from modsim3d.camera import Camera
 from modsim3d.errors import InputError
 from modsim3d.obstacles import PREFIX
 from modsim3d.scene import Scene
-
-Indices = NDArray[np.int64]
 
 
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:

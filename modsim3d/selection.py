@@ -8,11 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.block import Frame
 from modsim3d.errors import ModsimError
-from modsim3d.frames import Array
 from modsim3d.stored_run import StoredRun
 
 NEAR_S = 1e-6
@@ -177,7 +176,7 @@ def _or(value: float | None, otherwise: float) -> float:
     return otherwise if value is None else value
 
 
-def _durations(times: Array, steps: NDArray[np.int64], every: int) -> Array:
+def _durations(times: Array, steps: Indices, every: int) -> Array:
     """How long each chosen step stands for: until the next one; the last as long as the one before it."""
     gaps = np.diff(times[steps])
     if len(gaps):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 from modsim3d.plugins import SHAPES, Plugin, failed, load_plugin
 from modsim3d.vessels import Solid
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion, Truth, concatenate, no_truth
 from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.arrays import Indices
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
 from modsim3d.detector.chain import Detector, reference_of
@@ -67,9 +67,7 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
     return concatenate(seen) if seen else no_truth()
 
 
-def _camera_truth(
-    scene: Scene, index: int, camera: Camera, steps: NDArray[np.int64], renderer: IdRenderer | None
-) -> Truth:
+def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, renderer: IdRenderer | None) -> Truth:
     sight = scene.sight(camera, steps)
     outlines = sight.outlines(camera.intrinsics, scene.vessels, as_shoeboxes=scene.annotation.source != "rendered")
     occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
@@ -114,7 +112,7 @@ class DetectorInput:
     """
 
     truth: Truth
-    rows: NDArray[np.int64]
+    rows: Indices
     frames: Frames
     targets: Targets
 

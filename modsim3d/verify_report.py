@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import orjson
 
+from modsim3d.arrays import Array
+from modsim3d.boxes import sizes
 from modsim3d.detector.box_error import NormalBoxError
-from modsim3d.detector.boxes import sizes
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
 from modsim3d.detector.records import TRUE
-from modsim3d.frames import Array
 from modsim3d.learn.class_checks import miss_probabilities
 from modsim3d.learn.error_fit import PAIRS
 from modsim3d.learn.evidence import Evidence

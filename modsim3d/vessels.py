@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 from modsim3d.validation import Strict, describe, join_path, load_json, shown
 
 
@@ -28,7 +27,7 @@ class Solid:
     """
 
     vertices: Array
-    faces: NDArray[np.int64]
+    faces: Indices
     convex: bool = True
     closed: bool = True
 

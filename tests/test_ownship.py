@@ -11,8 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import Array, rotation_vector, world_R_vehicle
+from modsim3d.frames import rotation_vector, world_R_vehicle
 from modsim3d.imu import Imu
 from modsim3d.ownship import own_ships_at
 from modsim3d.poses.base import generated_timestamps

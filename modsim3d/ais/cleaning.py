@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from modsim3d.ais.region import Region, wrapped_deg
-from modsim3d.ais.reports import Mask, Positions
+from modsim3d.ais.reports import Positions
+from modsim3d.arrays import Mask
 
 NOT_A_SHIP, NO_POSITION, IMPOSSIBLE, OUTSIDE_REGION, OUTSIDE_WINDOW, DUPLICATE, JUMP = (
     "not_a_ship",

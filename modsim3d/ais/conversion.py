@@ -16,12 +16,12 @@ from modsim3d.ais.hulls import Hull, hulls
 from modsim3d.ais.jumps import reachable
 from modsim3d.ais.options import COMMAND_LINE, Options, time_text
 from modsim3d.ais.projection import heading_rad, local_metres, median_place
-from modsim3d.ais.reports import Mask, Positions
+from modsim3d.ais.reports import Positions
 from modsim3d.ais.resampling import ROUNDING_S, Track, resample, to_hull_centre
 from modsim3d.ais.swapped import check_origin
 from modsim3d.ais.viewpoint import Viewpoint, viewpoint
+from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.frames import Array
 from modsim3d.poses.base import generated_timestamps
 
 MAX_STEPS = 1_000_000

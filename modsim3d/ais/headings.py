@@ -5,10 +5,8 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.ais.reports import Mask
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 
 MOVING_KN = 0.5
 """Slower than this, a receiver's course is mostly noise."""
@@ -29,7 +27,7 @@ class From(IntEnum):
 
 def fill_headings(
     times_s: Array, places_m: Array, speed_kn: Array, course_deg: Array, heading_deg: Array, max_gap_s: float
-) -> tuple[Array, NDArray[np.int64]]:
+) -> tuple[Array, Indices]:
     """Compass headings of one vessel at each of its reports.
 
     In place of a missing heading stands the course over ground while the vessel moves; without a course, the bearing

@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.ais.reports import Particulars
 from modsim3d.ais.ship_types import UNKNOWN, group_of, ship_types
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 
 MAX_LENGTH_M, MAX_BEAM_M = 460.0, 125.0
 """No ship was longer than Seawise Giant, 458 m, or wider than Pioneering Spirit, 124 m; fields of ones say 1022 m."""

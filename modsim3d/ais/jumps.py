@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.ais.reports import Ints, Mask
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 
 
 def reachable(times_s: Array, places_m: Array, max_speed_m_s: float, slack_s: float) -> Mask:
@@ -25,7 +24,7 @@ def reachable(times_s: Array, places_m: Array, max_speed_m_s: float, slack_s: fl
         Which positions are kept, shape (n,).
     """
 
-    def possible(start: Ints, end: Ints) -> Mask:
+    def possible(start: Indices, end: Indices) -> Mask:
         way = np.linalg.norm(places_m[end] - places_m[start], axis=-1)
         return np.asarray(way <= max_speed_m_s * (times_s[end] - times_s[start] + slack_s))
 

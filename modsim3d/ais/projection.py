@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.ais.region import wrapped_deg
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 
 
 def local_metres(latitude_deg: Array, longitude_deg: Array, origin: tuple[float, float]) -> Array:

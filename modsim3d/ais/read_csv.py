@@ -14,9 +14,9 @@ from pyarrow import csv
 
 from modsim3d.ais.layouts import Layout
 from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, source_of
-from modsim3d.ais.reports import Chunk, Ints, Mask, Particulars, Positions
+from modsim3d.ais.reports import Chunk, Particulars, Positions
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 from modsim3d.validation import shown
 
 BLOCK_BYTES = 1 << 24
@@ -86,7 +86,7 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         yield rest
 
 
-def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tuple[pa.Table, Ints]:
+def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
     """Some columns of whole rows, as texts, and which of the rows have not as many cells as there are names."""
     skipped: list[int] = []
 
@@ -112,7 +112,7 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
 
 
 def _chunk(
-    table: pa.Table, columns: dict[str, str], layout: Layout, file: int, rows: Ints, skipped: list[int], width: int
+    table: pa.Table, columns: dict[str, str], layout: Layout, file: int, rows: Indices, skipped: list[int], width: int
 ) -> Chunk:
     bad = np.zeros(len(table), dtype=bool)
     problems = [f"row {row}: has not the {width} cells of the header" for row in skipped[:SHOWN_PROBLEMS]]
@@ -148,7 +148,7 @@ def _chunk(
     return Chunk(positions.take(good), particulars, messages, dropped, tuple(problems))
 
 
-def _particulars(table: pa.Table, mmsi: Ints, times_s: Array, rows: Mask) -> Particulars:
+def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> Particulars:
     """Each different set of particulars once, with the time at which it was last said."""
     empty = pa.array([""] * len(table), pa.string())
     texts = {name: table.column(name) if name in table.column_names else empty for name in PARTICULARS}
@@ -193,7 +193,7 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
     return numbers, wrong | np.isinf(numbers)
 
 
-def _whole(values: Array) -> tuple[Ints, Mask]:
+def _whole(values: Array) -> tuple[Indices, Mask]:
     wrong = ~(np.isfinite(values) & (values >= 0) & (values < 1e9) & (values == np.floor(values)))
     return np.where(wrong, 0, values).astype(np.int64), wrong
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Mask
 
 
 def wrapped_deg(angle_deg: ArrayLike) -> Array:
@@ -38,7 +38,7 @@ class Region:
         west = longitude1 if width >= 0 else longitude2
         return cls(min(latitude1, latitude2), max(latitude1, latitude2), west, abs(width))
 
-    def holds(self, latitude_deg: Array, longitude_deg: Array) -> NDArray[np.bool_]:
+    def holds(self, latitude_deg: Array, longitude_deg: Array) -> Mask:
         """Which places are inside, shape (n,)."""
         between = (latitude_deg >= self.south_deg) & (latitude_deg <= self.north_deg)
         return between & (np.mod(longitude_deg - self.west_deg, 360.0) <= self.width_deg)

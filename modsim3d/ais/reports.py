@@ -9,10 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.frames import Array
-
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from modsim3d.arrays import Array, Indices, Mask
 
 
 class _Columns:
@@ -24,7 +21,7 @@ class _Columns:
     def __len__(self) -> int:
         return len(self._arrays()[0])
 
-    def take(self, rows: Ints | Mask) -> Self:
+    def take(self, rows: Indices | Mask) -> Self:
         """Some of the rows, by mask or in an order."""
         return type(self)(*(array[rows] for array in self._arrays()))
 
@@ -51,7 +48,7 @@ class Positions(_Columns):
         row: Its row or line there, the first being 1.
     """
 
-    mmsi: Ints
+    mmsi: Indices
     time_s: Array
     latitude_deg: Array
     longitude_deg: Array
@@ -59,8 +56,8 @@ class Positions(_Columns):
     course_deg: Array
     heading_deg: Array
     ship: Mask
-    file: Ints
-    row: Ints
+    file: Indices
+    row: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +77,7 @@ class Particulars(_Columns):
         beam_m: Where the source gives the beam itself.
     """
 
-    mmsi: Ints
+    mmsi: Indices
     time_s: Array
     name: NDArray[np.object_]
     ship_type: NDArray[np.object_]

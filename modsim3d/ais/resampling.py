@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.ais.reports import Ints, Mask
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 
 TRUST_M, TRUST_SHARE = 15.0, 0.25
 """Two reports' speeds and courses are believed if they miss the way between them by less than the sum of these."""
@@ -62,7 +61,7 @@ def resample(track: Track, times_s: Array, max_gap_s: float) -> tuple[Mask, Arra
     return there, _places(track, leg, share), track.headings_rad[leg] + share * turn[leg]
 
 
-def _places(track: Track, leg: Ints, share: Array) -> Array:
+def _places(track: Track, leg: Indices, share: Array) -> Array:
     span_s = np.diff(track.times_s)[:, None]
     way = np.diff(track.places_m, axis=0)
     leaving, arriving = track.velocities_m_s[:-1] * span_s, track.velocities_m_s[1:] * span_s

@@ -13,9 +13,9 @@ import numpy as np
 
 from modsim3d.ais.cleaning import NO_LATITUDE
 from modsim3d.ais.region import Region, wrapped_deg
-from modsim3d.ais.reports import Mask, Positions
+from modsim3d.ais.reports import Positions
+from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 
 NEAR_DEG, FAR_DEG = 1.0, 5.0
 """What turns up within the one when turned round, and beyond the other as it stands, was swapped."""

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.ais.reports import Ints, Mask
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 
 CELL_M = 1000.0
 HEIGHT_M = 20.0
@@ -86,7 +85,7 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     )
 
 
-def _busiest(places_m: Array, vessels: Ints) -> Array:
+def _busiest(places_m: Array, vessels: Indices) -> Array:
     """The middle of the places in the cell that most vessels visit, of equals the one with most poses."""
     cells = np.floor(places_m / CELL_M).astype(np.int64)
     names, cell = np.unique(cells, axis=0, return_inverse=True)

@@ -22,13 +22,11 @@ from modsim3d.annotate.analytic import Regions, occlusion_of_regions, visible_re
 from modsim3d.annotate.ordering import overlapping_pairs
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Occlusion
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics
-from modsim3d.frames import Array
 
 ROUNDING_PX = 1 / 128
 """Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""
-
-Mask = NDArray[np.bool_]
 
 
 class Verdict(IntEnum):
@@ -95,16 +93,16 @@ class Comparison:
     fraction: Array
     fraction_bound: Array
     seen_differs: Mask
-    full: NDArray[np.int64]
-    visible: NDArray[np.int64]
+    full: Indices
+    visible: Indices
     pixels_looked_at: Mask
 
-    def take(self, rows: NDArray[np.int64]) -> Comparison:
+    def take(self, rows: Indices) -> Comparison:
         """The rows chosen."""
         return Comparison(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
-    def worst(self) -> NDArray[np.int64]:
+    def worst(self) -> Indices:
         """The greater of a row's two verdicts, shape (n,)."""
         return np.maximum(self.full, self.visible)
 
@@ -137,7 +135,7 @@ def compare_with_analytic(
     return _with_meshes(found, known, outlines).take(np.flatnonzero(outlines.boxed))
 
 
-def _with_meshes(found: Comparison, known: NDArray[np.int64], outlines: Outlines) -> Comparison:
+def _with_meshes(found: Comparison, known: Indices, outlines: Outlines) -> Comparison:
     """The comparison of some rows as one of all; the others, and what is seen of those beside them, are not known."""
     count, unknown = len(outlines), ~outlines.convex
     columns = {}

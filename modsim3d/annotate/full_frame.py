@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.comparison import PixelMasks
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.record import Hidden, Occlusion
 from modsim3d.annotate.triangles import Triangles, triangles_of
+from modsim3d.arrays import Array, Mask
 from modsim3d.camera import Intrinsics
-from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
 
 TILE_PX = (8192, 4096)
@@ -153,7 +152,7 @@ def _count(drawing: _Drawing, tally: _Tally, rows: slice, tile: Region) -> None:
             tally.hiders[row][int(hider) - 1] += int(pixels)
 
 
-def _add(counts: Array, boxes: Array, row: int, mask: NDArray[np.bool_], region: Region) -> None:
+def _add(counts: Array, boxes: Array, row: int, mask: Mask, region: Region) -> None:
     """Add a mask's pixels to a row's count and box."""
     pixels = np.count_nonzero(mask)
     if pixels:
@@ -162,7 +161,7 @@ def _add(counts: Array, boxes: Array, row: int, mask: NDArray[np.bool_], region:
         boxes[row] = [*np.minimum(boxes[row, :2], box[:2]), *np.maximum(boxes[row, 2:], box[2:])]
 
 
-def mask_box(mask: NDArray[np.bool_], region: Region) -> Array:
+def mask_box(mask: Mask, region: Region) -> Array:
     """Half-open box of the true pixels of a region: [min column, max column + 1), in pixels.
 
     Args:

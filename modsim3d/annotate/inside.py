@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.bodies import Bodies
-from modsim3d.frames import Array
 
 INSIDE = 2 * np.pi
 """A closed mesh fills the whole sphere of 4π seen from inside it, and nothing from outside."""

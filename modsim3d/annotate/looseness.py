@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.vessels import Vessel
+from modsim3d.boxes import sizes
 
 
 @dataclass
@@ -55,7 +56,7 @@ class Looseness:
 
 
 def _areas(boxes_px: Array) -> Array:
-    areas: Array = (boxes_px[:, 2:] - boxes_px[:, :2]).prod(axis=1)
+    areas: Array = sizes(boxes_px).prod(axis=1)
     return areas
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.record import Truth
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Mask
+from modsim3d.boxes import sizes
 
 MODES = (0, 1, 2)
 SOURCES = ("rendered", "analytic", "rectangles")
@@ -45,11 +45,11 @@ def annotation_boxes(truth: Truth, mode: int) -> Array:
     return truth.visible_boxes_px if mode == 2 else truth.full_boxes_px
 
 
-def annotated_rows(truth: Truth, annotation: Annotation) -> NDArray[np.bool_]:
+def annotated_rows(truth: Truth, annotation: Annotation) -> Mask:
     """Whether the mode and the filters keep each row, shape (n,)."""
     boxes = annotation_boxes(truth, annotation.mode)
-    big_enough = boxes[:, 2:] - boxes[:, :2] >= annotation.min_box_px  # a missing box is NaN: not kept
-    keep: NDArray[np.bool_] = np.all(big_enough, axis=1)
+    big_enough = sizes(boxes) >= annotation.min_box_px  # a missing box is NaN: not kept
+    keep: Mask = np.all(big_enough, axis=1)
     # What cannot be told (NaN) is kept only if nobody asks.
     if annotation.min_visible_px > 0:
         keep &= truth.visible_px >= annotation.min_visible_px

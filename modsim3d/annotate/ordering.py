@@ -12,10 +12,9 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.vessels import Solid
 
 TOUCHING_M = 1e-7
@@ -23,8 +22,6 @@ TOUCHING_M = 1e-7
 
 MOST_COORDINATES = 4_000_000
 """Vertices of pairs of solids along axes that are worked out at a time; it bounds the memory."""
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +38,12 @@ class Order:
 
     first: Indices
     second: Indices
-    first_can_hide: NDArray[np.bool_]
-    second_can_hide: NDArray[np.bool_]
-    intersecting: NDArray[np.bool_]
+    first_can_hide: Mask
+    second_can_hide: Mask
+    intersecting: Mask
 
 
-def overlapping_pairs(
-    frame: Indices, boxes_px: Array, some_of: NDArray[np.bool_] | None = None
-) -> tuple[Indices, Indices]:
+def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = None) -> tuple[Indices, Indices]:
     """Pairs of rows of the same frame whose boxes overlap.
 
     Args:
@@ -142,7 +137,7 @@ def _places(outlines: Outlines) -> tuple[Indices, Indices]:
     return part_of, member_of
 
 
-def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[Mask, Mask]:
     """Whether the first can hide the second and the second the first, shape (P, 2); whether a plane separates them."""
     low_a, high_a = extents_along(vertices_a, axes)
     low_b, high_b = extents_along(vertices_b, axes)
@@ -151,7 +146,7 @@ def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[ND
     a_below, b_below = high_a <= low_b + TOUCHING_M, high_b <= low_a + TOUCHING_M
     first_is_safe = (a_below & (low_b >= 0)) | (b_below & (high_b <= 0))
     second_is_safe = (b_below & (low_a >= 0)) | (a_below & (high_a <= 0))
-    separated: NDArray[np.bool_] = np.any(a_below | b_below, axis=1)
+    separated: Mask = np.any(a_below | b_below, axis=1)
     safe = np.stack([np.any(second_is_safe, axis=1), np.any(first_is_safe, axis=1)], axis=1)
     return separated[:, None] & ~safe, separated
 

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from modsim3d.annotate.silhouettes import cut_near, in_image, share_in_image, silhouette_polygons
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.bodies import Bodies
 from modsim3d.camera import CameraPoses, Intrinsics, clip_triangles, guard_planes
-from modsim3d.frames import Array
 from modsim3d.vessels import Solid
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +54,12 @@ class Outlines:
 
     frame: Indices
     vessel: Indices
-    boxed: NDArray[np.bool_]
+    boxed: Mask
     boxes_px: Array
     areas_px: Array
     in_frame_fraction: Array
     depth_m: Array
-    crosses_near: NDArray[np.bool_]
+    crosses_near: Mask
     parts: tuple[Part, ...]
 
     def __len__(self) -> int:
@@ -70,7 +67,7 @@ class Outlines:
         return len(self.frame)
 
     @property
-    def convex(self) -> NDArray[np.bool_]:
+    def convex(self) -> Mask:
         """Whether each solid is convex, shape (n,)."""
         convex = np.ones(len(self), dtype=bool)
         for part in self.parts:
@@ -130,7 +127,7 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
     in_front = camera[..., 2] >= intrinsics.near_clip_m
     frame, body = np.nonzero(bodies.present & in_front.any(axis=-1))
     vertices, behind = camera[frame, body], ~in_front[frame, body]
-    crosses: NDArray[np.bool_] = np.any(behind, axis=-1)
+    crosses: Mask = np.any(behind, axis=-1)
     pixels = pinhole.project(vertices)
     boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
     size = np.array(pinhole.image_size_px, dtype=np.float64)

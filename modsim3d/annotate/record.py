@@ -7,11 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
-
-Indices = NDArray[np.int64]
+from modsim3d.arrays import Array, Indices, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +49,14 @@ class Truth:
     occluder_offsets: Indices
     occluder: Indices
     occluder_px: Array
-    annotated: NDArray[np.bool_]
+    annotated: Mask
     intersections: Indices
 
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.step)
 
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Truth:
+    def take(self, rows: Indices | Mask | slice) -> Truth:
         """The rows chosen, in the order given."""
         chosen = np.arange(len(self))[rows]
         counts = np.diff(self.occluder_offsets)[chosen]
@@ -75,7 +72,7 @@ class Truth:
             intersections=self.intersections,
         )
 
-    def with_annotated(self, annotated: NDArray[np.bool_]) -> Truth:
+    def with_annotated(self, annotated: Mask) -> Truth:
         """The same rows with another choice of what is annotated."""
         return replace(self, annotated=annotated)
 

@@ -9,12 +9,11 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.annotate.record import Hidden
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices
 
 NOTHING_PX2 = 1e-6
 """Regions smaller than this are rounding errors of cutting one polygon by another."""
 
-Indices = NDArray[np.int64]
 Polygons = NDArray[np.object_]
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.full_frame import TILE_PX, full_frame_occlusion, pixel_masks
 from modsim3d.annotate.ordering import overlapping_pairs
@@ -30,11 +29,9 @@ from modsim3d.annotate.spans import (
     spans_of_runs,
 )
 from modsim3d.annotate.triangles import Triangles, triangles_of, within_guard
+from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Intrinsics
-from modsim3d.frames import Array
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
-
-Indices = NDArray[np.int64]
 
 ATLAS_PX = (1024, 1024)
 """Small clusters are drawn together into buffers of this size: a drawing costs as much as ten thousand pixels."""

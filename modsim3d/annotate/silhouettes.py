@@ -6,8 +6,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Mask
 from modsim3d.camera import Intrinsics, clip_triangles, near_plane
-from modsim3d.frames import Array
 from modsim3d.vessels import Solid
 
 NO_AREA_PX2 = 1e-9
@@ -15,7 +15,7 @@ NO_AREA_PX2 = 1e-9
 
 
 def silhouette_polygons(
-    intrinsics: Intrinsics, vertices: Array, pixels: Array, crosses: NDArray[np.bool_], solid: Solid
+    intrinsics: Intrinsics, vertices: Array, pixels: Array, crosses: Mask, solid: Solid
 ) -> NDArray[np.object_]:
     """Whole silhouettes as polygons, cut at the near plane.
 

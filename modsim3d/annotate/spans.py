@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.vessels import Solid
 
-Indices = NDArray[np.int64]
 HALF = SUBPIXELS // 2
 
 
@@ -42,7 +41,7 @@ class Spans:
         empty = np.empty(0, dtype=np.int64)
         return cls(empty, empty, empty, empty)
 
-    def take(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Spans:
+    def take(self, chosen: Mask | Indices) -> Spans:
         """The spans chosen."""
         return Spans(self.row[chosen], self.y[chosen], self.start[chosen], self.stop[chosen])
 
@@ -152,9 +151,7 @@ def scan_convert(vertices_px: Array, solid: Solid, edges: Edges, image_size: tup
     return _join(row[which], y, column, is_start[which], len(vertices_px), height)
 
 
-def _join(
-    row: Indices, y: Indices, column: Indices, is_start: NDArray[np.bool_], count: int, height: int
-) -> tuple[Spans, Indices]:
+def _join(row: Indices, y: Indices, column: Indices, is_start: Mask, count: int, height: int) -> tuple[Spans, Indices]:
     """Pair the one start and the one end of each silhouette's scan lines."""
     line = row * height + y
     starts, ends = np.flatnonzero(is_start), np.flatnonzero(~is_start)

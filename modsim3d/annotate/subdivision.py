@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.camera import Intrinsics
-from modsim3d.frames import Array
 
 
 def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> Array:

@@ -5,21 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.silhouettes import cut_near
 from modsim3d.annotate.subdivision import subdivided
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics, clip_triangles, guard_planes
-from modsim3d.frames import Array
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are cut there, in double precision, before they are drawn. Counted in
 buffer pixels, as it keeps corners where OpenGL does not cut them itself."""
 LENS_GUARD_PX = 1.0
 """The same for a lens that distorts, beyond whose image nothing may be projected: it might be folded back into it."""
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +33,14 @@ class Triangles:
     row: Indices
     corners_px: Array
     inverse_depth: Array
-    of_whole: NDArray[np.bool_]
+    of_whole: Mask
 
-    def take(self, chosen: NDArray[np.bool_]) -> Triangles:
+    def take(self, chosen: Mask) -> Triangles:
         """The triangles chosen."""
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 
-def within_guard(
-    outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX
-) -> NDArray[np.bool_]:
+def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX) -> Mask:
     """Whether each row can be drawn as it is, shape (n,).
 
     Its vertices are in front of the near plane and not far outside the image, and the lens keeps its edges straight.

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask, at_least_a_pixel, clip, move, sizes
-from modsim3d.detector.model import DetectorModel, read_only
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.arrays import Array, Indices, Mask, read_only
+from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 
@@ -106,7 +107,7 @@ class NormalBoxError:
         image, state = frames.image_size_px, states[targets.frame]
         truth = at_least_a_pixel(targets.boxes_px, image)
         errors = self.errors_px(state, sizes(truth), standard)
-        redrawn = ~acceptable(move(truth, errors), image)
+        redrawn = ~inside_image(move(truth, errors), image)
         bad = np.flatnonzero(redrawn)
         for start in range(0, len(bad), _ROWS_AT_ONCE):
             rows = bad[start : start + _ROWS_AT_ONCE]
@@ -167,7 +168,7 @@ class NormalBoxError:
             batch = min(batch, MOST_DRAWS - drawn)
             standard = np.stack([generators[i].standard_normal((batch, 4)) for i in pending])
             candidates = self.errors_px(state[rows[pending]], sizes(truth[rows[pending]]), standard)
-            accepted = acceptable(move(truth[rows[pending], None], candidates), frames.image_size_px)
+            accepted = inside_image(move(truth[rows[pending], None], candidates), frames.image_size_px)
             found, first = accepted.any(axis=1), accepted.argmax(axis=1)
             errors[pending[found]] = candidates[found, first[found]]
             pending, drawn, batch = pending[~found], drawn + batch, min(4 * batch, _LARGEST_BATCH)
@@ -191,9 +192,3 @@ def _generator(streams: Streams, purpose: str, frames: Frames, targets: Targets,
     vessel = targets.vessel_ids[targets.vessel[row]]
     step = int(frames.steps[targets.frame[row]])
     return streams.generator(f"{purpose}_redraw", frames.camera, vessel, step=step)
-
-
-def acceptable(boxes_px: Array, image_size_px: tuple[int, int]) -> Mask:
-    """Which boxes, clipped to the image, are at least a pixel wide and high; shape (...) for boxes (..., 4)."""
-    large: Mask = sizes(clip(boxes_px, image_size_px)) >= 1 - _ROUNDING_PX
-    return large[..., 0] & large[..., 1]

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import sizes, unions
 from modsim3d.detector.box_error import Misplaced, NormalBoxError
-from modsim3d.detector.boxes import Mask, sizes
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
 from modsim3d.detector.confidence import Confidence
-from modsim3d.detector.doubles import Events, halves, union
+from modsim3d.detector.doubles import Events, halves
 from modsim3d.detector.draws import normals, select, target_uniforms
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock, VesselNoise
@@ -25,10 +26,8 @@ from modsim3d.detector.records import (
     PERSISTENT,
     SPLIT,
     TRUE,
-    Array,
     Detections,
     Frames,
-    Indices,
     Targets,
 )
 from modsim3d.detector.reference import Reference
@@ -136,7 +135,7 @@ class Detector:
             return _Shown(kept, rows, np.full(len(rows), -1), label)
         larger, smaller = pairs.T
         boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
-        boxes[larger], partner[larger] = union(boxes[larger], boxes[smaller]), rows[smaller]
+        boxes[larger], partner[larger] = unions(boxes[larger], boxes[smaller]), rows[smaller]
         rest = np.setdiff1d(np.arange(len(rows)), smaller)
         return _Shown(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
 

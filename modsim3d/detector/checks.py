@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.detector.records import Array
 
 SUM_TOLERANCE = 1e-6
 ROUNDING = 1e-9

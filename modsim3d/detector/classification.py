@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.detector.records import Frames, Targets
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 

@@ -8,12 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask, clip, sizes
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import clip, sizes
 from modsim3d.detector.clutter_sizes import SceneSizes, Sizes
 from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, poisson_quantile, step_uniforms
 from modsim3d.detector.persistent_clutter import wanderers
 from modsim3d.detector.placement import DRAWS, Placement
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.detector.records import Frames, Targets
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from scipy import special
 
+from modsim3d.arrays import Array
 from modsim3d.detector.draws import normals
-from modsim3d.detector.records import Array
 from modsim3d.detector.reference import Reference
 
 _LN_2 = math.log(2)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.draws import log2
-from modsim3d.detector.records import Array, Indices
 from modsim3d.detector.scores import Scores
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 
 

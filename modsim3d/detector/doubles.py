@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask, sizes
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import sizes
 from modsim3d.detector.draws import keyed_uniforms, target_uniforms
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.detector.records import Frames, Targets
 from modsim3d.random_streams import Streams
 
 _LEAST_CUT, _MOST_CUT = 0.3, 0.7
@@ -100,12 +101,6 @@ class Events:
     split: Indices
     cut: Array
     expected: Array
-
-
-def union(first_px: Array, second_px: Array) -> Array:
-    """The least box around two, shape (k, 4)."""
-    low, high = np.minimum(first_px, second_px), np.maximum(first_px, second_px)
-    return np.concatenate([low[:, :2], high[:, 2:]], axis=1)
 
 
 def halves(boxes_px: Array, cut: Array) -> tuple[Array, Array]:

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.arrays import Array, Indices
+from modsim3d.detector.records import Frames, Targets
 from modsim3d.random_streams import Streams
 
 _LN_2 = math.log(2)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.boxes import sizes
+from modsim3d.arrays import Array
+from modsim3d.boxes import sizes
 from modsim3d.detector.draws import log2
-from modsim3d.detector.records import Array, Targets
+from modsim3d.detector.records import Targets
 
 MOST_LOG_ODDS = 30.0
 """Beyond this a rate differs from 0 or 1 by less than 1e-13."""

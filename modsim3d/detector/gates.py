@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask, sizes
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import sizes
+from modsim3d.detector.records import Frames, Targets
 
 _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the frame at 0.6 s is due
 

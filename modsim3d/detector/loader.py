@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from modsim3d.arrays import Array, read_only
 from modsim3d.detector.agreement import agreement_problems
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
@@ -18,11 +19,10 @@ from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.doubles import Doubles
 from modsim3d.detector.dropout import Dropout, Slope, Table
 from modsim3d.detector.gates import Gates
-from modsim3d.detector.model import DetectorModel, PerformanceState, read_only
+from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.placement import Placement
-from modsim3d.detector.records import Array
 from modsim3d.detector.schema import DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.schema_models import (
     ConfidenceKeys,

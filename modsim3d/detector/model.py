@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from modsim3d.arrays import Array, read_only
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.doubles import Doubles
@@ -14,17 +14,9 @@ from modsim3d.detector.dropout import Dropout
 from modsim3d.detector.gates import Gates
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
-from modsim3d.detector.records import Array
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
 """Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height, in pixels."""
-
-
-def read_only(values: ArrayLike) -> Array:
-    """A copy as doubles that cannot be written to."""
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
-    return array
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices
 
 _EARLY_S = 1e-9  # a time read from text and one worked out may differ by rounding
 

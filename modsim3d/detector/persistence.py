@@ -15,8 +15,9 @@ from typing import Protocol
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import normals, target_uniforms
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import poisson_quantile
-from modsim3d.detector.records import Array, Frames, Indices
+from modsim3d.detector.records import Frames
 from modsim3d.random_streams import Streams
 
 _LOOK_BACK = 38

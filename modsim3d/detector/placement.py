@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.boxes import Mask
+from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import choose, cumulative
-from modsim3d.detector.records import Array
 from modsim3d.detector.sea import sea_polygons, uniform_places
 
 _NODES = 129

@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from modsim3d.arrays import Array, Indices, Mask
 
 KINDS = ("true", "false_positive", "persistent_false_positive", "duplicate", "merged", "split", "fragment")
 """Where a detection came from; `Detections.kind` indexes this.
@@ -102,13 +100,13 @@ class Detections:
     confidence: Array
     boxes_px: Array
     errors_px: Array
-    redrawn: NDArray[np.bool_]
-    gated: NDArray[np.bool_]
+    redrawn: Mask
+    gated: Mask
 
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.frame)
 
-    def false(self) -> NDArray[np.bool_]:
+    def false(self) -> Mask:
         """Which are not the one detection of a vessel, shape (m,)."""
         return np.isin(self.kind, FALSE_KINDS)

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modsim3d.detector.boxes import sizes
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import sizes
 from modsim3d.detector.draws import cumulative, log2
 from modsim3d.detector.dropout import Dropout
-from modsim3d.detector.records import Array, Frames, Indices, Targets
+from modsim3d.detector.records import Frames, Targets
 
 LOG_ODDS_STEP = 1 / 4096
 """Width of a range of log-odds: a rate held over them is off by at most half of it times p·(1 − p), so 3e-5."""

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.detector.draws import normals
-from modsim3d.detector.records import Array
 
 CURVE_POINTS = 2049
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask
+from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import choose, cumulative
-from modsim3d.detector.records import Array
 
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:

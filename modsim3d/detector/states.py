@@ -6,9 +6,10 @@ import bisect
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Frames, Indices
+from modsim3d.detector.records import Frames
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 

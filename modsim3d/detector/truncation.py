@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.box_error import NormalBoxError, acceptable
-from modsim3d.detector.boxes import at_least_a_pixel, move, sizes
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import at_least_a_pixel, inside_image, move, sizes
+from modsim3d.detector.box_error import NormalBoxError
 from modsim3d.detector.draws import normals
-from modsim3d.detector.records import Array, Indices
 
 POINTS = 4096
 """Points that each box is integrated over. For boxes that keep a third of their draws or more, means are off by less
@@ -81,7 +81,7 @@ def truncated_errors(
         rows = slice(start, start + _BOXES_AT_ONCE)
         spread = np.broadcast_to(standard, (len(truth[rows]), *standard.shape))
         errors = error.errors_px(state[rows], sizes(truth[rows]), spread)
-        kept = acceptable(move(truth[rows, None], errors), image_size_px).astype(np.float64)
+        kept = inside_image(move(truth[rows, None], errors), image_size_px).astype(np.float64)
         if in_file_units:
             errors = error.in_file_units(state[rows], sizes(truth[rows]), errors)
         count = np.maximum(kept.sum(axis=1), 1)

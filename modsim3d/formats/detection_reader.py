@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import corner_form
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, Detections, Frames, Targets
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.table_reader import ERRORS, read_where
-from modsim3d.frames import Array
-
-Indices = NDArray[np.int64]
+from modsim3d.formats.tables import CENTRE_FORM
 
 
 def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets: Targets) -> Detections:
@@ -83,9 +82,7 @@ def _doubles(table: pa.Table, name: str) -> Array:
 
 
 def _boxes(table: pa.Table) -> Array:
-    centre = np.column_stack([_doubles(table, "x_px"), _doubles(table, "y_px")])
-    half = np.column_stack([_doubles(table, "width_px"), _doubles(table, "height_px")]) / 2
-    return np.concatenate([centre - half, centre + half], axis=1)
+    return corner_form(np.column_stack([_doubles(table, name) for name in CENTRE_FORM]))
 
 
 def _indices(column: pa.ChunkedArray, names: Any, path: Path, what: str) -> Indices:

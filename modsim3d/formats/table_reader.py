@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from modsim3d.annotate.record import Truth
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.block import Frame, FrameDetections, FrameTruth
+from modsim3d.boxes import corner_form
 from modsim3d.errors import RunDirectoryError
-from modsim3d.formats.tables import BOX_SIDES
-from modsim3d.frames import Array
+from modsim3d.formats.tables import BOX_SIDES, CENTRE_FORM
 from modsim3d.scene import Scene
 
 ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
@@ -143,12 +143,10 @@ def _frame_truth(rows: pa.Table, scene: Scene) -> FrameTruth:
 
 
 def _frame_detections(rows: pa.Table) -> FrameDetections:
-    centre = np.column_stack([_doubles(rows[name]) for name in ("x_px", "y_px")])
-    half = np.column_stack([_doubles(rows[name]) for name in ("width_px", "height_px")]) / 2
     return FrameDetections(
         labels=tuple(rows["label"].to_pylist()),
         confidence=_doubles(rows["confidence"]),
-        boxes_px=np.concatenate([centre - half, centre + half], axis=1),
+        boxes_px=corner_form(np.column_stack([_doubles(rows[name]) for name in CENTRE_FORM])),
         kinds=tuple(rows["kind"].to_pylist()),
         vessels=tuple(rows["vessel"].to_pylist()),
         errors_px=np.column_stack([_doubles(rows[name]) for name in ERRORS]),
@@ -160,7 +158,7 @@ def _doubles(column: pa.ChunkedArray) -> Array:
     return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
 
 
-def _flags(column: pa.ChunkedArray) -> NDArray[np.bool_]:
+def _flags(column: pa.ChunkedArray) -> Mask:
     return np.asarray(column.to_numpy(zero_copy_only=False), dtype=bool)
 
 
@@ -168,6 +166,6 @@ def _boxes(table: pa.Table, prefix: str) -> Array:
     return np.column_stack([_doubles(table[f"{prefix}_{side}"]) for side in BOX_SIDES])
 
 
-def _indices(column: pa.ChunkedArray | pa.Array, names: Sequence[str]) -> NDArray[np.int64]:
+def _indices(column: pa.ChunkedArray | pa.Array, names: Sequence[str]) -> Indices:
     index = {name: i for i, name in enumerate(names)}
     return np.array([index[name] for name in column.to_pylist()], dtype=np.int64)

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.block import Block, CameraBlock
+from modsim3d.boxes import centre_form
 from modsim3d.detector.records import KINDS
-from modsim3d.formats.thesis_json import centre_form
-from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
@@ -21,6 +20,7 @@ MOST_WAITING = 64
 """Tables that wait to be written: one of a single row takes thousands of bytes."""
 
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
+CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
 _OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
 
@@ -135,11 +135,11 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
     return _in_order(DETECTIONS, tables)
 
 
-def _count(part: CameraBlock, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _count(part: CameraBlock, chosen: Mask) -> Indices:
     return np.bincount(part.detections.frame[chosen], minlength=len(part.steps))
 
 
-def _keys(block: Block, part: CameraBlock, scene: Scene, step: NDArray[np.int64]) -> dict[str, Any]:
+def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:
     return {
         "camera": _named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
         "step": step,
@@ -147,7 +147,7 @@ def _keys(block: Block, part: CameraBlock, scene: Scene, step: NDArray[np.int64]
     }
 
 
-def _named(names: tuple[str, ...] | list[str], indices: NDArray[np.int64]) -> pa.Array:
+def _named(names: tuple[str, ...] | list[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
     return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
 

@@ -15,18 +15,12 @@ import orjson
 
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.block import Block, CameraBlock
+from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
-from modsim3d.frames import Array
 from modsim3d.scene import Scene
 
 JOINED_BYTES = 1 << 22
 """Lines are joined this many bytes at a time."""
-
-
-def centre_form(boxes_px: Array) -> Array:
-    """Centre x, centre y, width, height of boxes given as x_min, y_min, x_max, y_max, shape (n, 4)."""
-    size = boxes_px[:, 2:] - boxes_px[:, :2]
-    return np.concatenate([boxes_px[:, :2] + size / 2, size], axis=1)
 
 
 def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
-from modsim3d.learn.labelled import Labelled, Mask
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.matching import Matched
 
 COCO_POINTS, FEW_POINTS = 101, 11

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array
 from modsim3d.learn.figures import covariance
 
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.detector.boxes import Mask, clip, move, sizes
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import clip, move, sizes
 from modsim3d.detector.doubles import LEAST_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
-from modsim3d.detector.records import TRUE, Array, Indices
+from modsim3d.detector.records import TRUE
 from modsim3d.learn.class_checks import correlation_note
 from modsim3d.learn.error_fit import (
     PAIRS,

@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
@@ -36,7 +35,7 @@ class Asked:
         edges: Between them a uniform number means one label after the other, then a miss, shape (n, labels + 2).
     """
 
-    passed: NDArray[np.bool_]
+    passed: Mask
     edges: Array
 
     @property
@@ -112,7 +111,7 @@ def _entry(model: DetectorModel, evidence: Evidence, asked: Asked, rows: Indices
 
 
 def _share(
-    model: DetectorModel, evidence: Evidence, rows: Indices, happened: NDArray[np.bool_], low: Array, high: Array
+    model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
 ) -> Measure | None:
     """How often a uniform number was between bounds, which each row has for itself."""
     if len(rows) < LEAST_CHANCES:

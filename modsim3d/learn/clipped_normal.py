@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array
 from modsim3d.learn.measures import Estimate
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array
 
 _STEPS = 400
 _SETTLED = 1e-10

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.detector.boxes import sizes
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import centres, sizes, unions
 from modsim3d.detector.chain import clutter_of
-from modsim3d.detector.doubles import union
 from modsim3d.detector.draws import select
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistent_clutter import wanderers
 from modsim3d.detector.placement import DRAWS
-from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Array, Frames, Indices, Targets
+from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Frames, Targets
 from modsim3d.learn.evidence import Evidence, Seen
 from modsim3d.learn.law_measures import Law
 from modsim3d.learn.limits import limit_note
@@ -75,7 +75,7 @@ def _kept(seen: Seen) -> Targets:
     kept = select(seen.targets, found.target[true])
     merged = np.flatnonzero(found.partner[true] >= 0)
     boxes = kept.boxes_px.copy()
-    boxes[merged] = union(boxes[merged], seen.targets.boxes_px[found.partner[true[merged]]])
+    boxes[merged] = unions(boxes[merged], seen.targets.boxes_px[found.partner[true[merged]]])
     return Targets(
         vessel_ids=kept.vessel_ids,
         frame=kept.frame,
@@ -91,7 +91,7 @@ def _looks(frames: Frames, frame: Indices, boxes_px: Array) -> Array:
     """Depth of the middle below the horizon, place along it, width, height; in pixels, shape (m, 4)."""
     a, b, c = frames.sea_half_planes[frame].T
     length = np.hypot(a, b)
-    x, y = (boxes_px[:, :2] + boxes_px[:, 2:]).T / 2
+    x, y = centres(boxes_px).T
     some, level = np.where(length > 0, length, 1), length == 0  # without a horizon: depth below the upper edge
     below = np.where(level, y, (a * x + b * y + c) / some)
     along = np.where(level, x, (b * x - a * y) / some)

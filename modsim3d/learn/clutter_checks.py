@@ -6,20 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.boxes import sizes
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import sizes
 from modsim3d.detector.doubles import LEAST_SPLIT_PX, Doubles
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import (
-    DUPLICATE,
-    FALSE_POSITIVE,
-    FRAGMENT,
-    MERGED,
-    PERSISTENT,
-    SPLIT,
-    TRUE,
-    Array,
-    Indices,
-)
+from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, PERSISTENT, SPLIT, TRUE
 from modsim3d.learn.clutter_box_checks import clutter_box_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_broken, limit_note

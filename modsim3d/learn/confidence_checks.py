@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.boxes import sizes
+from modsim3d.arrays import Array
+from modsim3d.boxes import sizes
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array
 from modsim3d.detector.scores import NormalScores, QuantileScores, Scores
 from modsim3d.learn.clipped_normal import Clipped
 from modsim3d.learn.evidence import Evidence

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import log2
 from modsim3d.detector.dropout import ATTRIBUTES, Slope, Table
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.measures import Estimate
 from modsim3d.learn.pairs import lag_pairs
@@ -18,7 +17,7 @@ LEAST_MISSES = 30
 
 
 def dropout_checks(
-    model: DetectorModel, evidence: Evidence, passed: NDArray[np.bool_], missed: Array, group: str
+    model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array, group: str
 ) -> list[Parameter]:
     """Each slope, and each range of each table, with the rates of all states and labels free beside it.
 
@@ -52,7 +51,7 @@ def _columns(effect: Slope | Table, values: Array) -> list[tuple[str, float, Arr
 def _effect(
     model: DetectorModel,
     evidence: Evidence,
-    passed: NDArray[np.bool_],
+    passed: Mask,
     missed: Array,
     column: Array,
     asked: float,

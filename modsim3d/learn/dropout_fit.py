@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.records import Array, Indices
-from modsim3d.learn.labelled import Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
 

@@ -12,11 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.detector.boxes import sizes
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import sizes
 from modsim3d.detector.model import PerformanceState
-from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.truncation import Accepted, accepted_errors
 
 FIRST, SECOND = np.triu_indices(4)
@@ -54,7 +53,7 @@ class NormalLaw:
         return cls(np.array(state.box_error_mean_px), std, correlation, relative, np.array(state.box_error_growth))
 
     @property
-    def growing(self) -> NDArray[np.int64]:
+    def growing(self) -> Indices:
         """Components whose standard deviations grow."""
         return np.flatnonzero(self.growth > 0)
 
@@ -147,7 +146,7 @@ class MomentTable:
 
     def __init__(self) -> None:
         """Nothing known yet."""
-        self._known: dict[bytes, tuple[NDArray[np.bool_], Array, Array, Array]] = {}
+        self._known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
 
     def branch(self) -> MomentTable:
         """A table that knows what this one does, and keeps further laws to itself."""

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.box_error import symmetric_root
-from modsim3d.detector.boxes import Mask
-from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.error_fit import ErrorSample, NormalLaw
 
 REPLAYS = 300

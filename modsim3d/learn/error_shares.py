@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.average_precision import Curve
-from modsim3d.learn.labelled import NOBODY, Labelled, Mask
+from modsim3d.learn.labelled import NOBODY, Labelled
 from modsim3d.learn.matching import Rule, image_pairs, match, overlap
 
 KINDS = ("classification", "localisation", "both", "duplicate", "background", "missed")

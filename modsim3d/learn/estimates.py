@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import centres, sizes
 from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.figures import error_columns
@@ -183,7 +184,7 @@ def _clutter(observed: Observed, form: Form, resampling: Resampling) -> Columns:
         columns |= _sizes(image, boxes, observed.labelled.images.sizes_px[image], resampling)
     if form.grid:
         rows, across = form.grid
-        centre = (boxes[:, :2] + boxes[:, 2:]) / 2 / observed.labelled.images.sizes_px[image]
+        centre = centres(boxes) / observed.labelled.images.sizes_px[image]
         place = np.clip(np.floor(centre * [across, rows]), 0, [across - 1, rows - 1]).astype(np.int64)
         map_ = resampling.counts(image, place[:, 1] * across + place[:, 0], form.grid)
         total = map_.sum(axis=(1, 2), keepdims=True)
@@ -196,12 +197,12 @@ def _sizes(image: Indices, boxes_px: Array, sizes_px: Array, resampling: Resampl
 
     From boxes whose centres are farther from the image's edge than half of almost any box: the edge cuts the others.
     """
-    half = np.quantile(boxes_px[:, 2:] - boxes_px[:, :2], _ALMOST_ANY, axis=0) / 2
-    centre = (boxes_px[:, :2] + boxes_px[:, 2:]) / 2
+    half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2
+    centre = centres(boxes_px)
     inner = np.all((centre > half) & ((centre < sizes_px - half) | np.isnan(sizes_px)), axis=1)
     if inner.sum() >= FALSE_NEEDED:
         image, boxes_px = image[inner], boxes_px[inner]
-    sides = np.log(np.maximum(boxes_px[:, 2:] - boxes_px[:, :2], 1e-6))
+    sides = np.log(np.maximum(sizes(boxes_px), 1e-6))
     scale = sides.mean(axis=1)
     values = np.column_stack([np.ones(len(sides)), sides, scale, scale**2])
     sums = resampling.sums(image, values)

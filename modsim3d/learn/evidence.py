@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.detector.boxes import at_least_a_pixel
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import at_least_a_pixel
 from modsim3d.detector.chain import reference_of
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Detections, Frames, Indices, Targets
+from modsim3d.detector.records import Detections, Frames, Targets
 from modsim3d.detector.reference import Reference
 
 Columns = dict[str, NDArray[Any]]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array, Mask
+from modsim3d.boxes import errors_between
 from modsim3d.learn.average_precision import NUMBERS, Ranking, average_precisions
-from modsim3d.learn.labelled import Labelled, Mask
+from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column, Resampling
 
@@ -55,13 +56,6 @@ def covariance(std: Array, correlation: Array) -> Array:
         matrix[i, j] = matrix[j, i] = value
     result: Array = np.outer(std, std) * matrix
     return result
-
-
-def errors_px(found_px: Array, truth_px: Array) -> Array:
-    """Detected less true centre, width and height, shape (n, 4)."""
-    change = found_px - truth_px
-    low, high = change[:, :2], change[:, 2:]
-    return np.concatenate([(low + high) / 2, high - low], axis=1)
 
 
 def moments(resampling: Resampling, image: np.ndarray, values: Array) -> tuple[Array, Array, Array]:
@@ -169,7 +163,7 @@ def figures(
     found, truth = matched.pairs
     ours = images[labelled.found.image[found]]
     found, truth = found[ours], truth[ours]
-    error = errors_px(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth])
+    error = errors_between(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth])
     columns |= error_columns(resampling, labelled.found.image[found], error)
     columns["error covariance"] = _covariance_column(columns)
     columns |= _label_errors(resampling, labelled.found.image[found], labelled.truth.label[truth], error, k)

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector import Detector, reference_of
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.performance import Performance
-from modsim3d.detector.records import FALSE_KINDS, Array, Frames, Indices, Targets
+from modsim3d.detector.records import FALSE_KINDS, Frames, Targets
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.learn.labelled import NOBODY, Found, Labelled, sorted_by_image

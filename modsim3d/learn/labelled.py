@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import sizes
 
-Mask = NDArray[np.bool_]
 NOBODY = -1
 """No identity, no truth."""
 
@@ -71,9 +71,7 @@ class Truth:
     @property
     def size_px(self) -> Array:
         """Side of a square as large as the box, at least a pixel, shape (T,)."""
-        side: Array = np.maximum(
-            np.sqrt(np.prod(np.maximum(self.boxes_px[:, 2:] - self.boxes_px[:, :2], 0), axis=1)), 1
-        )
+        side: Array = np.maximum(np.sqrt(np.prod(np.maximum(sizes(self.boxes_px), 0), axis=1)), 1)
         return side
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 from scipy.stats import kstwo
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array
 from modsim3d.learn.measures import POWER, Interval, Noticed
 from modsim3d.learn.tails import two_sided
 

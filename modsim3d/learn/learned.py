@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices
 from modsim3d.learn.estimates import Columns, estimate
 from modsim3d.learn.figures import covariance
 from modsim3d.learn.form import QUANTILES, Form, choose_form, first_times

@@ -15,9 +15,10 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import areas, intersections, iou
 from modsim3d.errors import ModsimError
-from modsim3d.learn.labelled import NOBODY, Found, Labelled, Mask, Truth
+from modsim3d.learn.labelled import NOBODY, Found, Labelled, Truth
 
 PAIRS_AT_ONCE = 2_000_000
 METHODS = ("confidence", "optimal", "centre", "provenance")
@@ -84,29 +85,9 @@ class Matched:
         return rows
 
 
-def iou(a_px: Array, b_px: Array) -> Array:
-    """Intersection over union of boxes row by row, shape (n,) (Jessen & Mohr (2023), section 5.6.1)."""
-    common = _intersection(a_px, b_px)
-    together = _area(a_px) + _area(b_px) - common
-    result: Array = common / np.where(together > 0, together, 1.0)
-    return result
-
-
-def _area(boxes_px: Array) -> Array:
-    area: Array = (boxes_px[:, 2] - boxes_px[:, 0]) * (boxes_px[:, 3] - boxes_px[:, 1])
-    return area
-
-
-def _intersection(a_px: Array, b_px: Array) -> Array:
-    low, high = np.maximum(a_px[:, :2], b_px[:, :2]), np.minimum(a_px[:, 2:], b_px[:, 2:])
-    sides = np.maximum(high - low, 0)
-    common: Array = sides[:, 0] * sides[:, 1]
-    return common
-
-
 def overlap(boxes_px: Array, truth_px: Array, crowd: Mask) -> Array:
     """IoU; of crowds the share of the detection inside, as COCO has it; shape (n,)."""
-    inside: Array = _intersection(boxes_px, truth_px) / np.maximum(_area(boxes_px), 1e-300)
+    inside: Array = intersections(boxes_px, truth_px) / np.maximum(areas(boxes_px), 1e-300)
     return np.where(crowd, inside, iou(boxes_px, truth_px))
 
 

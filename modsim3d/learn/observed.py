@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
-from modsim3d.learn.figures import errors_px
-from modsim3d.learn.labelled import Labelled, Mask
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import errors_between, sizes
+from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.matching import Matched
 
 _LEAST_SPREADS = 4.5
@@ -81,7 +81,7 @@ class Observed:
         place = np.flatnonzero(~self.missed)
         rows, detection = self.rows[place], self.detection[place]
         truth_px = self.labelled.truth.boxes_px[rows]
-        error = errors_px(self.labelled.found.boxes_px[detection], truth_px)
+        error = errors_between(self.labelled.found.boxes_px[detection], truth_px)
         image = self.labelled.truth.image[rows]
         return Pairs(rows, image, self.image_state[image], self.labelled.found.confidence[detection], truth_px, error)
 
@@ -113,7 +113,7 @@ class Pairs:
     @property
     def sides_px(self) -> Array:
         """Width, height, width, height: what relative errors are relative to; at least a pixel; shape (m, 4)."""
-        return np.tile(np.maximum(self.truth_px[:, 2:] - self.truth_px[:, :2], 1.0), 2)
+        return np.tile(np.maximum(sizes(self.truth_px), 1.0), 2)
 
     def used(self, sizes_px: Array, unit: str, state: int) -> Mask:
         """Those that the box error of a state is learned from, by its unit in the words of `Form`, shape (m,)."""

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.evidence import Evidence
 
 _FORGOTTEN = 10.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.resampling import Resampling
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special, stats
 from scipy.sparse import csr_array
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.labelled import Images
 
 _LEAST_SPREAD = 1e-12
@@ -49,7 +48,7 @@ class Resampling:
         total: Array = np.asarray((by_image.T @ self.weights.T).T)
         return total.reshape(len(self.weights), *shape)
 
-    def units(self, chosen: NDArray[np.bool_]) -> int:
+    def units(self, chosen: Mask) -> int:
         """How many of what is drawn hold the chosen images."""
         return len(np.unique(self.unit[chosen]))
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.evidence import Evidence
 
 

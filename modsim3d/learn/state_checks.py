@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Array, Indices
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.law_measures import Occupancy
 from modsim3d.learn.measures import Exact
@@ -36,7 +35,7 @@ class Chain:
     steps: Indices
     times_s: Array
     states: Indices
-    forced: NDArray[np.bool_]
+    forced: Mask
 
 
 def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:

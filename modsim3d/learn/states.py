@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import Images
 from modsim3d.learn.transitions import Transitions, count_transitions

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.detector.records import Array, Indices
+from modsim3d.arrays import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 from scipy.stats import qmc
 
-from modsim3d.detector.records import Array
+from modsim3d.arrays import Array
 
 POINTS = 128
 """Points of a low-discrepancy sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson,

@@ -18,8 +18,8 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 from pydantic import ValidationError
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 from modsim3d.meshes.glb import read_glb
 from modsim3d.meshes.headers import read_obj, read_ply, read_stl
 from modsim3d.meshes.limits import Refused, leads_outside

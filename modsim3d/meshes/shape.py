@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.meshes.limits import MAX_COORDINATE, Refused, check_faces, check_vertices
 from modsim3d.vessels import Solid
 
-Faces = NDArray[np.int64]
+Faces = Indices
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 SAME_VERTEX = 1e-7
 """Vertices that are closer, in units of the box, are one: STL repeats each, in single precision."""

@@ -17,8 +17,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.poses.replay import RecordedPoses
 from modsim3d.random_streams import Streams

@@ -8,10 +8,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import ClassVar, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.vessels import Vessel
 
 
@@ -25,7 +22,7 @@ class Poses:
         headings_rad: Counter-clockwise from w1, shape (S, V); zero where absent.
     """
 
-    present: NDArray[np.bool_]
+    present: Mask
     positions_m: Array
     headings_rad: Array
 

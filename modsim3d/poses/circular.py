@@ -10,8 +10,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import Array
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.random_streams import Streams
 from modsim3d.validation import Metres, Rate, Strict

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.frames import Array
 from modsim3d.poses.base import Poses
 from modsim3d.poses.replay import time_problems
 

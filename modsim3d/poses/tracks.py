@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 from pydantic import RootModel
 
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import Array, heading_of
+from modsim3d.frames import heading_of
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.validation import Metres, Number, join_path, nearest
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.arrays import Array
 from modsim3d.errors import RendererError
-from modsim3d.frames import Array
 from modsim3d.render.context import GLContext
 
 SUBPIXELS = 256

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Mask
 from modsim3d.errors import RendererError
-from modsim3d.frames import Array
 from modsim3d.render.context import GLContext
 from modsim3d.render.id_pass import MAX_REGION_PX
 from modsim3d.render.shaded import import_pyrender
@@ -69,7 +69,7 @@ class Lit:
     depth_m: NDArray[np.float32]
 
     @property
-    def drawn(self) -> NDArray[np.bool_]:
+    def drawn(self) -> Mask:
         """Where something is."""
         return np.isfinite(self.depth_m)
 

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Camera
-from modsim3d.frames import Array
 from modsim3d.obstacles import Obstacle
 from modsim3d.poses.circular import CircularMotion
 from modsim3d.scene import Scene
@@ -39,7 +38,7 @@ class BirdsEye:
     cameras: tuple[int, ...]
 
     @cached_property
-    def track_steps(self) -> NDArray[np.int64]:
+    def track_steps(self) -> Indices:
         """The steps at which tracks have a point."""
         steps = np.linspace(0, self.steps - 1, min(self.steps, MOST_TRACK_POINTS))
         return np.unique(np.rint(steps).astype(np.int64))

@@ -9,7 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.view.palette import vessel_colour
 
 FOUND, ASKED = "#0072b2", "#d55e00"

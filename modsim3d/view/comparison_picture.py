@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
@@ -76,7 +76,7 @@ def comparison_picture(
     return picture
 
 
-def differing_pixels(seen: NDArray[np.bool_], exact: shapely.Geometry) -> NDArray[np.uint8]:
+def differing_pixels(seen: Mask, exact: shapely.Geometry) -> NDArray[np.uint8]:
     """Which source each pixel of an image belongs to: 0 neither, 1 both, 2 the first only, 3 the second only.
 
     Args:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from modsim3d.arrays import Array
 from modsim3d.block import Frame
 from modsim3d.errors import ModsimError
-from modsim3d.frames import Array
 from modsim3d.view import palette
 
 if TYPE_CHECKING:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from modsim3d.arrays import Mask
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.view.palette import vessel_colour
 from modsim3d.view.solids import Solids
@@ -41,7 +41,7 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
         picture.paste(vessel_colour(owner), (region.x, region.y), mask)
 
 
-def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, NDArray[np.bool_]]:
+def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, Mask]:
     """The pixels of a row's whole silhouette, what is hidden of it too, and the region of the window they are in."""
     triangles = window.to_picture(solids.triangles.corners_px[solids.triangles.row == row])
     if not len(triangles):

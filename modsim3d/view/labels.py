@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.view.palette import Colour
 from modsim3d.view.pen import Pen
 from modsim3d.view.window import Box

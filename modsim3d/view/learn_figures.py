@@ -7,9 +7,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from modsim3d.arrays import Array, Indices
+
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Told apart by colour-blind people (Okabe & Ito (2008))."""
 _MOST_DOTS, _MOST_POINTS = 1500, 800
@@ -80,7 +80,7 @@ def precision_recall(curves: Mapping[str, tuple[Array, Array]], caption: str) ->
     return _svg(axes.parts, caption)
 
 
-def _along(recall: Array, precision: Array) -> NDArray[np.int64]:
+def _along(recall: Array, precision: Array) -> Indices:
     """Places of points that lie evenly along a curve: most detections may be false, and lie at its end."""
     steps = np.abs(np.diff(recall, prepend=recall[0])) + np.abs(np.diff(precision, prepend=precision[0]))
     walked = np.cumsum(steps)

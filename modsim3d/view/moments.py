@@ -11,9 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Mask
 
 SIDES = ("x_min", "y_min", "x_max", "y_max")
 
@@ -42,16 +41,16 @@ class _Rows:
     fraction: Array
     silhouette_px: Array
     visible_px: Array
-    occluded: NDArray[np.bool_]
-    annotated: NDArray[np.bool_]
-    detected: NDArray[np.bool_]
+    occluded: Mask
+    annotated: Mask
+    detected: Mask
 
     @classmethod
     def of(cls, table: pa.Table) -> _Rows:
         def numbers(name: str) -> Array:
             return np.asarray(table[name].to_numpy(), dtype=np.float64)
 
-        def flags(name: str) -> NDArray[np.bool_]:
+        def flags(name: str) -> Mask:
             return np.asarray(table[name].to_numpy(), dtype=bool)
 
         return cls(
@@ -64,12 +63,12 @@ class _Rows:
         )
 
     @property
-    def hidden_in_part(self) -> NDArray[np.bool_]:
+    def hidden_in_part(self) -> Mask:
         return self.occluded & (self.fraction > 0) & (self.fraction < 1) & self.annotated
 
     @property
-    def clear(self) -> NDArray[np.bool_]:
-        clear: NDArray[np.bool_] = (self.fraction == 1) & self.annotated
+    def clear(self) -> Mask:
+        clear: Mask = (self.fraction == 1) & self.annotated
         return clear
 
 
@@ -77,7 +76,7 @@ class _Rows:
 class _Kind:
     """Rows that are wanted, what they are ranked by (the least is shown), and what is said of it."""
 
-    wanted: Callable[[_Rows], NDArray[np.bool_]]
+    wanted: Callable[[_Rows], Mask]
     rank: Callable[[_Rows], Array]
     say: Callable[[dict[str, Any]], str]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.scene import Sight
 from modsim3d.vessels import Vessel
 

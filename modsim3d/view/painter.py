@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.block import Frame
-from modsim3d.frames import Array
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.scene import Scene
 from modsim3d.view import palette
@@ -150,7 +149,7 @@ def _percent(fraction: float, short: bool) -> str:
 def _draw_detections(pen: Pen, window: Window, subject: Subject, layers: Layers) -> list[Label]:
     detections = subject.frame.detections
     labels = []
-    order: NDArray[np.int64] = np.argsort(detections.confidence, kind="stable")  # the surest is drawn last, on top
+    order: Indices = np.argsort(detections.confidence, kind="stable")  # the surest is drawn last, on top
     for i in order.tolist():
         vessel = detections.vessels[i]
         box = window.corners(detections.boxes_px[i])

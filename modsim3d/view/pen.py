@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.view.palette import INK, Colour, ink_on
 from modsim3d.view.window import Box
 

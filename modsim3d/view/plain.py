@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Region
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from modsim3d.arrays import Array, Mask
 from modsim3d.camera import Intrinsics
-from modsim3d.frames import Array
 from modsim3d.view.look import Look
 from modsim3d.view.window import Window
 
@@ -61,7 +61,7 @@ class Rays:
     """
 
     camera: Floats
-    inside: NDArray[np.bool_]
+    inside: Mask
 
     @classmethod
     def of(cls, intrinsics: Intrinsics, window: Window) -> Rays:
@@ -101,7 +101,7 @@ class Backdrop:
     """
 
     colour: Floats
-    sea: NDArray[np.bool_]
+    sea: Mask
     mirror: Floats
     ripple: Floats
 

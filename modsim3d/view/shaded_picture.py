@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from modsim3d.arrays import Array
 from modsim3d.camera import CameraPoses, Intrinsics
-from modsim3d.frames import Array
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.vessels import Vessel

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.triangles import Triangles, triangles_of
+from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Camera, Intrinsics
-from modsim3d.frames import Array
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.scene import Scene, Sight
@@ -57,7 +57,7 @@ class Solids:
         return self.intrinsics.sea_half_plane(self.sight.camera_poses.camera_R_world[0])
 
     @property
-    def owners(self) -> NDArray[np.int64]:
+    def owners(self) -> Indices:
         """Index of the vessel (or of what else may hide one) of each row."""
         return self.outlines.vessel
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices
 
 LEAST_RATE = 5
 """Frames per second; slower films show each frame several times, as some players stumble over long frames."""
@@ -27,7 +26,7 @@ class Timetable:
     """
 
     rate: Fraction
-    shown: NDArray[np.int64]
+    shown: Indices
 
     @property
     def duration_s(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 
 Box = tuple[float, float, float, float]
 

@@ -5,12 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from modsim3d.frames import Array
-
-Indices = NDArray[np.int64]
+from modsim3d.arrays import Array, Indices
 
 GRAVITY_M_S2 = 9.80665
 

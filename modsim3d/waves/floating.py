@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.waves.base import Motion, Passage
 from modsim3d.waves.hull import Complex, Hull, response
 from modsim3d.waves.jonswap import Sea

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.waves.base import GRAVITY_M_S2
 
 Complex = NDArray[np.complex128]

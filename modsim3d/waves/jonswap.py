@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array
 from modsim3d.random_streams import Streams
 from modsim3d.waves.base import GRAVITY_M_S2
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import special
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.random_streams import Streams
-from modsim3d.waves.base import Indices, Motion, Passage
+from modsim3d.waves.base import Motion, Passage
 
 AXES = ("roll", "pitch", "yaw")
 SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)

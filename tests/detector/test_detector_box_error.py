@@ -17,9 +17,9 @@ from detector_builders import (
 )
 from scipy import stats
 
+from modsim3d.boxes import sizes
 from modsim3d.detector import Detections, parse_detector
 from modsim3d.detector.box_error import symmetric_root
-from modsim3d.detector.boxes import sizes
 from modsim3d.errors import ModsimError
 
 SEEN = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}

@@ -20,8 +20,8 @@ from detector_builders import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modsim3d.boxes import sizes
 from modsim3d.detector import FALSE_POSITIVE, TRUE, Detections, Detector, Targets, parse_detector
-from modsim3d.detector.boxes import sizes
 
 STEPS, VESSELS = 120, 5
 

@@ -14,8 +14,8 @@ from detector_builders import (
     same_boxes,
 )
 
+from modsim3d.boxes import sizes
 from modsim3d.detector import FALSE_POSITIVE, Detections, DetectorModel, parse_detector
-from modsim3d.detector.boxes import sizes
 
 ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from detector_builders import centred, make_frames, make_targets, no_error, one_state_data, run, same_boxes
 
+from modsim3d.boxes import sizes, unions
 from modsim3d.detector import KINDS, TRUE, Detections, Targets, parse_detector
-from modsim3d.detector.boxes import sizes
-from modsim3d.detector.doubles import union
 from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
 
 ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
@@ -69,7 +68,7 @@ def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     assert np.all(targets.vessel[found.target[split]] == 0)
     larger = found.boxes_px[split[np.argsort(found.target[split])]]
     smaller = found.boxes_px[fragment[np.argsort(found.target[fragment])]]
-    np.testing.assert_allclose(union(larger, smaller), np.tile(LONG, (len(split), 1)))
+    np.testing.assert_allclose(unions(larger, smaller), np.tile(LONG, (len(split), 1)))
     width = sizes(larger)[:, 0]
     assert np.all((width >= 200 - 1e-9) & (width <= 0.7 * 400 + 1e-9))
     np.testing.assert_allclose(width + sizes(smaller)[:, 0], 400)

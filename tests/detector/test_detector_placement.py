@@ -19,8 +19,8 @@ from detector_builders import (
 )
 from scipy import stats
 
+from modsim3d.boxes import sizes
 from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, reference_of
-from modsim3d.detector.boxes import sizes
 from modsim3d.detector.placement import Placement
 from modsim3d.errors import ModsimError
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from detector_builders import all_bytes, detect_in_chunks, make_frames, make_targets
 
+from modsim3d.boxes import sizes
 from modsim3d.detector import FALSE_KINDS, KINDS, Detections, Detector, Frames, Targets, load_detector, reference_of
-from modsim3d.detector.boxes import sizes
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
 STEPS, VESSELS, STEP_S = 600, 9, 0.2

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector.box_error import acceptable
-from modsim3d.detector.boxes import move
+from modsim3d.boxes import inside_image, move
 from modsim3d.detector.loader import parse_detector
 from modsim3d.learn.clipped_normal import Clipped, clipped_score
 from modsim3d.learn.error_fit import ErrorSample, MomentTable, NormalLaw, directions, fit_step, fitted_law, statistics
@@ -48,7 +47,7 @@ def sampled(law: NormalLaw, box: np.ndarray, count: int, seed: int = 0) -> np.nd
     rng = np.random.default_rng(seed)
     means, stds = law.at(box[None])
     drawn = rng.multivariate_normal(np.zeros(4), law.correlation, size=count)
-    return drawn[acceptable(move(box, means[0] + stds[0] * drawn), IMAGE_PX)]
+    return drawn[inside_image(move(box, means[0] + stds[0] * drawn), IMAGE_PX)]
 
 
 CASES = [(name, box) for name in LAWS for box in range(5) if (name, box) != ("mixed", 4)]  # which hardly ever counts

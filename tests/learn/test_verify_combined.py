@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from modsim3d.boxes import sizes
 from modsim3d.detect_many import ManyDetections
-from modsim3d.detector.boxes import sizes
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.learn.box_error_checks import LEAST_DETECTIONS, box_error_checks, usable_hits

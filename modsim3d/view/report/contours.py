@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Indices = NDArray[np.int64]
+from modsim3d.arrays import Indices
 
 PLACE_BITS = 17
 """Of a coordinate in a vertex's number."""

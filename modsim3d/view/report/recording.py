@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.frames import Array
+from modsim3d.arrays import Array, Indices
 
 FINEST_PX = 0.1
 NONE = 0xFFFF
@@ -69,7 +69,7 @@ def in_250ths(fraction: Array) -> NDArray[np.uint8]:
     return np.where(np.isnan(fraction), UNKNOWN_FRACTION, counted).astype(np.uint8)
 
 
-def starts(frame: NDArray[np.int64], frames: int) -> NDArray[np.uint32]:
+def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
     """Where the rows of each frame begin, and the end, shape (frames + 1,).
 
     Args:

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from modsim3d.annotate.ordering import order_of_pairs, overlapping_pairs
 from modsim3d.annotate.outlines import Outlines, Part
 from modsim3d.annotate.triangles import triangles_of
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics
-from modsim3d.frames import Array
 from modsim3d.vessels import shoebox
 from modsim3d.view.report.contours import contours
 from modsim3d.view.report.recording import NONE
-
-Indices = NDArray[np.int64]
 
 MOST_FACES = 300_000
 """Whose outlines are made together: few calls, little memory."""
@@ -86,7 +84,7 @@ def _in_turns(outlines: Outlines) -> list[Indices]:
     return np.split(np.arange(len(outlines)), np.flatnonzero(np.diff(turn[frame])) + 1)
 
 
-def _closed(outlines: Outlines) -> NDArray[np.bool_]:
+def _closed(outlines: Outlines) -> Mask:
     """Whether each row's solid is, shape (n,)."""
     closed = np.zeros(len(outlines), dtype=bool)
     for part in outlines.parts:
@@ -94,7 +92,7 @@ def _closed(outlines: Outlines) -> NDArray[np.bool_]:
     return closed
 
 
-def _one_way_round(corners_px: Array, corners: Indices, closed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Indices]:
+def _one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[Mask, Indices]:
     """Which triangles are needed, and their corners, all the same way round; of closed solids those that face us."""
     a, b, c = np.moveaxis(corners_px, 1, 0)
     # Rows run downwards: the area of a face turned to the camera is positive this way round.

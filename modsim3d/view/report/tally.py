@@ -5,13 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from modsim3d.arrays import Array, Indices, Mask
 
-from modsim3d.frames import Array
-
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.int64]
 Rows = list[tuple[str, ...]]
 
 
@@ -36,21 +31,21 @@ class Tally:
     state: Indices
     silhouette_px: Array
     visible_px: Array
-    annotated: Flags
-    detected: Flags
+    annotated: Mask
+    detected: Mask
     false_state: Indices
     mislabelled: int
 
     @property
-    def hidden_in_part(self) -> Flags:
+    def hidden_in_part(self) -> Mask:
         """Truth rows of which something is seen and something is hidden."""
-        hidden: Flags = (self.visible_px > 0) & (self.visible_px < self.silhouette_px)
+        hidden: Mask = (self.visible_px > 0) & (self.visible_px < self.silhouette_px)
         return hidden
 
     @property
-    def hidden_wholly(self) -> Flags:
+    def hidden_wholly(self) -> Mask:
         """Truth rows that have pixels, none of them seen."""
-        hidden: Flags = (self.visible_px == 0) & (self.silhouette_px > 0)
+        hidden: Mask = (self.visible_px == 0) & (self.silhouette_px > 0)
         return hidden
 
     def overall(self) -> Rows:
