@@ -10,8 +10,8 @@ import numpy as np
 
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.arrays import Array
-from modsim3d.vessels import Vessel
 from modsim3d.boxes import sizes
+from modsim3d.vessels import Vessel
 
 
 @dataclass
