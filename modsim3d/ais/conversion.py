@@ -14,11 +14,10 @@ from modsim3d.ais.gathering import FileTally, Gathered, gather
 from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, From, fill_courses, fill_headings
 from modsim3d.ais.hulls import Hull, hulls
 from modsim3d.ais.jumps import reachable
-from modsim3d.ais.options import COMMAND_LINE, Options, time_text
+from modsim3d.ais.options import Options, time_text
 from modsim3d.ais.projection import heading_rad, local_metres, median_place
 from modsim3d.ais.reports import Positions
 from modsim3d.ais.resampling import ROUNDING_S, Track, resample, to_hull_centre
-from modsim3d.ais.swapped import check_origin
 from modsim3d.ais.viewpoint import Viewpoint, viewpoint
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import InputError, ModsimError
@@ -27,6 +26,7 @@ from modsim3d.poses.base import generated_timestamps
 MAX_STEPS = 1_000_000
 MAX_POSES = 3_000_000
 """About 250 MB of JSON; reading it again takes some minutes and gigabytes."""
+EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
 HEADING_NAMES = {
     From.COURSE: "heading_from_course",
     From.BEARING: "heading_from_bearing",
@@ -112,8 +112,6 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     positions = positions.take(~outside)
     if not len(positions):
         raise _nothing_left(gathered, options)
-    if options.origin is not None:
-        check_origin(COMMAND_LINE, positions, options.origin)
     origin = options.origin or _origin(positions, start_s, times_s)
     places = local_metres(positions.latitude_deg, positions.longitude_deg, origin)
     bounds = np.r_[0, np.flatnonzero(np.diff(positions.mmsi)) + 1, len(positions)]
@@ -211,5 +209,6 @@ def _nothing_left(gathered: Gathered, options: Options) -> InputError:
         [
             f"no positions of ships {' '.join(asked)}".rstrip() + f": {gathered.extent}",
             *([f"left out: {reasons}"] if reasons else []),
+            *([EXCHANGE_HINT] if options.region is not None else []),
         ],
     )

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from modsim3d.ais.cleaning import sift, without_position
+from modsim3d.ais.coordinate_order import check_order, exchanged
 from modsim3d.ais.layouts import Layout
-from modsim3d.ais.options import Options, time_text
+from modsim3d.ais.options import COMMAND_LINE, Options, time_text
 from modsim3d.ais.recognise import recognise, source_of
 from modsim3d.ais.reports import Chunk, Particulars, Positions
-from modsim3d.ais.swapped import AroundRegion, check_range, check_together, check_waters
 from modsim3d.errors import InputError
 
 NMEA = "NMEA sentences"
@@ -103,39 +103,41 @@ def gather(paths: Sequence[Path], options: Options) -> Gathered:
             read, or latitude and longitude are swapped.
     """
     layouts = _formats(paths)
-    last_s = options.end_s
-    if last_s is None and options.duration_s is not None and options.start_s is not None:
-        last_s = options.start_s + options.duration_s
-    span = (
-        -math.inf if options.start_s is None else options.start_s - options.max_gap_s,
-        math.inf if last_s is None else last_s + options.max_gap_s,
-    )
-    positions, particulars = [], []
+    if not layouts:
+        raise InputError("AIS", ["no files given"])
+    if options.swap_coordinates and not any(layouts):
+        problem = "--swap-coordinates is for tables; AIS sentences say which number is the latitude"
+        raise InputError(COMMAND_LINE, [problem])
     tallies = [
         FileTally(path, NMEA if layout is None else layout.name) for path, layout in zip(paths, layouts, strict=True)
     ]
     extent = Extent()
-    for file, (tally, layout) in enumerate(zip(tallies, layouts, strict=True)):
-        around = AroundRegion(options.region)
-        for chunk in _chunks(tally.path, file, layout):
-            _count(chunk, tally)
-            extent.add(chunk.positions)
-            if layout is not None:  # radio lets single wrong bits through; a table with such values is a wrong table
-                check_range(source_of(tally.path), chunk.positions)
-                if options.region is None:
-                    check_waters(source_of(tally.path), chunk.positions)
-            kept, dropped = sift(chunk.positions, options.region, *span)
-            tally.dropped.update(dropped)
-            positions.append(kept)
-            particulars.append(chunk.particulars)
-            around.add(chunk.positions)
-        around.check(source_of(tally.path), table=layout is not None)
-        _refuse_rubbish(tally)
-    if not positions:
-        raise InputError("AIS", ["no files given"])
-    joined = Positions.join(positions)
-    check_together([source_of(path) for path in paths], joined)
-    return Gathered(joined, Particulars.join(particulars), tallies, extent)
+    parts = [
+        part
+        for tally, layout in zip(tallies, layouts, strict=True)
+        for part in _read_file(tally, layout, options, extent)
+    ]
+    positions, particulars = zip(*parts, strict=True)
+    return Gathered(Positions.join(positions), Particulars.join(particulars), tallies, extent)
+
+
+def _read_file(
+    tally: FileTally, layout: Layout | None, options: Options, extent: Extent
+) -> Iterator[tuple[Positions, Particulars]]:
+    """What a scene may need of one file, a part at a time; counts it in the tally and widens the extent."""
+    for chunk in _chunks(tally.path, layout):
+        _count(chunk, tally)
+        positions = chunk.positions
+        if layout is not None and options.swap_coordinates:
+            positions = exchanged(positions)
+        # Radio lets single wrong bits through, and a region leaves impossible positions out.
+        if layout is not None and options.region is None:
+            check_order(source_of(tally.path), positions, options.swap_coordinates)
+        extent.add(positions)
+        kept, dropped = sift(positions, options.region, *options.window_s)
+        tally.dropped.update(dropped)
+        yield kept, chunk.particulars
+    _refuse_rubbish(tally)
 
 
 def _formats(paths: Sequence[Path]) -> list[Layout | None]:
@@ -156,14 +158,14 @@ def _formats(paths: Sequence[Path]) -> list[Layout | None]:
     return layouts
 
 
-def _chunks(path: Path, file: int, layout: Layout | None) -> Iterator[Chunk]:
+def _chunks(path: Path, layout: Layout | None) -> Iterator[Chunk]:
     if layout is None:
         from modsim3d.ais.read_nmea import read_nmea
 
-        return read_nmea(path, file)
+        return read_nmea(path)
     from modsim3d.ais.read_csv import read_csv
 
-    return read_csv(path, file, layout)
+    return read_csv(path, layout)
 
 
 def _count(chunk: Chunk, tally: FileTally) -> None:

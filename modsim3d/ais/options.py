@@ -28,6 +28,7 @@ class Options:
         time_step_s: Between steps.
         max_gap_s: A vessel is away between reports that are further apart.
         max_speed_kn: No ship is faster.
+        swap_coordinates: Exchange latitude and longitude in all tables.
         labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
         labels: Group → label, for some or all groups.
     """
@@ -40,12 +41,24 @@ class Options:
     time_step_s: float = 1.0
     max_gap_s: float = 400.0
     max_speed_kn: float = 60.0
+    swap_coordinates: bool = False
     labels_by_type: bool = False
     labels: Mapping[str, str] = field(default_factory=dict)
 
     def label(self, group: str) -> str:
         """The label of a vessel of a group."""
         return self.labels.get(group, ship_types()[group].label if self.labels_by_type else "Vessel")
+
+    @property
+    def window_s(self) -> tuple[float, float]:
+        """Unix times of the first and last report that may matter: start and end, each widened by the longest gap."""
+        last_s = self.end_s
+        if last_s is None and self.duration_s is not None and self.start_s is not None:
+            last_s = self.start_s + self.duration_s
+        return (
+            -math.inf if self.start_s is None else self.start_s - self.max_gap_s,
+            math.inf if last_s is None else last_s + self.max_gap_s,
+        )
 
     def check(self) -> None:
         """Refuse values that make no scene.

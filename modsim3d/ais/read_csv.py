@@ -31,24 +31,23 @@ NOT_SAID = "Unknown"
 """What Danish files have in place of a name that was not received."""
 
 
-def read_csv(path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
+def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
     """Reports of a CSV file, a block at a time.
 
     A row with a cell that cannot be read, or with too many or too few of them, is dropped and counted.
 
     Args:
         path: The file.
-        file: Its place among the files given.
         layout: Where its columns are.
 
     Raises:
         InputError: The file cannot be read.
     """
     with open_reports(path) as stream:
-        yield from _read_stream(stream, path, file, layout)
+        yield from _read_stream(stream, path, layout)
 
 
-def _read_stream(stream: IO[bytes], path: Path, file: int, layout: Layout) -> Iterator[Chunk]:
+def _read_stream(stream: IO[bytes], path: Path, layout: Layout) -> Iterator[Chunk]:
     names = header_names(stream.readline(LONGEST_LINE))
     columns = layout.found(names)
     first_row, nothing = 2, True  # the header is row 1
@@ -61,10 +60,10 @@ def _read_stream(stream: IO[bytes], path: Path, file: int, layout: Layout) -> It
         table = pa.table({ours: table.column(name) for ours, name in columns.items()})
         rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
         nothing = False
-        yield _chunk(table, columns, layout, file, np.delete(rows, skipped), rows[skipped].tolist(), len(names))
+        yield _chunk(table, columns, layout, np.delete(rows, skipped), rows[skipped].tolist(), len(names))
     if nothing:
         empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
-        yield _chunk(empty, columns, layout, file, np.zeros(0, dtype=np.int64), [], len(names))
+        yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), [], len(names))
 
 
 def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
@@ -112,7 +111,7 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
 
 
 def _chunk(
-    table: pa.Table, columns: dict[str, str], layout: Layout, file: int, rows: Indices, skipped: list[int], width: int
+    table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: list[int], width: int
 ) -> Chunk:
     bad = np.zeros(len(table), dtype=bool)
     problems = [f"row {row}: has not the {width} cells of the header" for row in skipped[:SHOWN_PROBLEMS]]
@@ -140,8 +139,7 @@ def _chunk(
         ship = np.asarray(pc.is_in(said, value_set=pa.array(sorted(layout.station[1]))))
     good = ~bad
     latitude, longitude, speed, course, heading = (values[name] for name in MOTION)
-    files = np.full(len(table), file)
-    positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ship, files, rows)
+    positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ship, rows)
     dropped = {UNREADABLE: int(bad.sum()) + len(skipped)}
     particulars = _particulars(table, mmsi, times, good & ship)
     messages = len(table) + len(skipped)

@@ -75,13 +75,13 @@ class _Gathered:
         if problem and len(self.problems) < 5:
             self.problems.append(f"line {line}: {problem}")
 
-    def chunk(self, file: int) -> Chunk:
+    def chunk(self) -> Chunk:
         """All of it in columns."""
         numbers = np.array(self.positions, dtype=np.float64).reshape(-1, 8)
         _, times, latitude, longitude, speed, course, heading, _ = numbers.T
         mmsi, lines = numbers[:, 0].astype(np.int64), numbers[:, 7].astype(np.int64)
-        ships, files = np.ones(len(numbers), dtype=bool), np.full(len(numbers), file)
-        positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ships, files, lines)
+        ships = np.ones(len(numbers), dtype=bool)
+        positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ships, lines)
         said = np.array(self.particulars, dtype=object).reshape(-1, 10)
         particulars = Particulars(
             said[:, 0].astype(np.int64),
@@ -93,12 +93,11 @@ class _Gathered:
         return Chunk(positions, particulars, self.messages, dict(self.dropped), tuple(self.problems))
 
 
-def read_nmea(path: Path, file: int) -> Iterator[Chunk]:
+def read_nmea(path: Path) -> Iterator[Chunk]:
     """Reports of a log of NMEA sentences.
 
     Args:
         path: The file.
-        file: Its place among the files given.
 
     Raises:
         InputError: The file cannot be read, or no sentence in it has a time.
@@ -115,11 +114,11 @@ def read_nmea(path: Path, file: int) -> Iterator[Chunk]:
                 timed += 1
                 _decode(parts, time_s, gathered)
             if gathered.messages >= CHUNK_MESSAGES:
-                yield gathered.chunk(file)
+                yield gathered.chunk()
                 gathered = _Gathered()
     if untimed and not timed:
         raise InputError(source_of(path), [TIME_NEEDED])
-    yield gathered.chunk(file)
+    yield gathered.chunk()
 
 
 def _lines(stream: Any) -> Iterator[bytes]:

@@ -43,11 +43,6 @@ class Region:
         between = (latitude_deg >= self.south_deg) & (latitude_deg <= self.north_deg)
         return between & (np.mod(longitude_deg - self.west_deg, 360.0) <= self.width_deg)
 
-    @property
-    def meets_its_mirror(self) -> bool:
-        """Whether it shares places with the region that exchanging latitude and longitude makes of it."""
-        return self.south_deg <= self.west_deg + self.width_deg and self.west_deg <= self.north_deg
-
     def __str__(self) -> str:
         """Its two corners as they are given on the command line."""
         east = float(wrapped_deg(self.west_deg + self.width_deg))

@@ -57,6 +57,7 @@ def report(traffic: Traffic) -> dict[str, Any]:
         "time_step_s": options.time_step_s,
         "origin_deg": {"latitude": traffic.origin[0], "longitude": traffic.origin[1]},
         "region": None if options.region is None else str(options.region),
+        "swap_coordinates": options.swap_coordinates,
         "max_gap_s": options.max_gap_s,
         "max_speed_kn": options.max_speed_kn,
         "files": [

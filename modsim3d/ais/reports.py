@@ -44,8 +44,7 @@ class Positions(_Columns):
         course_deg: Course over ground, clockwise from north.
         heading_deg: True heading of the bow, clockwise from north.
         ship: Whether the sender is of a kind that sits on ships (class A or B).
-        file: Place of its file among those given.
-        row: Its row or line there, the first being 1.
+        row: Its row or line in the file, the first being 1.
     """
 
     mmsi: Indices
@@ -56,7 +55,6 @@ class Positions(_Columns):
     course_deg: Array
     heading_deg: Array
     ship: Mask
-    file: Indices
     row: Indices
 
 

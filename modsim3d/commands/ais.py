@@ -29,6 +29,9 @@ def ais_command(
     time_step: Annotated[float, typer.Option(metavar="SECONDS", help="Between steps.")] = 1.0,
     max_gap: Annotated[float, typer.Option(metavar="SECONDS", help="Away between reports further apart.")] = 400.0,
     max_speed: Annotated[float, typer.Option(metavar="KNOTS", help="Faster is a jump, and dropped.")] = 60.0,
+    swap_coordinates: Annotated[
+        bool, typer.Option("--swap-coordinates", help="Exchange latitude and longitude in all tables.")
+    ] = False,
     labels: Annotated[Labels, typer.Option(help="One label for all, or one for each group of ship types.")] = (
         Labels.vessel
     ),
@@ -56,6 +59,7 @@ def ais_command(
         time_step_s=time_step,
         max_gap_s=max_gap,
         max_speed_kn=max_speed,
+        swap_coordinates=swap_coordinates,
         labels_by_type=labels is Labels.type,
         labels=given.parse_labels(label or ()),
     )

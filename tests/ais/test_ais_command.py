@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import math
 import subprocess
 import sys
 
@@ -66,149 +65,81 @@ def problem(monkeypatch, tmp_path, capsys, *arguments: object) -> str:
 
 COORDINATES = {"latitude", "longitude", "lat", "lon"}
 TABLES = [name for name in SAMPLE_NAMES if name.endswith(".csv")]
+REGION = ("--region", "55.9,12.5,56.2,12.8")
 
 
-def swap(path, folder, lines=None):
-    """A copy of a table with latitude and longitude in each other's columns, in some lines or all."""
+def swapped_copy(path, folder):
+    """A copy of a table with latitude and longitude in each other's columns."""
     rows = [line.split(",") for line in path.read_text().splitlines()]
     one, other = (place for place, name in enumerate(rows[0]) if name.lower() in COORDINATES)
-    for place, cells in enumerate(rows):
-        if place and (lines is None or place in lines):
-            cells[one], cells[other] = cells[other], cells[one]
-    copy = folder / "swapped.csv"
+    for cells in rows[1:]:
+        cells[one], cells[other] = cells[other], cells[one]
+    copy = folder / path.name
     copy.write_text("\n".join(",".join(cells) for cells in rows) + "\n")
     return copy
 
 
-def drive(latitude, longitude, reports=8, speed=10.0, **values):
-    """Rows of a vessel that goes east, one every ten seconds."""
-    way = speed * 1852 / 3600 * 10 / 111_000 / math.cos(math.radians(latitude))
-    return [(10 * k, latitude, round(longitude + k * way, 6), {"speed": speed, **values}) for k in range(reports)]
-
-
-def written(folder, rows, swapped=()):
-    """A file of such rows, some of them with latitude and longitude exchanged."""
-    turned = [(s, lon, lat, v) if k in swapped else (s, lat, lon, v) for k, (s, lat, lon, v) in enumerate(rows)]
-    return old_file(folder, *(row(s, lat, lon, **values) for s, lat, lon, values in turned))
-
-
-def test_latitude_beyond_the_pole_is_a_swap(monkeypatch, tmp_path, capsys):
-    path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 110.2, 35.0))
+def test_rows_possible_only_the_other_way_round_are_named_with_the_option(monkeypatch, tmp_path, capsys):
+    path = old_file(tmp_path, row(0, 35.0, 110.0), *(row(10 * k, 110.2, 35.0) for k in range(1, 8)))
     said = problem(monkeypatch, tmp_path, capsys, path)
-    assert "latitude and longitude look swapped (row 3: latitude 110.2, longitude 35)" in said
+    assert "row 3, 4, 5, 6, 7 and 2 more: latitude and longitude look swapped: latitude 110.2, longitude 35" in said
+    assert "--swap-coordinates" in said
     assert str(path) in said
 
 
+@pytest.mark.parametrize("place", [(181, 91), (-120, 35), (120, 91)])
+def test_each_value_that_can_only_be_a_longitude_is_noticed(monkeypatch, tmp_path, capsys, place):
+    path = old_file(tmp_path, row(0, 35.0, 80.0), row(10, *place))
+    assert "row 3: latitude and longitude look swapped" in problem(monkeypatch, tmp_path, capsys, path)
+
+
+@pytest.mark.parametrize("place", [(91, 181), (91, 35), (95, 200), ("", 12), (12.6, 56.0)])
+def test_a_position_that_is_no_better_the_other_way_round_refuses_no_table(monkeypatch, tmp_path, place):
+    path = old_file(tmp_path, row(0, 35.0, 80.0), row(10, *place), row(20, 35.0, 80.0))
+    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
+
+
 @pytest.mark.parametrize("name", TABLES)
-@pytest.mark.parametrize(("lines", "first"), [(None, 2), ({5}, 6), ({5, 9}, 6), (set(range(1, 300, 2)), 2)])
-def test_swapped_rows_of_a_publisher_are_found_by_its_waters(monkeypatch, tmp_path, capsys, name, lines, first):
-    path = swap(SAMPLES / name, tmp_path, lines)
-    said = problem(monkeypatch, tmp_path, capsys, path)
-    assert f"look swapped (row {first}: latitude 12.6" in said
-    assert "in the waters that such files cover" in said
+def test_swapped_columns_are_exchanged_where_the_user_says_so(monkeypatch, tmp_path, name):
+    swapped = swapped_copy(SAMPLES / name, tmp_path)
+    assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / "right") == 0
+    assert command(monkeypatch, "ais", swapped, "--swap-coordinates", "--out", tmp_path / "exchanged") == 0
+    for written in (tmp_path / "right").iterdir():
+        if written.name != "report.json":
+            assert written.read_bytes() == (tmp_path / "exchanged" / written.name).read_bytes(), written.name
+    assert read_json(tmp_path / "exchanged" / "report.json")["swap_coordinates"]
 
 
-@pytest.mark.parametrize(
-    ("latitude", "longitude"),
-    [(42.3, -70.9), (29.2, -88.5), (46.8, -87.0), (18.4, -66.2), (55.1, 15.0), (57.2, 4.0), (53.9, 13.9)],
-)
-def test_a_file_from_the_publishers_waters_is_taken_and_refused_when_swapped(
-    monkeypatch, tmp_path, capsys, latitude, longitude
-):
-    rows = drive(latitude, longitude, speed=0.0)
-    assert command(monkeypatch, "ais", written(tmp_path, rows), "--out", tmp_path / "right") == 0
+def test_tables_beside_sentences_are_exchanged_and_sentences_are_not(monkeypatch, tmp_path, capsys):
+    swapped, sentences = swapped_copy(DANISH, tmp_path), SAMPLES / "receiver.nmea"
+    both, apart = ("ais", swapped, sentences, "--swap-coordinates"), ("ais", DANISH, sentences)
+    assert command(monkeypatch, *both, "--out", tmp_path / "both") == 0
+    assert command(monkeypatch, *apart, "--out", tmp_path / "apart") == 0
+    poses = "poses.json.gz"
+    assert (tmp_path / "both" / poses).read_bytes() == (tmp_path / "apart" / poses).read_bytes()
     capsys.readouterr()
-    path = written(tmp_path, rows, range(8))
-    assert "look swapped (row 2" in problem(monkeypatch, tmp_path, capsys, path)
+    said = problem(monkeypatch, tmp_path, capsys, sentences, "--swap-coordinates")
+    assert "--swap-coordinates is for tables" in said
 
 
-def test_traffic_where_swapped_danish_traffic_would_be_is_taken_with_its_region(monkeypatch, tmp_path, capsys):
-    path = written(tmp_path, drive(12.6, 56.0))  # the Arabian Sea
-    assert "if it is right, say so with --region" in problem(monkeypatch, tmp_path, capsys, path)
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "there", "--region", "12,55,13,57") == 0
+def test_an_exchange_that_makes_positions_impossible_is_refused(monkeypatch, tmp_path, capsys):
+    path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 35.0, 110.0))
+    said = problem(monkeypatch, tmp_path, capsys, path, "--swap-coordinates")
+    assert "--swap-coordinates makes these positions impossible (latitude 110, longitude 35); leave the option" in said
 
 
-CAPE_TOWN = (-33.9, 18.2)
+def test_a_region_leaves_single_swapped_rows_out(monkeypatch, tmp_path):
+    path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 110.0, 35.0), row(20, 35.0, 110.0))
+    out = tmp_path / "scene"
+    assert command(monkeypatch, "ais", path, "--out", out, "--region", "34,109,36,111") == 0
+    assert read_json(out / "report.json")["messages"]["dropped"] == {"impossible_position": 1}
 
 
-def test_a_row_that_is_swapped_is_found_by_its_vessels_other_positions(monkeypatch, tmp_path, capsys):
-    path = written(tmp_path, drive(*CAPE_TOWN), {4})
-    said = problem(monkeypatch, tmp_path, capsys, path)
-    assert "swapped (row 6: latitude 18.2" in said
-    assert "where this vessel is at other times" in said
-
-
-def test_a_file_that_is_swapped_is_found_by_the_courses_in_it(monkeypatch, tmp_path, capsys):
-    assert command(monkeypatch, "ais", written(tmp_path, drive(*CAPE_TOWN)), "--out", tmp_path / "right") == 0
-    capsys.readouterr()
-    path = written(tmp_path, drive(*CAPE_TOWN), range(8))
-    said = problem(monkeypatch, tmp_path, capsys, path)
-    assert "look swapped (row 2: latitude 18.2, longitude -33.9)" in said
-    assert "the way their courses say" in said
-
-
-def test_a_course_off_by_a_right_angle_among_others_that_are_right_refuses_no_file(monkeypatch, tmp_path):
-    others = [(s, lat + 0.1, lon, {**v, "mmsi": 219000002}) for s, lat, lon, v in drive(*CAPE_TOWN)]
-    path = written(tmp_path, drive(*CAPE_TOWN, course=0) + others)
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"reports": 5},  # four ways
-        {"speed": 1.0},
-        {"course": 360},
-        {"course": ""},
-        {"course": 45},  # fits neither
-    ],
-)
-def test_courses_that_say_too_little_refuse_no_file(monkeypatch, tmp_path, changes):
-    path = written(tmp_path, drive(*CAPE_TOWN, **changes), range(8))
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
-
-
-def test_a_file_that_is_swapped_is_found_by_the_other_files(monkeypatch, tmp_path, capsys):
-    still = [row(10 * k, *CAPE_TOWN, speed=0) for k in range(9)]
-    turned = [row(10 * k, *CAPE_TOWN[::-1], speed=0, mmsi=219000002) for k in range(8)]
-    right, wrong = old_file(tmp_path, *still), old_file(tmp_path, *turned, name="swapped.csv")
-    said = problem(monkeypatch, tmp_path, capsys, right, wrong)
-    assert "swapped.csv" in said
-    assert "where that of the other files is" in said
-
-
-REGION = ("--region", "55.9,12.5,56.2,12.8")
-
-
-@pytest.mark.parametrize(("lines", "first"), [(None, 2), (set(range(2, 300, 2)), 3)])
-def test_a_file_that_is_swapped_is_found_by_the_region(monkeypatch, tmp_path, capsys, lines, first):
-    path = swap(SAMPLES / "marinecadastre.csv", tmp_path, lines)
-    said = problem(monkeypatch, tmp_path, capsys, path, *REGION)
-    assert f"look swapped (row {first}: latitude 12.6" in said
-    assert "in the region 55.9,12.5,56.2,12.8" in said
-
-
-def test_one_swapped_row_is_left_out_with_what_else_is_outside_the_region(monkeypatch, tmp_path):
-    path = swap(SAMPLES / "marinecadastre.csv", tmp_path, {5})
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene", *REGION) == 0
-    dropped = read_json(tmp_path / "scene" / "report.json")["messages"]["dropped"]
-    assert dropped["outside_region"] == 1
-
-
-def test_a_region_on_the_diagonal_takes_no_neighbour_for_a_swap(monkeypatch, tmp_path):
-    rows = drive(10.5, 10.2) + [(s, 10.2, 11.5, {**v, "mmsi": 219000002}) for s, _, _, v in drive(0, 0)]
-    path = written(tmp_path, rows)
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene", "--region", "10,10,12,11") == 0
-
-
-def test_an_origin_that_is_swapped_is_told(monkeypatch, tmp_path, capsys):
-    said = problem(monkeypatch, tmp_path, capsys, DANISH, "--origin", "12.65,56.03")
-    assert "--origin: latitude comes first (got 12.65,56.03, but the middle of the traffic is 56.0" in said
-
-
-def test_a_region_that_is_swapped_is_told(monkeypatch, tmp_path, capsys):
-    said = problem(monkeypatch, tmp_path, capsys, DANISH, "--region", "12.5,55.9,12.8,56.2")
-    assert "or are the region's corners swapped?" in said
+def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchange(monkeypatch, tmp_path, capsys):
+    said = problem(monkeypatch, tmp_path, capsys, swapped_copy(DANISH, tmp_path), *REGION)
+    assert "no positions of ships in the region 55.9,12.5,56.2,12.8: the files reach from" in said
+    assert "latitude 12.6" in said
+    assert "--swap-coordinates exchanges them" in said
 
 
 def test_missing_columns_are_named(monkeypatch, tmp_path, capsys):

@@ -41,7 +41,7 @@ def tagged(content: str, sentence: str, checksum: int | None = None) -> str:
 
 
 def test_published_position_report_is_decoded(tmp_path):
-    (chunk,) = read_nmea(log(tmp_path, tagged("c:1423133048", TYPE_1)), 0)
+    (chunk,) = read_nmea(log(tmp_path, tagged("c:1423133048", TYPE_1)))
     positions = chunk.positions
     assert positions.mmsi.tolist() == [371798000]
     assert positions.time_s.tolist() == [1423133048]
@@ -51,7 +51,7 @@ def test_published_position_report_is_decoded(tmp_path):
 
 
 def test_published_message_in_two_parts_is_decoded(tmp_path):
-    (chunk,) = read_nmea(log(tmp_path, f"1423133048 {TYPE_5[0]}", TYPE_5[1]), 0)
+    (chunk,) = read_nmea(log(tmp_path, f"1423133048 {TYPE_5[0]}", TYPE_5[1]))
     said = chunk.particulars
     assert (said.mmsi[0], said.name[0], said.ship_type[0]) == (351759000, "EVER DIADEM", "70")
     assert (said.to_bow_m[0], said.to_stern_m[0], said.to_port_m[0], said.to_starboard_m[0]) == (225, 70, 1, 31)
@@ -71,13 +71,13 @@ def test_published_message_in_two_parts_is_decoded(tmp_path):
     ],
 )
 def test_time_is_found_wherever_logs_have_it(tmp_path, line):
-    (chunk,) = read_nmea(log(tmp_path, line), 0)
+    (chunk,) = read_nmea(log(tmp_path, line))
     assert chunk.positions.time_s.tolist() == [1423133048]
 
 
 def test_log_without_any_time_says_what_is_needed(tmp_path):
     with pytest.raises(InputError, match=r"no times.*tag block.*Unix time"):
-        list(read_nmea(log(tmp_path, TYPE_1, *TYPE_5), 0))
+        list(read_nmea(log(tmp_path, TYPE_1, *TYPE_5)))
 
 
 def test_broken_sentences_are_counted_and_named(tmp_path):
@@ -90,7 +90,7 @@ def test_broken_sentences_are_counted_and_named(tmp_path):
         "# a comment",
         "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47",
     )
-    (chunk,) = read_nmea(log(tmp_path, *lines), 0)
+    (chunk,) = read_nmea(log(tmp_path, *lines))
     assert len(chunk.positions) == 1
     assert dict(chunk.dropped) == {"checksum": 2, "no_time": 1, "incomplete": 1}
     assert chunk.messages == 5
@@ -119,7 +119,7 @@ def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
     path.write_text("\n".join(",".join(line[place] for place in order) for line in lines) + "\n")
     layout, original = recognise(path), recognise(SAMPLES / name)
     assert layout is original
-    (chunk,), (expected,) = read_csv(path, 0, layout), read_csv(SAMPLES / name, 0, original)
+    (chunk,), (expected,) = read_csv(path, layout), read_csv(SAMPLES / name, original)
     for column in ("mmsi", "time_s", "latitude_deg", "longitude_deg", "speed_kn", "course_deg", "heading_deg"):
         np.testing.assert_array_equal(getattr(chunk.positions, column), getattr(expected.positions, column))
 
@@ -135,7 +135,7 @@ def test_a_ships_name_in_another_encoding_or_with_a_comma_is_no_obstacle(tmp_pat
 
 def test_a_decimal_comma_is_read(tmp_path):
     path = old_file(tmp_path, row(0), row(10).replace("56.0,", '"56,0",'))
-    (chunk,) = read_csv(path, 0, recognise(path))
+    (chunk,) = read_csv(path, recognise(path))
     assert chunk.positions.latitude_deg.tolist() == [56.0, 56.0]
 
 
@@ -146,7 +146,7 @@ def test_unreadable_cells_are_named_by_row_and_column(tmp_path):
     rows[9] = row(90, mmsi="21900000A")
     rows[11] = rows[11] + ",one too many"
     path = old_file(tmp_path, *rows)
-    (chunk,) = read_csv(path, 0, recognise(path))
+    (chunk,) = read_csv(path, recognise(path))
     assert chunk.dropped == {"unreadable": 4}
     assert chunk.messages == 40
     said = "\n".join(chunk.problems)
@@ -160,7 +160,7 @@ def test_unreadable_cells_are_named_by_row_and_column(tmp_path):
 
 def test_blank_lines_count_as_rows(tmp_path):
     path = old_file(tmp_path, row(0), "", "", row(10), "too,few", "", row(20), row(30, speed="fast"))
-    (chunk,) = read_csv(path, 0, recognise(path))
+    (chunk,) = read_csv(path, recognise(path))
     assert chunk.positions.row.tolist() == [2, 5, 8]
     assert chunk.problems[0].startswith("row 6: has not the 17 cells")
     assert chunk.problems[1].startswith("row 9: SOG is not a number")
@@ -172,7 +172,7 @@ def test_a_table_reads_the_same_in_blocks_of_any_size(monkeypatch, tmp_path, siz
     rows[7], rows[12], rows[13] = "", "too,few", row(130, latitude="north")
     path = old_file(tmp_path, *rows)
     monkeypatch.setattr("modsim3d.ais.read_csv.BLOCK_BYTES", size)
-    chunks = list(read_csv(path, 0, recognise(path)))
+    chunks = list(read_csv(path, recognise(path)))
     assert (len(chunks) > 1) == (size < 1000)
     found = [number for chunk in chunks for number in chunk.positions.row.tolist()]
     assert found == [number for number in range(2, 42) if number not in (9, 14, 15)]
@@ -182,13 +182,13 @@ def test_a_table_reads_the_same_in_blocks_of_any_size(monkeypatch, tmp_path, siz
 
 def test_a_name_of_two_lines_is_read(tmp_path):
     path = old_file(tmp_path, row(0).replace(",X,", ',"X\nY",'), row(10))
-    (chunk,) = read_csv(path, 0, recognise(path))
+    (chunk,) = read_csv(path, recognise(path))
     assert (len(chunk.positions), sorted(chunk.particulars.name)) == (2, ["X", "X\nY"])
 
 
 def test_infinite_numbers_are_unreadable_and_nan_is_as_good_as_empty(tmp_path):
     path = old_file(tmp_path, row(0), row(10, latitude="inf"), row(20, speed="-Infinity"), row(30, speed="nan"))
-    (chunk,) = read_csv(path, 0, recognise(path))
+    (chunk,) = read_csv(path, recognise(path))
     assert chunk.positions.row.tolist() == [2, 5]
     assert np.isnan(chunk.positions.speed_kn[1])
     assert "row 3: LAT is not a number (got 'inf')" in chunk.problems
@@ -220,7 +220,7 @@ def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, says):
 def test_garbage_between_sentences_is_passed_over_quickly(tmp_path):
     sentences = [tagged(f"c:{1423133048 + k}", TYPE_1) for k in range(3)]
     path = log(tmp_path, sentences[0], "x" * 300_000, sentences[1], "VD" * 150_000, sentences[2], "y" * 3_000_000)
-    (chunk,) = read_nmea(path, 0)
+    (chunk,) = read_nmea(path)
     assert chunk.positions.row.tolist() == [1, 3, 5]
 
 
