@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from modsim3d.ais.cleaning import sift, without_position
 from modsim3d.ais.coordinate_order import check_order, exchanged
@@ -14,6 +15,7 @@ from modsim3d.ais.layouts import Layout
 from modsim3d.ais.options import COMMAND_LINE, Options, time_text
 from modsim3d.ais.recognise import recognise, source_of
 from modsim3d.ais.reports import Chunk, Particulars, Positions
+from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 
 NMEA = "NMEA sentences"
@@ -45,29 +47,24 @@ class FileTally:
 
 @dataclass
 class Extent:
-    """The times and places of all positions that were read, for what to say when none is left."""
+    """The least and greatest time, latitude and longitude of all positions that were read, shape (3,) each."""
 
-    times_s: tuple[float, float] = (math.inf, -math.inf)
-    latitudes: tuple[float, float] = (math.inf, -math.inf)
-    longitudes: tuple[float, float] = (math.inf, -math.inf)
+    least: Array = field(default_factory=lambda: np.full(3, np.inf))
+    greatest: Array = field(default_factory=lambda: np.full(3, -np.inf))
 
     def add(self, positions: Positions) -> None:
         """Widen it by some positions."""
         known = positions.take(~without_position(positions))
         if len(known):
-            for name, values in (
-                ("times_s", known.time_s),
-                ("latitudes", known.latitude_deg),
-                ("longitudes", known.longitude_deg),
-            ):
-                low, high = getattr(self, name)
-                setattr(self, name, (min(low, float(values.min())), max(high, float(values.max()))))
+            values = np.stack([known.time_s, known.latitude_deg, known.longitude_deg])
+            self.least = np.minimum(self.least, values.min(axis=1))
+            self.greatest = np.maximum(self.greatest, values.max(axis=1))
 
     def __str__(self) -> str:
-        """In words."""
-        if self.times_s[0] > self.times_s[1]:
+        """As an error message says it."""
+        if not np.isfinite(self.least).all():
             return "the files hold no positions at all"
-        (first, last), (south, north), (west, east) = self.times_s, self.latitudes, self.longitudes
+        (first, south, west), (last, north, east) = self.least, self.greatest
         return (
             f"the files reach from {time_text(first)} to {time_text(last)}, "
             f"latitude {south:.4f} to {north:.4f}, longitude {west:.4f} to {east:.4f}"
@@ -76,19 +73,24 @@ class Extent:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """Everything that was kept.
+    """What was kept of all files.
 
     Attributes:
-        positions: Of ships, in the region and span asked for.
-        particulars: Of all vessels.
+        positions: Positions of ships in the region and span that the user chose.
+        particulars: Particulars of all vessels.
         files: One tally each.
-        extent: Of all that was read.
+        extent: What all positions cover, also those that were dropped.
     """
 
     positions: Positions
     particulars: Particulars
     files: list[FileTally]
     extent: Extent
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Reason → number of messages left out, in all files."""
+        return sum((tally.dropped for tally in self.files), Counter[str]())
 
 
 def gather(paths: Sequence[Path], options: Options) -> Gathered:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.ais.conversion import Traffic, VesselTrack
 from modsim3d.ais.options import time_text
+from modsim3d.ais.traffic import Traffic
+from modsim3d.ais.vessel_track import VesselTrack
 
 EARTH_RADIUS_M = 6.371e6
 NOTICEABLE_M = 5.0
@@ -51,9 +52,9 @@ def report(traffic: Traffic) -> dict[str, Any]:
     options = traffic.options
     camera = traffic.camera
     return {
-        "start": time_text(traffic.start_s),
-        "end": time_text(traffic.start_s + float(traffic.timestamps[-1])),
-        "steps": len(traffic.timestamps),
+        "start": time_text(traffic.grid.start_s),
+        "end": time_text(traffic.grid.end_s),
+        "steps": len(traffic.grid.timestamps),
         "time_step_s": options.time_step_s,
         "origin_deg": {"latitude": traffic.origin[0], "longitude": traffic.origin[1]},
         "region": None if options.region is None else str(options.region),
@@ -90,7 +91,7 @@ def _vessel(traffic: Traffic, vessel: VesselTrack) -> dict[str, Any]:
     return {
         "name": hull.name,
         "ship_type": hull.group,
-        "label": traffic.options.label(hull.group),
+        "label": traffic.label(vessel),
         "messages": vessel.messages,
         "steps_present": int(vessel.present.sum()),
         "length_m": hull.length_m,
@@ -136,14 +137,14 @@ def defaults(traffic: Traffic) -> dict[str, int]:
 def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]]]:
     """Tables for the terminal: title, and rows of name, number and meaning."""
     options = traffic.options
-    times = f"{time_text(traffic.start_s)} to {time_text(traffic.start_s + float(traffic.timestamps[-1]))}"
+    times = f"{time_text(traffic.grid.start_s)} to {time_text(traffic.grid.end_s)}"
     present = sum(int(vessel.present.sum()) for vessel in traffic.vessels)
     read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
     made = [
         ("messages used", str(messages_used(traffic)), f"of {messages_read(traffic)}"),
         ("particulars", str(traffic.dropped["particulars_only"]), "messages with names and dimensions only"),
         ("vessels", str(len(traffic.vessels)), _elsewhere(traffic)),
-        ("steps", str(len(traffic.timestamps)), f"every {options.time_step_s:g} s, {times}"),
+        ("steps", str(len(traffic.grid.timestamps)), f"every {options.time_step_s:g} s, {times}"),
         ("poses", str(present), f"away where reports are more than {options.max_gap_s:g} s apart"),
         ("farthest", f"{_farthest_m(traffic) / 1000:.1f} km", _flatness(_farthest_m(traffic))),
         ("origin", "{:.5f}, {:.5f}".format(*traffic.origin), "latitude, longitude of w1 = w2 = 0"),

@@ -14,7 +14,7 @@ ROUNDING_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class ReportedTrack:
     """Reports of one vessel.
 
     Attributes:
@@ -30,7 +30,7 @@ class Track:
     headings_rad: Array
 
 
-def resample(track: Track, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
+def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
     """Where a vessel is at some times.
 
     Between two reports the way is the cubic that leaves and arrives with the reported speeds and courses (cubic
@@ -61,7 +61,7 @@ def resample(track: Track, times_s: Array, max_gap_s: float) -> tuple[Mask, Arra
     return there, _places(track, leg, share), track.headings_rad[leg] + share * turn[leg]
 
 
-def _places(track: Track, leg: Indices, share: Array) -> Array:
+def _places(track: ReportedTrack, leg: Indices, share: Array) -> Array:
     span_s = np.diff(track.times_s)[:, None]
     way = np.diff(track.places_m, axis=0)
     leaving, arriving = track.velocities_m_s[:-1] * span_s, track.velocities_m_s[1:] * span_s

@@ -6,10 +6,10 @@ import gzip
 import json
 from pathlib import Path
 
-from modsim3d.ais.conversion import Traffic
 from modsim3d.ais.detector_file import detector_text
 from modsim3d.ais.options import time_text
 from modsim3d.ais.report import report
+from modsim3d.ais.traffic import Traffic
 from modsim3d.errors import ModsimError
 
 SCENE, VESSELS, POSES, DETECTOR, REPORT = (
@@ -72,7 +72,7 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
         ModsimError: The folder is taken.
     """
     check_free(folder, overwrite)
-    labels = list(dict.fromkeys(sorted(traffic.options.label(vessel.hull.group) for vessel in traffic.vessels)))
+    labels = list(dict.fromkeys(sorted(traffic.label(vessel) for vessel in traffic.vessels)))
     texts = {
         VESSELS: _vessels_text(traffic),
         DETECTOR: detector_text(detector, labels),
@@ -90,11 +90,11 @@ def _scene_text(traffic: Traffic) -> str:
     camera = traffic.camera
     return SCENE_TEXT.format(
         vessels=len(traffic.vessels),
-        start=time_text(traffic.start_s),
+        start=time_text(traffic.grid.start_s),
         time_step=traffic.options.time_step_s,
         latitude=traffic.origin[0],
         longitude=traffic.origin[1],
-        steps=len(traffic.timestamps),
+        steps=len(traffic.grid.timestamps),
         distance=camera.distance_m,
         target="w1 {:g}, w2 {:g}".format(*camera.target_m),
         position=camera.position_m,
@@ -109,7 +109,7 @@ def _vessels_text(traffic: Traffic) -> str:
             "air_draft_m": vessel.hull.air_draft_m,
             "beam_m": vessel.hull.beam_m,
             "length_m": vessel.hull.length_m,
-            "label": traffic.options.label(vessel.hull.group),
+            "label": traffic.label(vessel),
         }
         for vessel in traffic.vessels
     }
@@ -118,12 +118,12 @@ def _vessels_text(traffic: Traffic) -> str:
 
 def _poses_text(traffic: Traffic) -> str:
     """Poses as in Figure 7.3 of Jessen & Mohr (2023), to a millimetre and 0.01 mrad, one line a step."""
-    entries: list[list[str]] = [[] for _ in traffic.timestamps]
+    entries: list[list[str]] = [[] for _ in traffic.grid.timestamps]
     for vessel in traffic.vessels:
         steps = vessel.present.nonzero()[0].tolist()
         places, headings = vessel.places_m[vessel.present].tolist(), vessel.headings_rad[vessel.present].tolist()
         for step, (w1, w2), heading in zip(steps, places, headings, strict=True):
             pose = f'{{"center_position_m":[{w1:.3f},{w2:.3f},0.0],"heading_rad":{heading:.5f}}}'
             entries[step].append(f'"{vessel.mmsi}":{pose}')
-    lines = (f'"{time}":{{{",".join(entry)}}}' for time, entry in zip(traffic.timestamps, entries, strict=True))
+    lines = (f'"{time}":{{{",".join(entry)}}}' for time, entry in zip(traffic.grid.timestamps, entries, strict=True))
     return "{" + ",\n".join(lines) + "}\n"

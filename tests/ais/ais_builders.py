@@ -10,8 +10,10 @@ from typing import Any
 import pytest
 
 from modsim3d import cli
-from modsim3d.ais.conversion import Traffic, VesselTrack, read_traffic
+from modsim3d.ais.conversion import read_traffic
 from modsim3d.ais.options import Options
+from modsim3d.ais.traffic import Traffic
+from modsim3d.ais.vessel_track import VesselTrack
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "ais"
 SAMPLE_NAMES = ("danish.csv", "marinecadastre.csv", "marinecadastre_2025.csv", "receiver.nmea")

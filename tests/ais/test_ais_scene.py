@@ -97,7 +97,7 @@ def test_sample_vessels_are_where_the_script_drove_them():
         ship = ships[vessel.mmsi]
         a, b, c, d = ship.dimensions
         for step in np.flatnonzero(vessel.present):
-            east, north, course = ship.at(float(traffic.timestamps[step]))
+            east, north, course = ship.at(float(traffic.grid.timestamps[step]))
             angle = heading_rad(course)
             ahead, port = (a - b) / 2, (c - d) / 2
             if a == c == 0:
@@ -239,7 +239,7 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
     path = old_file(tmp_path, *steady())
     start = 1704362400.0
     traffic = traffic_of(path, start_s=start + 15, duration_s=1, time_step_s=0.2)
-    assert traffic.timestamps == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
+    assert traffic.grid.timestamps == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
     assert only(traffic).present.all()
     assert only(traffic).messages == 30  # reports up to the longest gap away carry the track over the edges
     early = traffic_of(path, start_s=start - 10, end_s=start + 10)

@@ -15,7 +15,7 @@ from modsim3d.ais.hulls import antenna_offset
 from modsim3d.ais.jumps import reachable
 from modsim3d.ais.projection import heading_rad, local_metres, median_place
 from modsim3d.ais.region import Region
-from modsim3d.ais.resampling import Track, resample, to_hull_centre
+from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
 from modsim3d.frames import world_R_vehicle
 
 NAN = math.nan
@@ -87,7 +87,7 @@ def tracks(draw, velocities=True):
     known = draw(st.lists(st.tuples(speed, speed), min_size=number, max_size=number))
     headings = draw(st.lists(angles, min_size=number, max_size=number))
     times = np.cumsum(steps).astype(np.float64)
-    return Track(times, np.array(places), np.array(known), np.array(headings))
+    return ReportedTrack(times, np.array(places), np.array(known), np.array(headings))
 
 
 def same_direction(a, b):
@@ -109,7 +109,7 @@ def test_a_straight_track_at_constant_speed_stays_straight(start, east, north, k
     places = np.array(start) + times[:, None] * velocity
     velocities = np.tile(velocity if known else [NAN, NAN], (6, 1))
     grid = np.arange(0, 300.5, 0.5)
-    there, found, headings = resample(Track(times, places, velocities, np.full(6, 0.3)), grid, 300)
+    there, found, headings = resample(ReportedTrack(times, places, velocities, np.full(6, 0.3)), grid, 300)
     assert there.all()
     np.testing.assert_allclose(found, np.array(start) + grid[:, None] * velocity, atol=1e-7)
     np.testing.assert_allclose(headings, 0.3)
@@ -127,23 +127,23 @@ def test_a_turn_is_followed_where_speed_and_course_are_given():
 
     turning = speed * np.stack([-np.sin(speed * times / radius), np.cos(speed * times / radius)], axis=-1)
     headings = speed * times / radius + math.pi / 2
-    _, places, _ = resample(Track(times, circle(times), turning, headings), grid, 400)
+    _, places, _ = resample(ReportedTrack(times, circle(times), turning, headings), grid, 400)
     off = np.linalg.norm(places - circle(grid), axis=1).max()
     assert off < 2 * radius * theta**4 / 384
-    _, straight, _ = resample(Track(times, circle(times), turning * NAN, headings), grid, 400)
+    _, straight, _ = resample(ReportedTrack(times, circle(times), turning * NAN, headings), grid, 400)
     assert np.linalg.norm(straight - circle(grid), axis=1).max() == pytest.approx(radius * theta**2 / 8, rel=0.02)
 
 
 def test_speed_and_course_that_do_not_fit_the_way_are_not_believed():
     times, places = np.array([0.0, 60.0]), np.array([[0.0, 0.0], [300.0, 0.0]])
     wrong = np.array([[0.0, 50.0], [0.0, 50.0]])
-    _, found, _ = resample(Track(times, places, wrong, np.zeros(2)), np.array([15.0, 30.0, 50.0]), 400)
+    _, found, _ = resample(ReportedTrack(times, places, wrong, np.zeros(2)), np.array([15.0, 30.0, 50.0]), 400)
     np.testing.assert_allclose(found, [[75, 0], [150, 0], [250, 0]])
 
 
 def test_a_gap_longer_than_the_limit_is_absence_and_no_glide():
     times = np.array([10.0, 20.0, 120.0, 130.0])
-    track = Track(times, np.zeros((4, 2)), np.full((4, 2), NAN), np.zeros(4))
+    track = ReportedTrack(times, np.zeros((4, 2)), np.full((4, 2), NAN), np.zeros(4))
     grid = np.arange(0, 141, 5.0)
     there, *_ = resample(track, grid, 99.9)
     assert grid[there].tolist() == [10, 15, 20, 120, 125, 130]
@@ -154,7 +154,7 @@ def test_a_gap_longer_than_the_limit_is_absence_and_no_glide():
 @given(st.floats(0, 360), st.floats(-179, 179), st.floats(0, 1))
 def test_heading_turns_along_the_shorter_arc(start, turn, share):
     headings = heading_rad(np.array([start, (start + turn) % 360]))
-    track = Track(np.array([0.0, 1.0]), np.zeros((2, 2)), np.full((2, 2), NAN), headings)
+    track = ReportedTrack(np.array([0.0, 1.0]), np.zeros((2, 2)), np.full((2, 2), NAN), headings)
     *_, found = resample(track, np.array([share]), 10)
     same_direction(found, heading_rad(np.array([start + share * turn])))
 

@@ -1,0 +1,92 @@
+"""The track of one vessel at the steps of a scene, from its reports."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.ais.cleaning import SLACK_S
+from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, From, fill_courses, fill_headings
+from modsim3d.ais.hulls import Hull
+from modsim3d.ais.jumps import reachable
+from modsim3d.ais.options import Options
+from modsim3d.ais.projection import heading_rad
+from modsim3d.ais.reports import Positions
+from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
+from modsim3d.ais.time_grid import TimeGrid
+from modsim3d.arrays import Array, Mask
+
+HEADING_NAMES = {
+    From.COURSE: "heading_from_course",
+    From.BEARING: "heading_from_bearing",
+    From.HELD: "heading_held",
+    From.NOTHING: "heading_unknown",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class VesselTrack:
+    """One vessel of the traffic.
+
+    Attributes:
+        mmsi: Its identity.
+        hull: Dimensions and type.
+        messages: Number of positions that were used.
+        jumps: Number of positions that were dropped because the vessel cannot have reached them.
+        replaced: What was missing → in how many of the used positions it was replaced.
+        present: At which steps it is there, shape (S,).
+        places_m: w1 and w2 of the hull's centre, shape (S, 2).
+        headings_rad: Counter-clockwise from w1, shape (S,).
+    """
+
+    mmsi: int
+    hull: Hull
+    messages: int
+    jumps: int
+    replaced: Counter[str]
+    present: Mask
+    places_m: Array
+    headings_rad: Array
+
+
+def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGrid, options: Options) -> VesselTrack:
+    """Drop jumps, fill in headings and courses, and resample.
+
+    Args:
+        positions: Reports of one vessel by time.
+        places_m: East and north of the origin of each report, shape (n, 2).
+        hull: The vessel.
+        grid: The steps.
+        options: The longest gap, and the speed above which a position is a jump.
+    """
+    kept = reachable(positions.time_s - grid.start_s, places_m, options.max_speed_kn * KNOT_M_S, SLACK_S)
+    used, places = positions.take(kept), places_m[kept]
+    since_s = used.time_s - grid.start_s
+    speed, heading = used.speed_kn, used.heading_deg
+    compass, source = fill_headings(since_s, places, speed, used.course_deg, heading, options.max_gap_s)
+    course, course_taken = fill_courses(used.course_deg, heading, speed)
+    track = ReportedTrack(since_s, places, _velocities(speed, course), heading_rad(compass))
+    present, antenna, headings = resample(track, grid.times_s, options.max_gap_s)
+    replaced = Counter({name: int((source == kind).sum()) for kind, name in HEADING_NAMES.items()})
+    replaced["course_from_heading"] = int(course_taken.sum())
+    replaced["course_unknown"] = int((np.isnan(course) & ~(speed < MOVING_KN)).sum())
+    replaced["speed_unknown"] = int(np.isnan(speed).sum())
+    return VesselTrack(
+        mmsi=int(used.mmsi[0]),
+        hull=hull,
+        messages=len(used),
+        jumps=int((~kept).sum()),
+        replaced=+replaced,
+        present=present,
+        places_m=to_hull_centre(antenna, headings, hull.ahead_m, hull.to_port_m),
+        headings_rad=headings,
+    )
+
+
+def _velocities(speed_kn: Array, course_deg: Array) -> Array:
+    """East and north in m/s, shape (n, 2), NaN where unknown; a vessel that lies still needs no course."""
+    direction = np.deg2rad(np.where(np.isnan(course_deg) & (speed_kn == 0), 0.0, course_deg))
+    speed_m_s = speed_kn * KNOT_M_S
+    return np.stack([speed_m_s * np.sin(direction), speed_m_s * np.cos(direction)], axis=-1)
