@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -9,12 +11,12 @@ if TYPE_CHECKING:
 
 
 def progress_bar() -> Progress:
-    """A bar on standard error that is redrawn when it is told of progress."""
+    """An empty bar on standard error that is redrawn when it is updated with `refresh=True`."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     class Bar(Progress):
-        """Leaves nothing on the screen of what failed before its first step: an error stands alone."""
+        """Removes itself if the work failed before its first step, so that the error stands alone."""
 
         def __exit__(self, kind: type[BaseException] | None, *rest: Any) -> None:
             if kind is not None and not any(task.completed for task in self.tasks):
@@ -23,5 +25,21 @@ def progress_bar() -> Progress:
             super().__exit__(kind, *rest)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # Refreshed when told: a thread that refreshes would keep workers from being copies of this process.
+    # A thread that refreshes the bar would keep workers from being copies of this process.
     return Bar(*columns, console=Console(stderr=True), auto_refresh=False)
+
+
+@contextmanager
+def progress(description: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """Show a bar with one task.
+
+    Args:
+        description: Text before the bar.
+        total: Number of steps in all; None if that is not known.
+
+    Yields:
+        The function to call with the number of steps done since its last call.
+    """
+    with progress_bar() as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda steps: bar.update(task, advance=steps, refresh=True)

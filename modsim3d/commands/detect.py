@@ -7,19 +7,20 @@ from typing import Annotated
 
 import typer
 
-from modsim3d.commands.run_summary import summarise
-from modsim3d.progress import progress_bar
+from modsim3d.commands.run_summary import print_summary
+from modsim3d.commands.shared import FinishedRunArgument, OverwriteOption, WorkersOption
+from modsim3d.progress import progress
 
 
 def detect_command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
-    out: Annotated[Path, typer.Option(help="The new run directory.")],
+    run: FinishedRunArgument,
+    out: Annotated[Path, typer.Option(help="Run directory to write.")],
     detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the run's.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the detector, in place of the run's.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that share the work; the files stay the same.")] = 1,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the detector, in place of the run's.")] = None,
+    overwrite: OverwriteOption = False,
+    workers: WorkersOption = 1,
 ) -> None:
-    """Run another detector, or another seed of it, over a finished run's truth, without rendering again.
+    """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
 
     Example: modsim3d detect runs/first --detector my/detector.yaml --seed 7 --out runs/second
     """
@@ -27,15 +28,8 @@ def detect_command(
     from modsim3d.stored_run import open_run
 
     stored = open_run(run)
-    with progress_bar() as bar:
-        task = bar.add_task(stored.scene.name, total=stored.scene.steps)
+    with progress(stored.scene.name, stored.scene.steps) as advance:
         result = detect_run(
-            stored,
-            out,
-            detector=detector,
-            seed=seed,
-            overwrite=overwrite,
-            workers=workers,
-            progress=lambda steps: bar.update(task, advance=steps, refresh=True),
+            stored, out, detector=detector, seed=seed, overwrite=overwrite, workers=workers, progress=advance
         )
-    summarise(stored.scene, result, sheet=False)
+    print_summary(stored.scene, result, sheet=False)

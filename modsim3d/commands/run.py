@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from modsim3d.commands.run_summary import summarise
-from modsim3d.commands.shared import INTERRUPTED, SceneArgument
-from modsim3d.progress import progress_bar
+from modsim3d.commands.run_summary import print_summary
+from modsim3d.commands.shared import (
+    INTERRUPTED,
+    OverwriteOption,
+    SceneArgument,
+    SeedOption,
+    StepsOption,
+    WorkersOption,
+)
+from modsim3d.progress import progress
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -22,7 +31,7 @@ class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
 
 
 class Render(str, Enum):  # noqa: UP042
-    """How much of an image is drawn."""
+    """How much of an image is rendered."""
 
     regions = "regions"
     full = "full"
@@ -30,24 +39,25 @@ class Render(str, Enum):  # noqa: UP042
 
 def run_command(
     scene: SceneArgument,
-    out: Annotated[Path | None, typer.Option(help="Run directory.", show_default="runs/SCENE")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a run that is there.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Run directory to write.", show_default="runs/SCENE")] = None,
+    overwrite: OverwriteOption = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
-    seed: Annotated[int | None, typer.Option(min=0, help="In place of the scene's.")] = None,
+    seed: SeedOption = None,
     detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the scene's.")] = None,
-    detector_seed: Annotated[int | None, typer.Option(min=0, help="Of the detector alone.")] = None,
+    detector_seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the detector alone; poses and waves keep theirs.")
+    ] = None,
     mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
     source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
-    render: Annotated[Render | None, typer.Option(help="Draw only where vessels overlap, or whole images.")] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that share the work; the files stay the same.")] = 1,
+    steps: StepsOption = None,
+    render: Annotated[Render | None, typer.Option(help="Render only where vessels overlap, or whole images.")] = None,
+    workers: WorkersOption = 1,
     sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
 ) -> None:
-    """Run a scene: truth, detections and a contact sheet into a run directory.
+    """Run a scene: write truth, detections and a contact sheet into a run directory.
 
     Example: modsim3d run simulation_1 --mode 2 --out runs/first
     """
-
     from modsim3d.run import run_scene
     from modsim3d.scene_reader import load_scene
 
@@ -62,23 +72,22 @@ def run_command(
         render=render.value if render else None,
     )
     folder = out if out is not None else Path("runs") / loaded.name
-    try:
-        with progress_bar() as bar:
-            task = bar.add_task(loaded.name, total=None if loaded.live else loaded.steps)
-            result = run_scene(
-                loaded,
-                folder,
-                overwrite=overwrite,
-                resume=resume,
-                workers=workers,
-                progress=lambda steps: bar.update(task, advance=steps, refresh=True),
-            )
-    except KeyboardInterrupt:
-        kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
-        typer.echo(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
-        raise typer.Exit(INTERRUPTED) from None
+    total = None if loaded.live else loaded.steps
+    kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
+    with _interruptible(kept), progress(loaded.name, total) as advance:
+        result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
 
         draw_contact_sheet(loaded, folder, result.reference)
-    summarise(loaded, result, sheet)
+    print_summary(loaded, result, sheet)
+
+
+@contextmanager
+def _interruptible(kept: str) -> Iterator[None]:
+    """End the command after Ctrl-C, and say where the finished part is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
+        raise typer.Exit(INTERRUPTED) from None

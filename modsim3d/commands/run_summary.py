@@ -1,105 +1,119 @@
-"""What `modsim3d run` and `modsim3d detect` say of a finished run."""
+"""What `modsim3d run` and `modsim3d detect` print about a finished run."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from modsim3d.commands.shared import print_line
+
 if TYPE_CHECKING:
+    from modsim3d.counts import Counts
     from modsim3d.run import RunResult
     from modsim3d.scene import Scene
 
+Row = tuple[str, str, str]
+"""Name, value and meaning."""
+NOTICEABLE_SHARE = 0.005
+"""The bias of resampled box errors is shown if at least this share of the detections was resampled."""
 
-def summarise(scene: Scene, result: RunResult, sheet: bool) -> None:
+
+def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     """Print what happened in a run, and where its files are."""
     from rich.console import Console
     from rich.table import Table
 
-    counts = result.counts
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
     table.add_column(style="dim")
-    true = max(counts.detected, 1)
-    rows: list[tuple[str, str, str]] = [
-        (
-            "frames",
-            str(counts.frames),
-            f"{len(scene.cameras)} camera(s), {result.steps} steps, mode {scene.annotation.mode}",
-        ),
-        (
-            "vessels seen",
-            str(counts.seen),
-            "vessels in images, summed over frames",
-        ),
-        ("occlusions", f"{counts.partly_hidden} partly, {counts.fully_hidden} fully", ""),
-        ("annotated", str(counts.annotated), ""),
-        ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
-        ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "of annotated")),
-        (
-            "false",
-            str(counts.false_positives),
-            _share(counts.false_positives, counts.detected + counts.false_positives, "of all detections"),
-        ),
-        ("mislabelled", str(counts.mislabelled), ""),
-        (
-            "IoU below 0.5",
-            str(counts.below_half_iou),
-            f"{counts.below_half_iou / true:.1%} of detections: a matching evaluation misses these",
-        ),
-        (
-            "box redrawn",
-            str(counts.redrawn),
-            f"{counts.redrawn / true:.1%}: the first error left less than a pixel of the box",
-        ),
-        (
-            "time per frame",
-            f"{1e3 * result.seconds / max(counts.frames, 1):.2f} ms",
-            f"{result.seconds:.1f} s in all",
-        ),
-    ]
-    rows += _model_rows(result)
-    if result.resumed_steps:
-        rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
-    for row in rows:
+    for row in (
+        *_frame_rows(scene, result),
+        *_detection_rows(result.counts),
+        *_time_rows(result),
+        *_model_rows(result),
+    ):
         table.add_row(*row)
     console = Console()
     console.print(table)
-    for pair in result.intersecting:
-        message = f"{' and '.join(pair)} intersect: what is seen of them is left open; only the rendered source decides"
-        console.print(message, highlight=False, soft_wrap=True, style="yellow")
-    if counts.off_by_curvature:
-        console.print(
-            f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
-            f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved",
-            highlight=False,
-            soft_wrap=True,
-            style="yellow",
-        )
-    console.print(f"\nrun directory  {result.folder}", highlight=False, soft_wrap=True)
+    for warning in _warnings(result):
+        print_line(console, warning, "yellow")
+    print_line(console, f"\nrun directory  {result.folder}")
     if sheet:
-        console.print(f"contact sheet  {result.folder / 'contact_sheet.png'}", highlight=False, soft_wrap=True)
+        print_line(console, f"contact sheet  {result.folder / 'contact_sheet.png'}")
 
 
-def _model_rows(result: RunResult) -> list[tuple[str, str, str]]:
-    """What the detector's own rules did, where they did anything."""
-    counts, rows = result.counts, []
-    total = sum(state["detections"] for state in result.truncation.values())
-    redrawn = sum(state["redrawn"] * state["detections"] for state in result.truncation.values()) / max(total, 1)
-    if redrawn >= 0.005:
-        worst = max(result.truncation, key=lambda name: abs(result.truncation[name]["mean_shift"][2]))
-        state = result.truncation[worst]
-        width, height = (f"{shift:+.3g}" for shift in state["mean_shift"][2:])
-        of = "box sides" if state["unit"] == "relative" else "px"
-        rows.append(
-            ("truncation bias", f"{width}, {height} {of}", f"mean width, height error in '{worst}'; all in run.json")
-        )
+def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
+    counts = result.counts
+    frames = f"{len(scene.cameras)} camera(s), {result.steps} steps, mode {scene.annotation.mode}"
+    return [
+        ("frames", str(counts.frames), frames),
+        ("vessels seen", str(counts.seen), "vessels in images, summed over frames"),
+        ("occlusions", f"{counts.partly_hidden} partly, {counts.fully_hidden} fully", ""),
+        ("annotated", str(counts.annotated), ""),
+    ]
+
+
+def _detection_rows(counts: Counts) -> list[Row]:
+    every = counts.detected + counts.false_positives
+    true = max(counts.detected, 1)
+    below = f"{counts.below_half_iou / true:.1%} of detections: a matching evaluation misses these"
+    resampled = f"{counts.redrawn / true:.1%}: the first sampled error shrank the box below one pixel"
+    return [
+        ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
+        ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "of annotated")),
+        ("false", str(counts.false_positives), _share(counts.false_positives, every, "of all detections")),
+        ("mislabelled", str(counts.mislabelled), ""),
+        ("IoU below 0.5", str(counts.below_half_iou), below),
+        ("box resampled", str(counts.redrawn), resampled),
+    ]
+
+
+def _time_rows(result: RunResult) -> list[Row]:
+    per_frame_ms = 1e3 * result.seconds / max(result.counts.frames, 1)
+    rows = [("time per frame", f"{per_frame_ms:.2f} ms", f"{result.seconds:.1f} s in all")]
+    if result.resumed_steps:
+        rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
+    return rows
+
+
+def _model_rows(result: RunResult) -> list[Row]:
+    """What optional parts of the detector did, if anything."""
+    counts = result.counts
+    rows = _bias_rows(result)
     if counts.missed_by_gate:
-        rows.append(
-            ("gated", str(counts.missed_by_gate), _share(counts.missed_by_gate, counts.missed, "of the missed"))
-        )
+        gated = _share(counts.missed_by_gate, counts.missed, "of the missed")
+        rows.append(("gated", str(counts.missed_by_gate), gated))
     if counts.merged:
         rows.append(("merged", str(counts.merged), "boxes around two vessels"))
     return rows
+
+
+def _bias_rows(result: RunResult) -> list[Row]:
+    """The mean width and height error of the state in which resampling shifts the width most."""
+    states = result.truncation
+    detections = sum(state["detections"] for state in states.values())
+    resampled = sum(state["redrawn"] * state["detections"] for state in states.values()) / max(detections, 1)
+    if resampled < NOTICEABLE_SHARE:
+        return []
+    worst = max(states, key=lambda name: abs(states[name]["mean_shift"][2]))
+    width, height = (f"{shift:+.3g}" for shift in states[worst]["mean_shift"][2:])
+    unit = "box sides" if states[worst]["unit"] == "relative" else "px"
+    meaning = f"mean width and height error in state '{worst}'; run.json has all states"
+    return [("truncation bias", f"{width}, {height} {unit}", meaning)]
+
+
+def _warnings(result: RunResult) -> list[str]:
+    counts = result.counts
+    warnings = [
+        f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"
+        for pair in result.intersecting
+    ]
+    if counts.off_by_curvature:
+        warnings.append(
+            f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
+            f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved"
+        )
+    return warnings
 
 
 def _share(part: int, whole: int, of: str) -> str:

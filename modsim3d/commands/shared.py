@@ -1,8 +1,9 @@
-"""What several commands share."""
+"""Arguments, options and output that several commands share."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,15 +13,32 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
+
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")]
+FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
+WorkersOption = Annotated[
+    int, typer.Option(min=1, help="Number of processes that share the work; the output stays the same.")
+]
+SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed, in place of the scene's.")]
+StepsOption = Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")]
+EveryOption = Annotated[int, typer.Option(min=1, help="Show every K-th step only.")]
 
 
 def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
-    """Print a table without a header under a title."""
+    """Print a table without a header under a title; nothing if there are no rows."""
     from rich.table import Table
 
+    if not rows:
+        return
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
     for row in rows:
         table.add_row(*row)
     console.print()
     console.print(table)
+
+
+def print_line(console: Console, text: str, style: str = "") -> None:
+    """Print text as it is: without markup or highlighting, and without wrapping paths."""
+    console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)

@@ -8,23 +8,28 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.commands.shared import FinishedRunArgument, print_line
+
 if TYPE_CHECKING:
     from rich.console import Console
 
     from modsim3d.learn.parameters import Verdict
 
 
-WIDE = 150  # columns of a table that goes into a file
+WIDE = 150
+"""Columns of a table that is written to a file or a pipe."""
 
 
 def verify_command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")],
-    detector: Annotated[Path | None, typer.Option(help="Hold it against this file, not the run's own.")] = None,
+    run: FinishedRunArgument,
+    detector: Annotated[
+        Path | None, typer.Option(help="Detector file to hold the run against.", show_default="the run's own")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for verify.json and verify.html.", show_default="RUN")
     ] = None,
 ) -> None:
-    """Does a run obey its detector file? Every parameter, asked and measured, with a verdict.
+    """Check that a run obeys its detector file: every parameter as given and as measured, with a verdict.
 
     Exit status 1 if a verdict is against the run.
 
@@ -47,25 +52,19 @@ def verify_command(
     for note in verify_report.notes_of(verified.verification):
         console.print(note, style="dim", highlight=False, markup=False)
     obeys = verified.verification.obeys
-    console.print(
-        f"\n{verify_report.conclusion(verified.verification)}",
-        style="bold" if obeys else "bold red",
-        highlight=False,
-        markup=False,
-    )
-    written = f"written  {folder / 'verify.html'}, {folder / 'verify.json'}"
-    console.print(f"\n{written}", highlight=False, soft_wrap=True)
+    print_line(console, f"\n{verify_report.conclusion(verified.verification)}", "bold" if obeys else "bold red")
+    print_line(console, f"\nwritten  {folder / 'verify.html'}, {folder / 'verify.json'}")
     if not obeys:
         raise typer.Exit(1)
 
 
 def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -> None:
+    """Print a table of verdicts; a narrow terminal gets fewer columns, because wrapped numbers cannot be read."""
     from rich.markup import escape
     from rich.table import Table
 
     from modsim3d.verify_report import HEADER, row_of
 
-    # Numbers that wrap cannot be read: a narrow terminal gets fewer of them, the files have all.
     left_out = {name for name, least in (("interval", 120), ("noticed from", 100)) if console.width < least}
     shown = [i for i, name in enumerate(HEADER) if name not in left_out]
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, header_style="dim")
