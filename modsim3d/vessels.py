@@ -154,12 +154,3 @@ def load_mapping(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {shown(data)})"])
     return data
-
-
-def load_vessels(path: Path) -> tuple[Vessel, ...]:
-    """Vessels from a JSON file as in Figure 7.2.
-
-    Raises:
-        InputError: With every problem found.
-    """
-    return parse_vessels(load_mapping(path), f"vessels file {path}")
