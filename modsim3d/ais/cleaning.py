@@ -1,8 +1,9 @@
-"""Keeps what can be used of reported positions and counts the rest by reason; the order of rows does not matter.
+"""Drops reported positions that are of no use and counts them by reason.
 
-What is not there: latitude 91, longitude 181, speed 102.3 kn, course 360°, heading 511° (ITU-R M.1371-5, annex 8,
-table 48), or an empty cell. An identity (MMSI) of a ship begins with 2 to 7 (ITU-R M.585: the country), that of a craft
-that belongs to a ship with 98; others are stations ashore, aids to navigation, aircraft and rescue beacons.
+The result does not depend on the order of rows. Values that mean unknown are latitude 91, longitude 181, speed 102.3
+kn, course 360°, heading 511° (ITU-R M.1371-5, annex 8, table 48) and an empty cell. The identity (MMSI) of a ship
+begins with 2 to 7 (ITU-R M.585: the country), that of a craft that belongs to a ship with 98. All others are stations
+ashore, aids to navigation, aircraft and rescue beacons.
 """
 
 from __future__ import annotations
@@ -26,31 +27,41 @@ NOT_A_SHIP, NO_POSITION, IMPOSSIBLE, OUTSIDE_REGION, OUTSIDE_WINDOW, DUPLICATE, 
 )
 NO_LATITUDE, NO_LONGITUDE = 91.0, 181.0
 SLACK_S = 1.0
-"""Most files give times in whole seconds, so that two reports may be a second further apart than they say."""
+"""Most files round times to seconds, so two reports may be up to a second further apart than their times."""
 
 
 def ship_identity(positions: Positions) -> Mask:
-    """Which reports come from ships, by kind of sender and by identity."""
+    """Which reports come from ships, by kind of sender and by identity, shape (n,)."""
     leading = positions.mmsi // 100_000_000
     return np.asarray(positions.ship & (((leading >= 2) & (leading <= 7)) | (positions.mmsi // 10_000_000 == 98)))
 
 
 def without_position(positions: Positions) -> Mask:
-    """Which reports say that they know no position."""
+    """Which reports give no position, shape (n,)."""
     latitude, longitude = positions.latitude_deg, positions.longitude_deg
     none = (latitude == NO_LATITUDE) | (longitude == NO_LONGITUDE)
     return np.asarray(none | np.isnan(latitude) | np.isnan(longitude))
 
 
 def impossible(positions: Positions) -> Mask:
-    """Which positions are nowhere on Earth."""
+    """Which positions are nowhere on Earth, shape (n,)."""
     return ~((np.abs(positions.latitude_deg) <= 90) & (np.abs(positions.longitude_deg) <= 180))
 
 
 def sift(
     positions: Positions, region: Region | None, first_s: float, last_s: float
 ) -> tuple[Positions, dict[str, int]]:
-    """Positions of ships in a region and a span of time, and how many others there were by reason."""
+    """Keep positions of ships in a region and a span of time.
+
+    Args:
+        positions: Reported positions in any order.
+        region: Everywhere if None.
+        first_s: Unix time at which the span begins.
+        last_s: Unix time at which the span ends.
+
+    Returns:
+        What was kept, and reason → number of positions dropped.
+    """
     dropped: dict[str, int] = {}
 
     def drop(reason: str, wrong: Mask) -> None:
@@ -68,10 +79,12 @@ def sift(
 
 
 def in_order(positions: Positions) -> tuple[Positions, int]:
-    """By vessel and time, one of each time, and how many were dropped for that.
+    """Sort by vessel and time and drop duplicates: one report of a vessel is kept for each time.
 
-    Of several reports of a vessel at one time the order of their values decides, known ones before unknown, so that
-    the order of rows does not.
+    Which of them is decided by their values, known before unknown, so that the order of rows changes nothing.
+
+    Returns:
+        What was kept, and the number of duplicates.
     """
     columns = (positions.heading_deg, positions.course_deg, positions.speed_kn)
     places = (positions.longitude_deg, positions.latitude_deg)
@@ -82,7 +95,7 @@ def in_order(positions: Positions) -> tuple[Positions, int]:
 
 
 def blank_unknown(positions: Positions) -> Positions:
-    """The same with NaN wherever speed, course or heading is a value that means unknown, or is none at all."""
+    """Put NaN in place of every speed, course and heading that means unknown or is out of range."""
     speed, course, heading = positions.speed_kn, positions.course_deg, positions.heading_deg
     return replace(
         positions,

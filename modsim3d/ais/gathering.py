@@ -1,4 +1,4 @@
-"""Reads all files and keeps what a scene may need of them."""
+"""Reads all files and keeps what a scene may need."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from modsim3d.errors import InputError
 NMEA = "NMEA sentences"
 WITHOUT_POSITION = "particulars_only"
 BAD_SHARE, FEW_BAD = 0.1, 2
-"""A file in which more than this share, and more than a few, of the messages cannot be read is no data to build on."""
+"""A file is refused if more than this share of its messages, and more than this number, cannot be read."""
 BAD = ("unreadable", "checksum", "undecodable")
 SHOWN_PROBLEMS = 20
 
@@ -32,10 +32,10 @@ class FileTally:
 
     Attributes:
         path: The file.
-        format: What it holds.
-        messages: How many were read.
-        dropped: Reason → messages that were left out when the file was read.
-        problems: What was wrong with some of them.
+        format: Name of its format.
+        messages: Number of messages read.
+        dropped: Reason → number of messages dropped when the file was read.
+        problems: One line on each of the first dropped messages.
     """
 
     path: Path
@@ -126,7 +126,7 @@ def gather(paths: Sequence[Path], options: Options) -> Gathered:
 def _read_file(
     tally: FileTally, layout: Layout | None, options: Options, extent: Extent
 ) -> Iterator[tuple[Positions, Particulars]]:
-    """What a scene may need of one file, a part at a time; counts it in the tally and widens the extent."""
+    """Positions and particulars of one file, a part at a time; fills in its tally and widens the extent."""
     for chunk in _chunks(tally.path, layout):
         _count(chunk, tally)
         positions = chunk.positions

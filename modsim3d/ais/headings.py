@@ -1,4 +1,4 @@
-"""A heading for every report of a vessel, whether it gives one or not."""
+"""Fills in the headings and courses that reports leave open."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 
 MOVING_KN = 0.5
-"""Slower than this, a receiver's course is mostly noise."""
+"""At lower speeds a receiver's course is mostly noise."""
 MOVING_M = 10.0
-"""And so is the direction from one position to another that is nearer than this."""
+"""Between positions that are nearer to each other the bearing is mostly noise."""
 KNOT_M_S = 1852 / 3600
 
 
-class From(IntEnum):
+class HeadingSource(IntEnum):
     """Where a heading comes from."""
 
     REPORT = 0
@@ -30,9 +30,9 @@ def fill_headings(
 ) -> tuple[Array, Indices]:
     """Compass headings of one vessel at each of its reports.
 
-    In place of a missing heading stands the course over ground while the vessel moves; without a course, the bearing
-    from the position before to the one after. A vessel that does not move keeps the heading it had, or has next. If
-    there is none all along, the mean of what courses there are will do, then north.
+    A missing heading is replaced by the course over ground while the vessel moves, or without a course by the bearing
+    from the position before to the one after. A vessel that does not move keeps its last heading, or takes its next. If
+    it has no heading at any time, the mean of its courses is used, and without courses north.
 
     Args:
         times_s: Ascending, shape (n,).
@@ -40,38 +40,41 @@ def fill_headings(
         speed_kn: NaN where unknown, shape (n,).
         course_deg: NaN where unknown, shape (n,).
         heading_deg: NaN where unknown, shape (n,).
-        max_gap_s: Positions further apart in time say nothing of a bearing.
+        max_gap_s: No bearing is taken between positions that are further apart in time.
 
     Returns:
-        Degrees clockwise from north, shape (n,), and where each comes from, of `From`, shape (n,).
+        Degrees clockwise from north, shape (n,), and where each comes from, of `HeadingSource`, shape (n,).
     """
     bearing, way_m, span_s = _bearings(times_s, places_m, max_gap_s)
     implied_kn = way_m / np.where(span_s > 0, span_s, np.inf) / KNOT_M_S
     moving = np.where(np.isnan(speed_kn), (implied_kn >= MOVING_KN) & (way_m >= MOVING_M), speed_kn >= MOVING_KN)
     filled = heading_deg.copy()
-    source = np.where(np.isnan(heading_deg), From.NOTHING, From.REPORT).astype(np.int64)
+    source = np.where(np.isnan(heading_deg), HeadingSource.NOTHING, HeadingSource.REPORT).astype(np.int64)
 
-    def fill(where: Mask, values: Array, kind: From) -> None:
+    def fill(where: Mask, values: Array, kind: HeadingSource) -> None:
         filled[where], source[where] = values[where], kind
 
-    fill(np.isnan(filled) & moving & ~np.isnan(course_deg), course_deg, From.COURSE)
-    fill(np.isnan(filled) & moving & (way_m >= MOVING_M), bearing, From.BEARING)
+    fill(np.isnan(filled) & moving & ~np.isnan(course_deg), course_deg, HeadingSource.COURSE)
+    fill(np.isnan(filled) & moving & (way_m >= MOVING_M), bearing, HeadingSource.BEARING)
     known = np.flatnonzero(~np.isnan(filled))
     still = np.isnan(filled)
     if len(known):
         earlier = np.searchsorted(known, np.arange(len(filled)), side="right") - 1
-        fill(still, filled[known[np.maximum(earlier, 0)]], From.HELD)
+        fill(still, filled[known[np.maximum(earlier, 0)]], HeadingSource.HELD)
     elif np.isfinite(course_deg).any():
         angles = np.deg2rad(course_deg[np.isfinite(course_deg)])
         mean = np.rad2deg(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) % 360
-        fill(still, np.full(len(filled), mean), From.COURSE)
+        fill(still, np.full(len(filled), mean), HeadingSource.COURSE)
     else:
-        fill(still, np.zeros(len(filled)), From.NOTHING)
+        fill(still, np.zeros(len(filled)), HeadingSource.NOTHING)
     return filled, source
 
 
 def _bearings(times_s: Array, places_m: Array, max_gap_s: float) -> tuple[Array, Array, Array]:
-    """From the position before each to the one after, as far as they are near in time: bearing, way, time."""
+    """Bearing, distance and time from the position before each report to the one after, shape (n,) each.
+
+    Where the gap before or after is too long, the report's own position is used in place of that neighbour.
+    """
     number = len(times_s)
     linked = np.diff(times_s) <= max_gap_s
     before = np.arange(number) - np.r_[False, linked].astype(np.int64)
@@ -82,6 +85,15 @@ def _bearings(times_s: Array, places_m: Array, max_gap_s: float) -> tuple[Array,
 
 
 def fill_courses(course_deg: Array, heading_deg: Array, speed_kn: Array) -> tuple[Array, Mask]:
-    """Courses with the reported heading where a moving vessel gives none, and where that was done."""
+    """Replace the missing courses of a moving vessel by its reported headings.
+
+    Args:
+        course_deg: NaN where unknown, shape (n,).
+        heading_deg: NaN where unknown, shape (n,).
+        speed_kn: NaN where unknown, shape (n,).
+
+    Returns:
+        Courses in degrees, and which of them were replaced, shape (n,) each.
+    """
     taken = np.isnan(course_deg) & ~np.isnan(heading_deg) & (speed_kn >= MOVING_KN)
     return np.where(taken, heading_deg, course_deg), taken

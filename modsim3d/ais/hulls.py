@@ -1,4 +1,4 @@
-"""How large each vessel is and where on it its antenna stands, from what it says of itself or from its type."""
+"""The size of each vessel and the place of its antenna, from its own reports or from its type."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from modsim3d.ais.ship_types import UNKNOWN, group_of, ship_types
 from modsim3d.arrays import Array
 
 MAX_LENGTH_M, MAX_BEAM_M = 460.0, 125.0
-"""No ship was longer than Seawise Giant, 458 m, or wider than Pioneering Spirit, 124 m; fields of ones say 1022 m."""
+"""No ship was longer than Seawise Giant, 458 m, or wider than Pioneering Spirit, 124 m."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Hull:
     """A vessel as the scene needs it.
 
     Attributes:
-        name: As broadcast, or empty.
-        group: Of its ship type.
+        name: Name as broadcast, or empty.
+        group: Group of ship types.
         length_m: Along the hull.
         beam_m: Across it.
         air_draft_m: Height above the waterline.
@@ -40,17 +40,16 @@ class Hull:
 
 
 def antenna_offset(to_bow_m: float, to_stern_m: float, to_port_m: float, to_starboard_m: float) -> tuple[float, float]:
-    """Where the centre of the hull lies from the antenna (ITU-R M.1371-5, annex 8, figure 41).
+    """The offset of the hull's centre from the antenna (ITU-R M.1371-5, annex 8, figure 41).
 
-    With A before the antenna and B behind it the middle of the length is (A − B) / 2 ahead; with C to port and D to
-    starboard the middle of the beam is (C − D) / 2 to port. A = C = 0 with B and D given means that the antenna's
-    place is not known, only the size.
+    The centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C = 0 with B and D given means that the antenna's
+    place is not known, only the size; then the antenna is taken to be at the centre.
 
     Args:
-        to_bow_m: A.
-        to_stern_m: B.
-        to_port_m: C.
-        to_starboard_m: D.
+        to_bow_m: A, antenna to bow.
+        to_stern_m: B, antenna to stern.
+        to_port_m: C, antenna to port side.
+        to_starboard_m: D, antenna to starboard side.
 
     Returns:
         Metres ahead, and metres to port.
@@ -66,34 +65,32 @@ def place_known(to_bow_m: float, to_port_m: float) -> bool:
 
 
 def hulls(particulars: Particulars, mmsi: list[int]) -> dict[int, Hull]:
-    """The hull of each vessel.
-
-    Of each thing that a vessel says of itself the latest counts.
+    """The hull of each vessel, from the latest value that it reported of each dimension.
 
     Args:
-        particulars: All that is known, in any order.
-        mmsi: The vessels.
+        particulars: Particulars of all vessels in any order.
+        mmsi: Identities of the vessels.
     """
     sizes = particulars.to_bow_m, particulars.to_stern_m, particulars.to_port_m, particulars.to_starboard_m
     texts = particulars.ship_type.astype(str), particulars.name.astype(str)
     whole = particulars.length_m, particulars.beam_m
-    said = particulars.take(np.lexsort((*sizes, *whole, *texts, particulars.time_s, particulars.mmsi)))
-    first = np.searchsorted(said.mmsi, mmsi, side="left")
-    stop = np.searchsorted(said.mmsi, mmsi, side="right")
+    reported = particulars.take(np.lexsort((*sizes, *whole, *texts, particulars.time_s, particulars.mmsi)))
+    first = np.searchsorted(reported.mmsi, mmsi, side="left")
+    stop = np.searchsorted(reported.mmsi, mmsi, side="right")
     return {
-        vessel: _hull(said.take(np.arange(a, b)))
+        vessel: _hull(reported.take(np.arange(a, b)))
         for vessel, a, b in zip(mmsi, first.tolist(), stop.tolist(), strict=True)
     }
 
 
-def _hull(said: Particulars) -> Hull:
-    """The hull of the vessel that said this, oldest first."""
-    groups = [group for text in said.ship_type if (group := group_of(text)) != UNKNOWN]
-    names = [name for name in said.name if name]
+def _hull(reported: Particulars) -> Hull:
+    """The hull of one vessel, from its particulars in order of time."""
+    groups = [group for text in reported.ship_type if (group := group_of(text)) != UNKNOWN]
+    names = [name for name in reported.name if name]
     group = groups[-1] if groups else UNKNOWN
     typical = ship_types()[group]
-    length, ends = _extent(said.to_bow_m, said.to_stern_m, 511, said.length_m, MAX_LENGTH_M)
-    beam, sides = _extent(said.to_port_m, said.to_starboard_m, 63, said.beam_m, MAX_BEAM_M)
+    length, ends = _extent(reported.to_bow_m, reported.to_stern_m, 511, reported.length_m, MAX_LENGTH_M)
+    beam, sides = _extent(reported.to_port_m, reported.to_starboard_m, 63, reported.beam_m, MAX_BEAM_M)
     ahead, to_port = 0.0, 0.0
     known = ends is not None and sides is not None and place_known(ends[0], sides[0])
     if ends is not None and sides is not None:
@@ -114,14 +111,14 @@ def _hull(said: Particulars) -> Hull:
 def _extent(
     one_m: Array, other_m: Array, most_m: float, whole_m: Array, limit_m: float
 ) -> tuple[float | None, tuple[float, float] | None]:
-    """The latest length or beam, and the latest distances to both ends of it.
+    """The latest length or beam, and the distances from the antenna to both ends; None where not known.
 
     Args:
         one_m: A or C, shape (n,).
         other_m: B or D, shape (n,).
-        most_m: The largest value that fits the message's field; it stands for anything beyond.
-        whole_m: Where the source gives the sum itself, shape (n,).
-        limit_m: What no ship exceeds.
+        most_m: The largest value that fits the message's field; it means "this or more".
+        whole_m: Length or beam where the source gives it itself, shape (n,).
+        limit_m: Values above this are not believed.
     """
     total = one_m + other_m
     good = np.flatnonzero((total > 0) & (total <= limit_m) & (np.minimum(one_m, other_m) >= 0))

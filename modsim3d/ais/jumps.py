@@ -10,15 +10,15 @@ from modsim3d.arrays import Array, Indices, Mask
 def reachable(times_s: Array, places_m: Array, max_speed_m_s: float, slack_s: float) -> Mask:
     """The largest part of a track in which each position can be reached from the one before.
 
-    The track is cut wherever the speed between neighbours is too high; of the pieces, those are kept that hold most
-    positions and can follow each other. So a single wrong position is dropped wherever it stands, also at the
-    beginning, and of two vessels that share an identity the one that reports more often is left.
+    The track is cut wherever the speed between neighbours is too high. Of the chains of pieces in which each piece can
+    be reached from the one before, the one with most positions is kept. So a single wrong position is dropped wherever
+    it stands, also at the beginning, and of two vessels that share an identity the one with more reports is kept.
 
     Args:
         times_s: Ascending, shape (n,).
-        places_m: Shape (n, 2).
-        max_speed_m_s: No ship is faster.
-        slack_s: Added to each interval, for times that are rounded.
+        places_m: East and north, shape (n, 2).
+        max_speed_m_s: A position that asks for more speed cannot be reached.
+        slack_s: Added to each interval, because times are rounded.
 
     Returns:
         Which positions are kept, shape (n,).

@@ -25,9 +25,9 @@ class Layout:
     """A CSV layout.
 
     Attributes:
-        name: What to call it.
+        name: Name in messages.
         columns: Our name of a column → its name in the file, in the published case.
-        time_format: Of `strptime`.
+        time_format: Format of times, for `strptime`.
         station: Column that says what kind of sender a report comes from, and the values there that mean ships.
     """
 

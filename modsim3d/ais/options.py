@@ -1,4 +1,4 @@
-"""What a user may choose, and reading it from text."""
+"""The options of `modsim3d ais`, and how they are read from text."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ COMMAND_LINE = "command line"
 
 @dataclass(frozen=True)
 class Options:
-    """How reports become a scene.
+    """What the user chose.
 
     Attributes:
         origin: Latitude and longitude of w1 = w2 = 0; the median position if None.
-        region: What is outside is left out.
+        region: Positions outside are dropped.
         start_s: Unix time of the first step; the first report's if None.
         end_s: Unix time of the last step; the last report's if None.
-        duration_s: In place of the end.
-        time_step_s: Between steps.
+        duration_s: Time from the first step to the last, in place of the end.
+        time_step_s: Time between steps.
         max_gap_s: A vessel is away between reports that are further apart.
-        max_speed_kn: No ship is faster.
+        max_speed_kn: A position that a vessel can reach only at a higher speed is dropped.
         swap_coordinates: Exchange latitude and longitude in all tables.
         labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
         labels: Group → label, for some or all groups.
@@ -61,7 +61,7 @@ class Options:
         )
 
     def check(self) -> None:
-        """Refuse values that make no scene.
+        """Refuse values that are impossible or contradict each other.
 
         Raises:
             InputError: With every problem found.
@@ -85,16 +85,16 @@ class Options:
 
 
 def time_text(unix_s: float) -> str:
-    """A time as it may be given: 2024-01-04T10:00:00Z."""
+    """A time as text, such as 2024-01-04T10:00:00Z."""
     text = datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds")
     return text.removesuffix("+00:00").removesuffix(".000") + "Z"
 
 
 def parse_time(text: str, option: str) -> float:
-    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as AIS is.
+    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as in AIS.
 
     Raises:
-        InputError: It is no such time.
+        InputError: The text is no such time.
     """
     try:
         when = datetime.fromisoformat(text)
@@ -105,10 +105,15 @@ def parse_time(text: str, option: str) -> float:
 
 
 def parse_degrees(text: str, option: str, form: str) -> list[float]:
-    """Latitudes and longitudes in turn, separated by commas.
+    """Numbers from a text of latitudes and longitudes in turn, separated by commas.
+
+    Args:
+        text: What the user gave.
+        option: The option, for messages.
+        form: What is needed, such as `LAT,LON`.
 
     Raises:
-        InputError: There are not as many as asked for, or one is no such angle.
+        InputError: There are more or fewer numbers than needed, or one is out of range.
     """
     parts = text.split(",")
     try:

@@ -1,8 +1,8 @@
 """Places on the Earth in local metres, w1 to the east and w2 to the north of an origin, by pymap3d.
 
-East and north are those of the tangent plane of the WGS84 ellipsoid at the origin; height above it is let go, for the
-scene's sea is flat. 20 km away that pulls a place in by 0.1 m, and true north is off the plane's by the convergence of
-the meridians, 0.3° at 56° latitude.
+East and north are axes of the tangent plane of the WGS84 ellipsoid at the origin. Height above the plane is ignored,
+because the scene's sea is flat. At 20 km this moves a place 0.1 m towards the origin, and true north differs from w2 by
+the convergence of the meridians, 0.3° at 56° latitude.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from modsim3d.arrays import Array
 
 
 def local_metres(latitude_deg: Array, longitude_deg: Array, origin: tuple[float, float]) -> Array:
-    """East and north of an origin.
+    """Metres east and north of an origin.
 
     Args:
         latitude_deg: Shape (n,).
@@ -31,7 +31,7 @@ def local_metres(latitude_deg: Array, longitude_deg: Array, origin: tuple[float,
 
 
 def median_place(latitude_deg: Array, longitude_deg: Array) -> tuple[float, float]:
-    """Median latitude and longitude, also of places on both sides of the date line."""
+    """Median latitude and longitude of places, shape (n,) each, also across the date line."""
     angles = np.deg2rad(longitude_deg)
     about = np.rad2deg(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean()))
     longitude = wrapped_deg(about + np.median(wrapped_deg(longitude_deg - about)))
@@ -39,5 +39,5 @@ def median_place(latitude_deg: Array, longitude_deg: Array) -> tuple[float, floa
 
 
 def heading_rad(compass_deg: Array) -> Array:
-    """Counter-clockwise from w1 (east), from clockwise from north."""
+    """Headings counter-clockwise from w1 (east), from compass headings clockwise from north, shape (n,)."""
     return np.pi / 2 - np.deg2rad(compass_deg)

@@ -21,24 +21,24 @@ from modsim3d.validation import shown
 
 BLOCK_BYTES = 1 << 24
 SHOWN_PROBLEMS = 5
-"""Of each block; a file with one mistake in every row should not fill the screen."""
+"""Problems listed of each block, so that a mistake in every row does not fill the screen."""
 NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
 UNREADABLE = "unreadable"
 NOT_SAID = "Unknown"
-"""What Danish files have in place of a name that was not received."""
+"""Text in Danish files where no name was received."""
 
 
 def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
     """Reports of a CSV file, a block at a time.
 
-    A row with a cell that cannot be read, or with too many or too few of them, is dropped and counted.
+    A row with too many or too few cells, or one that cannot be read, is dropped and counted.
 
     Args:
         path: The file.
-        layout: Where its columns are.
+        layout: Its columns and the format of its times.
 
     Raises:
         InputError: The file cannot be read.
@@ -86,7 +86,7 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
 
 
 def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
-    """Some columns of whole rows, as texts, and which of the rows have not as many cells as there are names."""
+    """Some columns of whole rows, as texts, and which rows have more or fewer cells than the header."""
     skipped: list[int] = []
 
     def skip(row: Any) -> str:
@@ -99,7 +99,7 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
             csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=names),
             csv.ParseOptions(invalid_row_handler=skip),
             csv.ConvertOptions(
-                check_utf8=False,  # one ship's name in another encoding is no reason to give up
+                check_utf8=False,  # a ship's name may be in another encoding
                 strings_can_be_null=False,
                 include_columns=columns,
                 column_types=dict.fromkeys(columns, pa.string()),
@@ -135,8 +135,8 @@ def _chunk(
     note(wrong & ~bad, "mmsi", "a whole number of at most nine digits")
     ship = np.ones(len(table), dtype=bool)
     if layout.station is not None and layout.station[0] in columns:
-        said = pc.utf8_lower(pc.ascii_trim_whitespace(table.column(layout.station[0]).combine_chunks()))
-        ship = np.asarray(pc.is_in(said, value_set=pa.array(sorted(layout.station[1]))))
+        reported = pc.utf8_lower(pc.ascii_trim_whitespace(table.column(layout.station[0]).combine_chunks()))
+        ship = np.asarray(pc.is_in(reported, value_set=pa.array(sorted(layout.station[1]))))
     good = ~bad
     latitude, longitude, speed, course, heading = (values[name] for name in MOTION)
     positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ship, rows)
@@ -147,11 +147,11 @@ def _chunk(
 
 
 def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> Particulars:
-    """Each different set of particulars once, with the time at which it was last said."""
+    """Each distinct set of particulars once, with the time at which it was last reported."""
     empty = pa.array([""] * len(table), pa.string())
     texts = {name: table.column(name) if name in table.column_names else empty for name in PARTICULARS}
-    said = pa.table({"mmsi": mmsi, "time": times_s, **texts}).filter(pa.array(rows))
-    last = said.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
+    reported = pa.table({"mmsi": mmsi, "time": times_s, **texts}).filter(pa.array(rows))
+    last = reported.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
 
     def words(name: str) -> Any:
         texts = [_text(cell).strip() for cell in last.column(name)]
@@ -172,9 +172,9 @@ def _text(cell: Any) -> str:
 
 
 def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
-    """Values, NaN where a cell is empty, and which cells are no numbers.
+    """Values, NaN where a cell is empty or NaN, and which cells are not numbers, shape (n,) each.
 
-    A decimal comma is taken for a point: the Danish description shows positions as 57,8794. NaN is as good as empty.
+    A decimal comma is read as a point: the Danish description shows positions as 57,8794.
     """
     trimmed = pc.ascii_trim_whitespace(texts)
     empty = pc.equal(trimmed, "")
@@ -197,7 +197,7 @@ def _whole(values: Array) -> tuple[Indices, Mask]:
 
 
 def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
-    """Unix times, and which cells are no times. Fractions of a second and a final Z are let go."""
+    """Unix times, and which cells are not times, shape (n,) each; fractions of a second and a final Z are ignored."""
     plain = pc.replace_substring(pc.ascii_trim_whitespace(texts), "T", " ")
     plain = pc.replace_substring_regex(plain, r"(?:\.[0-9]+)?Z?$", "")
     stamps = pc.strptime(plain, format=time_format, unit="s", error_is_null=True)
@@ -207,6 +207,6 @@ def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
 
 
 def _example(time_format: str) -> str:
-    """What a time in a format looks like."""
+    """An example of a time in a format."""
     parts = {"%d": "31", "%m": "12", "%Y": "2024", "%H": "23", "%M": "59", "%S": "59"}
     return re.sub("%.", lambda part: parts[part[0]], time_format)

@@ -1,13 +1,13 @@
 r"""Reads AIS reports from NMEA sentences, through pyais.
 
-A sentence says when it was sent only to the second of the minute, so that a log must bring the time along. Read are
+A sentence gives only the second of the minute at which it was sent, so a log must add the time, as
 
 - a tag block before the sentence, `\s:station,c:1423133048*5F\!AIVDM,...` (NMEA 0183 version 4.10, section 7; E. S.
   Raymond, "AIVDM/AIVDO protocol decoding", section "NMEA 4.10 Tag Blocks"): `c` is Unix time;
 - a Unix time before the sentence or after it, as the United States Coast Guard's and many receivers' logs have it:
   `1423133048 !AIVDM,...` or `!AIVDM,...*5C,r003669945,1423133048`.
 
-Times of thirteen digits are milliseconds. All parts of a message may bear the time, or only the first.
+Times of thirteen digits are milliseconds. All parts of a message may have the time, or only the first.
 
 Of the message types of ITU-R M.1371-5, 1 to 3 (class A), 18 and 19 (class B) are positions of ships; 5, 19 and 24 are
 particulars; 4, 9, 11 and 21 are base stations, aircraft and aids to navigation. Type 27 gives positions to 0.1 minute
@@ -37,10 +37,10 @@ UNIX_TIME = re.compile(r"(?<![\w.:+-])(\d{13}|\d{9,10}(?:\.\d+)?)(?![\w.:])")
 TAG_TIME = re.compile(r"(?:^|,)c:(\d+)(?:,|$)")
 CLASS_A, CLASS_B, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3}, {18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
 PENDING_S = 60.0
-"""Parts of a message follow each other at once; the numbers that hold them together, 0 to 9, come again."""
+"""Parts of a message that are further apart do not belong together: their sequence numbers, 0 to 9, are used again."""
 CHUNK_MESSAGES = 200_000
 LONGEST_LINE, SKIPPED_AT_ONCE = 1024, 1 << 20
-"""Sentences have 82 characters at most, and tag blocks 80; the time to look for them grows with the square."""
+"""A sentence has at most 82 characters and a tag block 80. The time to search a line grows with its square."""
 BROKEN, UNDECODABLE, INCOMPLETE, NO_TIME = "checksum", "undecodable", "incomplete", "no_time"
 NOT_A_SHIP, COARSE, OTHER = "not_a_ship", "long_range", "other_message"
 TIME_NEEDED = (
@@ -59,8 +59,8 @@ class _Part:
 
 
 @dataclass
-class _Gathered:
-    """What has been read since the last chunk."""
+class _Rows:
+    """Rows and counts since the last chunk."""
 
     positions: list[tuple[float, ...]] = field(default_factory=list)
     particulars: list[tuple[Any, ...]] = field(default_factory=list)
@@ -69,26 +69,26 @@ class _Gathered:
     messages: int = 0
 
     def drop(self, reason: str, line: int, problem: str | None = None) -> None:
-        """Count a message that is of no use."""
+        """Count a message as dropped."""
         self.messages += 1
         self.dropped[reason] += 1
         if problem and len(self.problems) < 5:
             self.problems.append(f"line {line}: {problem}")
 
     def chunk(self) -> Chunk:
-        """All of it in columns."""
+        """The rows as columns."""
         numbers = np.array(self.positions, dtype=np.float64).reshape(-1, 8)
         _, times, latitude, longitude, speed, course, heading, _ = numbers.T
         mmsi, lines = numbers[:, 0].astype(np.int64), numbers[:, 7].astype(np.int64)
         ships = np.ones(len(numbers), dtype=bool)
         positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ships, lines)
-        said = np.array(self.particulars, dtype=object).reshape(-1, 10)
+        rows = np.array(self.particulars, dtype=object).reshape(-1, 10)
         particulars = Particulars(
-            said[:, 0].astype(np.int64),
-            said[:, 1].astype(np.float64),
-            said[:, 2],
-            said[:, 3],
-            *said[:, 4:].astype(np.float64).T,
+            rows[:, 0].astype(np.int64),
+            rows[:, 1].astype(np.float64),
+            rows[:, 2],
+            rows[:, 3],
+            *rows[:, 4:].astype(np.float64).T,
         )
         return Chunk(positions, particulars, self.messages, dict(self.dropped), tuple(self.problems))
 
@@ -97,12 +97,12 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
     """Reports of a log of NMEA sentences.
 
     Args:
-        path: The file.
+        path: The log.
 
     Raises:
         InputError: The file cannot be read, or no sentence in it has a time.
     """
-    gathered = _Gathered()
+    gathered = _Rows()
     timed, untimed = 0, 0
     with open_reports(path) as stream:
         for parts in _messages(stream, gathered):
@@ -115,14 +115,14 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
                 _decode(parts, time_s, gathered)
             if gathered.messages >= CHUNK_MESSAGES:
                 yield gathered.chunk()
-                gathered = _Gathered()
+                gathered = _Rows()
     if untimed and not timed:
         raise InputError(source_of(path), [TIME_NEEDED])
     yield gathered.chunk()
 
 
 def _lines(stream: Any) -> Iterator[bytes]:
-    """The lines of a log; one that is longer than a sentence can be is empty."""
+    """The lines of a log; a line that is too long for a sentence is given as an empty one."""
     while line := stream.readline(LONGEST_LINE):
         piece = line
         while not piece.endswith(b"\n") and (piece := stream.readline(SKIPPED_AT_ONCE)):
@@ -130,8 +130,8 @@ def _lines(stream: Any) -> Iterator[bytes]:
         yield line
 
 
-def _messages(stream: Any, gathered: _Gathered) -> Iterator[list[_Part]]:
-    """Whole messages; sentences that are broken or lack their other parts are counted."""
+def _messages(stream: Any, gathered: _Rows) -> Iterator[list[_Part]]:
+    """Whole messages; broken sentences and incomplete messages are counted as dropped."""
     from pyais.exceptions import AISBaseException
     from pyais.messages import AISSentence, NMEASentenceFactory
 
@@ -174,7 +174,7 @@ def _close(parts: dict[int, _Part], part: _Part) -> bool:
 
 
 def _tag_holds(tag: str | None) -> bool:
-    """Whether a tag block fits its checksum; none fits."""
+    """Whether a tag block fits its checksum; true without a tag block."""
     if tag is None:
         return True
     content, star, given = tag.rpartition("*")
@@ -199,7 +199,7 @@ def _seconds(text: str) -> float:
     return float(text) / 1000 if len(text) == 13 and "." not in text else float(text)
 
 
-def _decode(parts: list[_Part], time_s: float, gathered: _Gathered) -> None:
+def _decode(parts: list[_Part], time_s: float, gathered: _Rows) -> None:
     from pyais.messages import AISSentence
 
     line = parts[0].line
@@ -218,14 +218,14 @@ def _decode(parts: list[_Part], time_s: float, gathered: _Gathered) -> None:
                 motion = float(message.speed), float(message.course), float(message.heading)
                 gathered.positions.append((mmsi, time_s, *place, *motion, line))
             if kind in PARTICULARS:
-                gathered.particulars.append(_said(message, mmsi, time_s))
+                gathered.particulars.append(_particulars(message, mmsi, time_s))
             gathered.messages += 1
     except Exception:  # pyais lets errors of many kinds through for messages that are cut short
         gathered.drop(UNDECODABLE, line, "cannot be decoded")
 
 
-def _said(message: Any, mmsi: int, time_s: float) -> tuple[Any, ...]:
-    """A row of particulars; a report in two halves gives one of them."""
+def _particulars(message: Any, mmsi: int, time_s: float) -> tuple[Any, ...]:
+    """A row of particulars; of a report in two halves each fills in its own columns."""
 
     def number(name: str) -> float:
         value = getattr(message, name, None)

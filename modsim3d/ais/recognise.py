@@ -1,4 +1,4 @@
-"""Opens a file of AIS reports, gzipped or not, and says by its content what it holds."""
+"""Opens a file of AIS reports, gzipped or not, and recognises its format by its content."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LONGEST_LINE = 1 << 20
 
 
 def source_of(path: Path) -> str:
-    """What to call a file in an error."""
+    """The name of a file in an error."""
     return f"AIS file {path}"
 
 

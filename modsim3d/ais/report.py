@@ -1,4 +1,4 @@
-"""What was read, left out and filled in: for `report.json` and for the terminal."""
+"""What was read, dropped and filled in: for `report.json` and for the terminal."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ DEFAULTS = {
 
 
 def report(traffic: Traffic) -> dict[str, Any]:
-    """Everything, for a machine to read; the same for the same files whatever the order of their rows."""
+    """The content of `report.json`; it does not depend on the order of rows in the files."""
     options = traffic.options
     camera = traffic.camera
     return {
@@ -104,32 +104,32 @@ def _vessel(traffic: Traffic, vessel: VesselTrack) -> dict[str, Any]:
 
 
 def _some(counts: Counter[str]) -> dict[str, int]:
-    """Those that are not zero, in alphabetical order."""
+    """Counts that are not zero, in alphabetical order."""
     return {name: count for name, count in sorted(counts.items()) if count}
 
 
 def messages_read(traffic: Traffic) -> int:
-    """All messages of all files."""
+    """Number of messages in all files."""
     return sum(tally.messages for tally in traffic.files)
 
 
 def messages_used(traffic: Traffic) -> int:
-    """Positions that tracks were made of."""
+    """Number of positions that tracks were made from."""
     return messages_read(traffic) - sum(traffic.dropped.values())
 
 
 def dropped(traffic: Traffic) -> Counter[str]:
-    """Messages that were of no use, by reason."""
+    """Reason → number of messages dropped."""
     return Counter({name: count for name, count in traffic.dropped.items() if name in REASONS})
 
 
 def replaced(traffic: Traffic) -> Counter[str]:
-    """Missing values of used messages, by what stands in their place."""
+    """Replacement → number of missing values of used messages that it stands for."""
     return sum((vessel.replaced for vessel in traffic.vessels), Counter[str]())
 
 
 def defaults(traffic: Traffic) -> dict[str, int]:
-    """Number of vessels of which something was left open."""
+    """Default → number of vessels that it is used for."""
     counts = Counter(name for vessel in traffic.vessels for name in (*vessel.hull.defaults, "air_draft"))
     return _some(counts)
 
@@ -170,7 +170,7 @@ def _farthest_m(traffic: Traffic) -> float:
 
 
 def _flatness(distance_m: float) -> str:
-    """What a plane does to places that far away: it pulls them in by d³ / 6R²."""
+    """Whether the plane is far off at a distance d: it moves places towards the origin by d³ / 6R²."""
     off_m = distance_m**3 / (6 * EARTH_RADIUS_M**2)
     text = "from the origin"
     return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"

@@ -1,4 +1,4 @@
-"""What the readers hand on: reported positions and what vessels say of themselves, in columns."""
+"""What the readers return: reported positions and particulars of vessels, in columns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from modsim3d.arrays import Array, Indices, Mask
 
 
 class _Columns:
-    """Arrays of one length, taken and joined together."""
+    """A table whose columns are arrays of equal length."""
 
     def _arrays(self) -> list[NDArray[Any]]:
         return [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
@@ -27,19 +27,19 @@ class _Columns:
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """All rows of some parts, of which there must be at least one."""
+        """The rows of one or more tables, one table after another."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*(part._arrays() for part in parts), strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
 class Positions(_Columns):
-    """Reported positions, shape (n,) each; what a report leaves open is NaN.
+    """Reported positions, shape (n,) each, NaN where a report leaves a value open.
 
     Attributes:
         mmsi: The vessel's identity.
         time_s: Unix time.
-        latitude_deg: Of the antenna, as reported.
-        longitude_deg: Of the antenna, as reported.
+        latitude_deg: Latitude of the antenna.
+        longitude_deg: Longitude of the antenna.
         speed_kn: Speed over ground.
         course_deg: Course over ground, clockwise from north.
         heading_deg: True heading of the bow, clockwise from north.
@@ -60,13 +60,13 @@ class Positions(_Columns):
 
 @dataclass(frozen=True, eq=False)
 class Particulars(_Columns):
-    """What vessels say of themselves, shape (n,) each; NaN or an empty text where they say nothing.
+    """Names, types and dimensions that vessels report, shape (n,) each, NaN or empty where they report none.
 
     Attributes:
         mmsi: The vessel's identity.
-        time_s: Unix time at which this was last said.
-        name: Text.
-        ship_type: Code or words of the source, as text.
+        time_s: Unix time at which this was last reported.
+        name: Name of the vessel.
+        ship_type: Code or words of the source.
         to_bow_m: A, antenna to bow.
         to_stern_m: B, antenna to stern.
         to_port_m: C, antenna to port side.
@@ -89,14 +89,14 @@ class Particulars(_Columns):
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """What a reader makes of a part of a file.
+    """What a reader returns for a part of a file.
 
     Attributes:
         positions: Reported positions.
-        particulars: What vessels said of themselves.
-        messages: How many messages were read, whatever became of them.
+        particulars: Reported particulars.
+        messages: Number of messages read, with those dropped.
         dropped: Reason → number of messages that are in neither.
-        problems: What was wrong with some of those, one line each.
+        problems: One line on each of the first dropped messages.
     """
 
     positions: Positions

@@ -1,4 +1,4 @@
-"""A vessel's track at the times of a scene, from reports that come when they come."""
+"""A vessel's track at the times of a scene, from reports at irregular times."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 
 TRUST_M, TRUST_SHARE = 15.0, 0.25
-"""Two reports' speeds and courses are believed if they miss the way between them by less than the sum of these."""
+"""Two reported velocities are used if their mean times the interval misses the way between the positions by at most
+TRUST_M plus TRUST_SHARE of that way."""
 ROUNDING_S = 1e-6
 
 
@@ -19,9 +20,9 @@ class ReportedTrack:
 
     Attributes:
         times_s: Ascending, shape (n,).
-        places_m: Of the antenna, shape (n, 2).
-        velocities_m_s: NaN where unknown, shape (n, 2).
-        headings_rad: Shape (n,).
+        places_m: East and north of the antenna, shape (n, 2).
+        velocities_m_s: East and north, NaN where unknown, shape (n, 2).
+        headings_rad: Counter-clockwise from w1, shape (n,).
     """
 
     times_s: Array
@@ -31,20 +32,21 @@ class ReportedTrack:
 
 
 def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
-    """Where a vessel is at some times.
+    """Places and headings of a vessel at some times.
 
-    Between two reports the way is the cubic that leaves and arrives with the reported speeds and courses (cubic
-    Hermite interpolation), or a straight line where they are unknown or do not fit the way. The heading turns evenly
-    along the shorter arc. Between reports that are further apart than the limit, before the first and after the last,
-    the vessel is away.
+    Between two reports the vessel follows the cubic with the reported velocities at both ends (cubic Hermite
+    interpolation), or a straight line where these are unknown or do not fit the positions. Its heading turns evenly
+    along the shorter arc. The vessel is away before the first report, after the last, and between reports that are
+    further apart than the longest gap.
 
     Args:
-        track: Its reports.
-        times_s: Shape (m,).
-        max_gap_s: The limit.
+        track: The vessel's reports.
+        times_s: Times to resample at, shape (m,).
+        max_gap_s: The longest gap.
 
     Returns:
-        Whether it is there, shape (m,), places of the antenna, shape (m, 2), and headings, shape (m,).
+        Whether the vessel is there, shape (m,), places of the antenna in metres, shape (m, 2), and headings in radians,
+        shape (m,).
     """
     known = track.times_s
     if len(known) == 1:
@@ -78,10 +80,10 @@ def to_hull_centre(places_m: Array, headings_rad: Array, ahead_m: float, to_port
     """Centres of a hull from places of its antenna.
 
     Args:
-        places_m: Shape (m, 2).
+        places_m: Places of the antenna, shape (m, 2).
         headings_rad: Counter-clockwise from w1, shape (m,).
-        ahead_m: How far ahead of the antenna the centre is.
-        to_port_m: How far to port of it.
+        ahead_m: Distance of the centre ahead of the antenna.
+        to_port_m: Distance of the centre to port of the antenna.
     """
     cosine, sine = np.cos(headings_rad), np.sin(headings_rad)
     offset = np.stack([ahead_m * cosine - to_port_m * sine, ahead_m * sine + to_port_m * cosine], axis=-1)

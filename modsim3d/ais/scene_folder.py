@@ -1,4 +1,4 @@
-"""Writes a scene folder that runs as it is: scene, vessels, poses, detector and report."""
+"""Writes a scene folder that is ready to run: scene, vessels, poses, detector and report."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ detector: detector.yaml
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that holds something else, or anything at all unless it may be replaced.
+    """Refuse a folder that is not empty, unless it holds a scene made from AIS that may be replaced.
 
     Raises:
-        ModsimError: It does, or it is no folder.
+        ModsimError: The folder is not free, or is no folder.
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise ModsimError(f"{folder} is there already and is no folder: choose another with --out")
@@ -63,13 +63,13 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
     """Write everything that the scene needs, and the report.
 
     Args:
-        traffic: What to write.
-        folder: Where to; made if it is not there.
+        traffic: The traffic.
+        folder: The scene folder; made if it does not exist.
         detector: A detector file with one label, to be copied or spread over the scene's labels.
-        overwrite: Replace a scene folder that is there.
+        overwrite: Replace an existing scene folder.
 
     Raises:
-        ModsimError: The folder is taken.
+        ModsimError: The folder is not free.
     """
     check_free(folder, overwrite)
     labels = list(dict.fromkeys(sorted(traffic.label(vessel) for vessel in traffic.vessels)))

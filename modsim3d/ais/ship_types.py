@@ -1,4 +1,4 @@
-"""Groups of ship types and what a ship of each is typically like; the table is `ship_types.yaml`."""
+"""Groups of ship types and the typical dimensions of each; the table is `ship_types.yaml`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ShipType:
 
     Attributes:
         group: Its name.
-        label: What a detector may call it.
+        label: Label for a detector.
         length_m: Typical length.
         beam_m: Typical beam.
         air_draft_m: Typical height above the waterline.
@@ -51,7 +51,7 @@ def ship_types() -> Mapping[str, ShipType]:
 
 
 def group_of(text: str) -> str:
-    """The group of a type as a file gives it, a code or a word; `unknown` for any other."""
+    """The group of a ship type, given as a code or a word; `unknown` for any other text."""
     plain = text.strip().lower()
     number, point, zeros = plain.partition(".")
     if point and not zeros.strip("0"):  # 70.0, as tables with gaps in them are often saved

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.ais.cleaning import SLACK_S
-from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, From, fill_courses, fill_headings
+from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, HeadingSource, fill_courses, fill_headings
 from modsim3d.ais.hulls import Hull
 from modsim3d.ais.jumps import reachable
 from modsim3d.ais.options import Options
@@ -19,10 +19,10 @@ from modsim3d.ais.time_grid import TimeGrid
 from modsim3d.arrays import Array, Mask
 
 HEADING_NAMES = {
-    From.COURSE: "heading_from_course",
-    From.BEARING: "heading_from_bearing",
-    From.HELD: "heading_held",
-    From.NOTHING: "heading_unknown",
+    HeadingSource.COURSE: "heading_from_course",
+    HeadingSource.BEARING: "heading_from_bearing",
+    HeadingSource.HELD: "heading_held",
+    HeadingSource.NOTHING: "heading_unknown",
 }
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.ais.headings import From, fill_headings
+from modsim3d.ais.headings import HeadingSource, fill_headings
 from modsim3d.ais.hulls import antenna_offset
 from modsim3d.ais.jumps import reachable
 from modsim3d.ais.projection import heading_rad, local_metres, median_place
@@ -169,19 +169,25 @@ def headings_of(speed, course, heading, places=None, times=None):
 def test_missing_heading_is_the_course_of_a_vessel_that_moves():
     filled, source = headings_of([10, 10], [45, 50], [NAN, 47])
     assert filled.tolist() == [45, 47]
-    assert source.tolist() == [From.COURSE, From.REPORT]
+    assert source.tolist() == [HeadingSource.COURSE, HeadingSource.REPORT]
 
 
 def test_without_course_the_heading_is_the_bearing_between_positions():
     filled, source = headings_of([10] * 3, [NAN] * 3, [NAN] * 3, [[0, 0], [50, 0], [50, 50]])
     np.testing.assert_allclose(filled, [90, 45, 0], atol=1e-9)
-    assert source.tolist() == [From.BEARING] * 3
+    assert source.tolist() == [HeadingSource.BEARING] * 3
 
 
 def test_a_vessel_that_lies_still_keeps_its_heading_whatever_its_course_says():
     filled, source = headings_of([0.1, 10, 0.1, 0, 0.2], [10, 200, 77, 300, 5], [NAN] * 5)
     assert filled.tolist() == [200] * 5
-    assert source.tolist() == [From.HELD, From.COURSE, From.HELD, From.HELD, From.HELD]
+    assert source.tolist() == [
+        HeadingSource.HELD,
+        HeadingSource.COURSE,
+        HeadingSource.HELD,
+        HeadingSource.HELD,
+        HeadingSource.HELD,
+    ]
 
 
 def test_bearings_are_not_taken_across_a_gap():
@@ -193,7 +199,7 @@ def test_bearings_are_not_taken_across_a_gap():
 def test_with_nothing_to_go_by_a_vessel_lies_north_and_that_is_said():
     filled, source = headings_of([0, 0], [NAN, NAN], [NAN, NAN])
     assert filled.tolist() == [0, 0]
-    assert source.tolist() == [From.NOTHING] * 2
+    assert source.tolist() == [HeadingSource.NOTHING] * 2
 
 
 @given(st.integers(0, 19), st.floats(500, 1e5), st.floats(0, 2 * math.pi))
