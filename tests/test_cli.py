@@ -1,7 +1,6 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -23,8 +22,7 @@ def test_run_writes_a_contact_sheet_and_says_what_happened(monkeypatch, tmp_path
         assert word in said
     with Image.open(out / "contact_sheet.png") as sheet:
         assert sheet.size[0] > 1000
-        colours = np.unique(np.asarray(sheet.convert("RGB")).reshape(-1, 3), axis=0)
-        assert len(colours) > 20
+        assert len(sheet.convert("RGB").getcolors(maxcolors=2**24)) > 20
 
 
 def test_contact_sheet_is_the_same_bytes_again(monkeypatch, tmp_path):
