@@ -6,7 +6,7 @@
     for frame in modsim3d.simulate_frames(scene):
         frame.truth.boxes_px, frame.detections.boxes_px
 
-Importing this imports no OpenGL, plotting or tracking library; the names below are loaded at first use.
+`import modsim3d` loads no OpenGL, plotting or tracking library; each name below is imported when it is first used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The command line: the commands by their names. What each does is in `commands/`, imported when it is called."""
+"""The command line: each command under its name. The commands themselves are in `commands/`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from modsim3d.commands.view import view_command
 from modsim3d.errors import ModsimError
 
 BAD_INPUT = 2
-"""Exit status of a user's error."""
+"""Exit status of a user error."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -32,15 +32,15 @@ app = typer.Typer(
 
 [bold]Examples[/bold]
 
-  modsim3d run simulation_1 --mode 2          a shipped scene, occlusion from pixels
+  modsim3d run simulation_1 --mode 2          a shipped scene, with occlusion from pixels
 
   modsim3d run my/scene.yaml --out runs/mine  a scene of your own
 
   modsim3d detect runs/mine --detector my/detector.yaml --out runs/other    the detector alone, over the same truth
 
-  modsim3d verify runs/mine                   does the run obey its detector file?
+  modsim3d verify runs/mine                   check that the run obeys its detector file
 
-  modsim3d check my/scene.yaml                what is wrong with it, all at once
+  modsim3d check my/scene.yaml                everything that is wrong with a scene, at once
 
   modsim3d compare my/scene.yaml              rendered truth against exact geometry
 
@@ -52,7 +52,7 @@ app = typer.Typer(
 
   modsim3d learn --truth gt.json --detections dt.json --out detector.yaml    a detector file from real results
 
-  modsim3d scenes                             the scenes that come with it""",
+  modsim3d scenes                             the shipped scenes""",
 )
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -73,8 +73,8 @@ for name, command in COMMANDS.items():
     app.command(name)(command)
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import version
 
         typer.echo(f"modsim3d {version('modsim3d')}")
@@ -92,8 +92,8 @@ def _root(
 
 
 def main() -> None:
-    """Run the command line; a user's error is one message on standard error and exit status 2."""
-    # Neither small matrices nor short tables gain from threads; without them workers can be copies of this process.
+    """Run the command line; a user error is one message on standard error and exit status 2."""
+    # Small matrices and short tables are no faster with threads, and a process without threads can be forked.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
     try:

@@ -1,6 +1,6 @@
-"""A place for a camera from which the traffic can be seen, kept clear of every hull.
+"""A place for a camera from which the traffic can be seen, clear of all hulls.
 
-Nothing here knows where the land is: it is a place to begin with.
+AIS does not say where land is, so the user has to check the place.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ HEIGHT_M = 20.0
 MIN_DISTANCE_M, MAX_DISTANCE_M = 300.0, 2500.0
 CLEARANCE_M = 50.0
 TRIES = 12
-LOOKED_AT = 200_000
-"""Poses that are looked at; of more, every so many."""
+MAX_POSES = 200_000
+"""Of more poses than this, evenly spaced ones are used to find the busiest water."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Viewpoint:
     """A camera ashore.
 
     Attributes:
-        position_m: w1, w2, w3.
+        position_m: Place of the camera, w1, w2 and w3.
         yaw_rad: Counter-clockwise from w1.
         pitch_rad: Positive down.
-        target_m: What it looks at, w1 and w2.
-        distance_m: How far that is.
+        target_m: Place on the water that it looks at, w1 and w2.
+        distance_m: Horizontal distance to the target.
     """
 
     position_m: tuple[float, float, float]
@@ -42,38 +42,21 @@ class Viewpoint:
 def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoint:
     """A camera that looks across the busiest patch of water.
 
-    The patch is the square kilometre that most vessels visit. The camera stands off it across the main direction of
-    what moves there, at the distance at which half of that traffic fills its view, further away or turned aside as long
-    as a hull comes near.
+    The patch is the square kilometre that most vessels visit. The camera looks at right angles to the main direction of
+    motion there, from the distance at which half of that traffic fills its view. If a hull comes near that place, the
+    camera is turned aside or moved further away.
 
     Args:
-        present: Which vessel is there when, shape (S, V).
+        present: Which vessel is there at which step, shape (S, V).
         places_m: Centres of hulls, shape (S, V, 2).
-        half_lengths_m: Shape (V,).
+        half_lengths_m: Half the length of each vessel, shape (V,).
     """
     steps, vessels = np.nonzero(present)
-    thin = max(1, len(steps) // LOOKED_AT)
     places = places_m[steps, vessels]
-    target = _busiest(places[::thin], vessels[::thin])
-    near = places[np.abs(places - target).max(axis=1) <= 1.5 * CELL_M]
-    spread = near - near.mean(axis=0)
-    _, directions = np.linalg.eigh(spread.T @ spread)
-    along = directions[:, 1]
-    across = float(np.arctan2(-along[0], along[1]))
-    reach = float(np.median(np.abs(spread @ along)))
-    distance = float(np.clip(1.5 * reach, MIN_DISTANCE_M, MAX_DISTANCE_M))
-    # From the south, with the light behind, if either side will do.
-    bearing = across if np.sin(across) < 0 else across + np.pi
-    keep_off = half_lengths_m[vessels] + CLEARANCE_M
-    for attempt in range(TRIES):
-        turned = bearing + (0.0, np.pi, 0.5, -0.5)[attempt % 4]
-        further = distance * 1.5 ** (attempt // 4)
-        place = target + further * np.array([np.cos(turned), np.sin(turned)])
-        if (np.linalg.norm(places - place, axis=1) > keep_off).all():
-            break
-    else:
-        # Outside everything: beyond the southernmost hull.
-        place = np.array([target[0], float((places[:, 1] - keep_off).min()) - CLEARANCE_M])
+    spacing = max(1, len(steps) // MAX_POSES)
+    target = _busiest(places[::spacing], vessels[::spacing])
+    bearing, distance = _across(places, target)
+    place = _clear_place(places, half_lengths_m[vessels] + CLEARANCE_M, target, bearing, distance)
     look = target - place
     distance = float(np.hypot(*look))
     return Viewpoint(
@@ -85,8 +68,56 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     )
 
 
+def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
+    """Direction from the target at right angles to the traffic around it, and a distance that shows half of it.
+
+    Args:
+        places_m: All places of hulls, shape (n, 2).
+        target_m: Shape (2,).
+
+    Returns:
+        Radians counter-clockwise from w1, to the south where possible so that the light comes from behind, and metres.
+    """
+    near = places_m[np.abs(places_m - target_m).max(axis=1) <= 1.5 * CELL_M]
+    spread = near - near.mean(axis=0)
+    _, directions = np.linalg.eigh(spread.T @ spread)
+    along = directions[:, 1]
+    across = float(np.arctan2(-along[0], along[1]))
+    reach = float(np.median(np.abs(spread @ along)))
+    distance = float(np.clip(1.5 * reach, MIN_DISTANCE_M, MAX_DISTANCE_M))
+    return (across if np.sin(across) < 0 else across + np.pi), distance
+
+
+def _clear_place(places_m: Array, clearance_m: Array, target_m: Array, bearing_rad: float, distance_m: float) -> Array:
+    """The first place that is clear of all hulls: at the bearing and distance, turned aside, or further away.
+
+    Args:
+        places_m: All places of hulls, shape (n, 2).
+        clearance_m: Distance to keep from each, shape (n,).
+        target_m: Shape (2,).
+        bearing_rad: Direction from the target, counter-clockwise from w1.
+        distance_m: Distance from the target.
+
+    Returns:
+        Shape (2,).
+    """
+    for attempt in range(TRIES):
+        turned = bearing_rad + (0.0, np.pi, 0.5, -0.5)[attempt % 4]
+        further = distance_m * 1.5 ** (attempt // 4)
+        place = target_m + further * np.array([np.cos(turned), np.sin(turned)])
+        if (np.linalg.norm(places_m - place, axis=1) > clearance_m).all():
+            return place
+    south_m = float((places_m[:, 1] - clearance_m).min()) - CLEARANCE_M  # beyond the southernmost hull
+    return np.array([target_m[0], south_m])
+
+
 def _busiest(places_m: Array, vessels: Indices) -> Array:
-    """The middle of the places in the cell that most vessels visit, of equals the one with most poses."""
+    """The mean place, shape (2,), in the cell that most vessels visit; of several, the one with most poses.
+
+    Args:
+        places_m: Shape (n, 2).
+        vessels: Vessel of each place, shape (n,).
+    """
     cells = np.floor(places_m / CELL_M).astype(np.int64)
     names, cell = np.unique(cells, axis=0, return_inverse=True)
     cell = cell.reshape(-1)

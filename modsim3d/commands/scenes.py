@@ -8,7 +8,7 @@ from modsim3d.commands.shared import SceneArgument
 
 
 def check_command(scene: SceneArgument) -> None:
-    """Read a scene and every file that it names, and say all that is wrong.
+    """Read a scene and every file that it names, and list everything that is wrong.
 
     Example: modsim3d check my/scene.yaml
     """
@@ -23,7 +23,7 @@ def check_command(scene: SceneArgument) -> None:
 
 
 def scenes_command() -> None:
-    """List the scenes that come with modsim3d.
+    """List the shipped scenes.
 
     Example: modsim3d scenes
     """
