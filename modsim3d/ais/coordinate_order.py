@@ -40,7 +40,7 @@ def check_order(source: str, positions: Positions, exchange: bool) -> None:
     if not len(wrong):
         return
     rows = ", ".join(str(row) for row in positions.row[wrong[:LISTED_ROWS]])
-    more = f" and {len(wrong) - LISTED_ROWS} more" if len(wrong) > LISTED_ROWS else ""
+    more = " and more" if len(wrong) > LISTED_ROWS else ""
     place = f"latitude {latitude[wrong[0]]:g}, longitude {longitude[wrong[0]]:g}"
     if exchange:
         problem = f"--swap-coordinates makes these positions impossible ({place}); leave the option out"

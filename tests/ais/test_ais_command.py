@@ -82,7 +82,7 @@ def swapped_copy(path, folder):
 def test_rows_possible_only_the_other_way_round_are_named_with_the_option(monkeypatch, tmp_path, capsys):
     path = old_file(tmp_path, row(0, 35.0, 110.0), *(row(10 * k, 110.2, 35.0) for k in range(1, 8)))
     said = problem(monkeypatch, tmp_path, capsys, path)
-    assert "row 3, 4, 5, 6, 7 and 2 more: latitude and longitude look swapped: latitude 110.2, longitude 35" in said
+    assert "row 3, 4, 5, 6, 7 and more: latitude and longitude look swapped: latitude 110.2, longitude 35" in said
     assert "--swap-coordinates" in said
     assert str(path) in said
 
