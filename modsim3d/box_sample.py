@@ -45,7 +45,7 @@ class BoxSample:
         for part in block.cameras:
             drawn, truth = part.detections, part.truth
             found = np.flatnonzero(drawn.kind == TRUE)
-            rows, state = part.truth_row()[found], drawn.states[drawn.frame[found]]
+            rows, state = part.truth_row[found], drawn.states[drawn.frame[found]]
             keys = np.stack([truth.step[rows], truth.vessel[rows], truth.camera[rows]], axis=1) @ _MIX % _RANGE
             boxes = annotation_boxes(truth, scene.annotation.mode)[rows]
             pieces.append(np.column_stack([keys, state, truth.camera[rows], boxes]))

@@ -77,11 +77,11 @@ _LARGEST = ("largest_curvature_px",)
 def _count(part: CameraBlock, scene: Scene) -> Counts:
     truth, drawn = part.truth, part.detections
     true = np.flatnonzero(~drawn.false())
-    rows = part.truth_row()[true]
+    rows = part.truth_row[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
     boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
     asked = sizes(annotated) + drawn.errors_px[true, 2:]
-    detected = int(part.detected().sum())
+    detected = int(part.detected.sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
     curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
     curvature_px = curvature_px[curvature_px > WORTH_A_WARNING_PX]

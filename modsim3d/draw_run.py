@@ -1,4 +1,4 @@
-"""Pictures of a run: joins what was simulated with how it is drawn."""
+"""Pictures of a run and of its scene: ID images, contact sheets, cases of a comparison."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
-from modsim3d.block import frames_of
 from modsim3d.compare import Case
-from modsim3d.detector.reference import Reference
+from modsim3d.draw_film import open_drawer
 from modsim3d.render.id_pass import IdRenderer, Ids
-from modsim3d.render.plain_ids import PlainIds
 from modsim3d.scene import Scene
-from modsim3d.simulate import Simulation, open_renderer, truth_block
+from modsim3d.stored_run import StoredRun
 from modsim3d.view.comparison_picture import comparison_picture
 from modsim3d.view.contact_sheet import contact_sheet
 from modsim3d.view.moments import Moment
@@ -51,29 +49,18 @@ def describe_case(scene: Scene, case: Case) -> str:
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"
 
 
-def draw_contact_sheet(scene: Scene, folder: Path, reference: Reference | None = None) -> Path:
-    """Draw a finished run's contact sheet into its folder.
-
-    Args:
-        scene: What was run.
-        folder: The run directory.
-        reference: What the run's detector had to know of the whole scene, from `RunResult`.
+def draw_contact_sheet(run: StoredRun) -> Path:
+    """Draw the contact sheet of a finished run into its folder.
 
     Returns:
         The PNG's path.
     """
-    simulation = Simulation(scene, reference)
-    with open_renderer(scene) as renderer:
+    scene, path = run.scene, run.folder / SHEET_FILE
+    title = f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
 
-        def look(moment: Moment) -> Subject:
-            step = moment.step
-            block = simulation.detect(truth_block(scene, step, step + 1, renderer), step, step + 1)
-            (frame,) = (frame for frame in frames_of(block, scene) if frame.camera == moment.camera)
-            return Subject.of(scene, frame)
+    def subject(moment: Moment) -> Subject:
+        return Subject.of(scene, run.frame(moment.camera, moment.step))
 
-        title = (
-            f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
-        )
-        sheet = contact_sheet(folder, title, scene.annotation.mode, look, renderer or PlainIds())
-        sheet.save(folder / SHEET_FILE)
-    return folder / SHEET_FILE
+    with open_drawer(scene) as drawer:
+        contact_sheet(run.folder, title, scene.annotation.mode, subject, drawer).save(path)
+    return path

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import RunDirectoryError
-from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
+from modsim3d.formats.columns import NOBODY, indices, numbers
+from modsim3d.report_rows import RunRows
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette

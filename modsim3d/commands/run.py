@@ -79,6 +79,7 @@ def run_command(
         raise typer.Exit(INTERRUPTED) from None
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
+        from modsim3d.stored_run import open_run
 
-        draw_contact_sheet(loaded, folder, result.reference)
+        draw_contact_sheet(open_run(folder))
     summarise(loaded, result, sheet)

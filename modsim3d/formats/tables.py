@@ -22,6 +22,9 @@ MOST_WAITING = 64
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
 CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
+TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
+"""Columns of the truth table that are attributes of `Truth`."""
 _OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
 
 
@@ -42,7 +45,7 @@ TRUTH = pa.schema(
         ("vessel", pa.string()),
         ("label", pa.string()),
         *_doubles(*(f"full_{side}" for side in BOX_SIDES), *(f"visible_{side}" for side in BOX_SIDES)),
-        *_doubles("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m"),
+        *_doubles(*TRUTH_NUMBERS),
         ("occluded_by", _OCCLUDERS),
         ("annotated", pa.bool_()),
         ("detected", pa.bool_()),
@@ -53,11 +56,11 @@ DETECTIONS = pa.schema(
         *_KEYS,
         ("detection", pa.int64()),
         ("label", pa.string()),
-        *_doubles("confidence", "x_px", "y_px", "width_px", "height_px"),
+        *_doubles("confidence", *CENTRE_FORM),
         ("state", pa.string()),
         ("kind", pa.string()),
         ("vessel", pa.string()),
-        *_doubles("e_x_px", "e_y_px", "e_w_px", "e_h_px"),
+        *_doubles(*ERRORS),
     ]
 )
 
@@ -95,16 +98,13 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
                 "label": _named(labels, truth.vessel),
                 **_box_columns("full", truth.full_boxes_px),
                 **_box_columns("visible", truth.visible_boxes_px),
-                **{name: _nullable(getattr(truth, name)) for name in _TRUTH_NUMBERS},
+                **{name: _nullable(getattr(truth, name)) for name in TRUTH_NUMBERS},
                 "occluded_by": _occluders(part, scene),
                 "annotated": truth.annotated,
-                "detected": part.detected(),
+                "detected": part.detected,
             }
         )
     return _in_order(TRUTH, tables)
-
-
-_TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
 
 
 def detection_table(block: Block, scene: Scene) -> pa.Table:
@@ -112,7 +112,7 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
     states = [state.name for state in scene.detector.states]
     tables = []
     for part in block.cameras:
-        drawn, rows = part.detections, part.truth_row()
+        drawn, rows = part.detections, part.truth_row
         boxes = centre_form(drawn.boxes_px)
         starts = np.searchsorted(drawn.frame, drawn.frame)
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
@@ -122,14 +122,11 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
                 "detection": np.arange(len(drawn)) - starts,
                 "label": _named(scene.detector.labels, drawn.label),
                 "confidence": drawn.confidence,
-                **dict(zip(("x_px", "y_px", "width_px", "height_px"), boxes.T, strict=True)),
+                **dict(zip(CENTRE_FORM, boxes.T, strict=True)),
                 "state": _named(states, drawn.states[drawn.frame]),
                 "kind": _named(KINDS, drawn.kind),
                 "vessel": _named(scene.vessel_names, vessels),
-                **{
-                    name: _nullable(column)
-                    for name, column in zip(("e_x_px", "e_y_px", "e_w_px", "e_h_px"), drawn.errors_px.T, strict=True)
-                },
+                **{name: _nullable(column) for name, column in zip(ERRORS, drawn.errors_px.T, strict=True)},
             }
         )
     return _in_order(DETECTIONS, tables)

@@ -40,7 +40,7 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[b
     """One line a frame: timestamp → vessel ID or `false_positive_<n>` → label, confidence, box."""
     drawn, labels = part.detections, scene.detector.labels
     boxes, confidence = centre_form(drawn.boxes_px).tolist(), drawn.confidence.tolist()
-    sources, frames, label_of = part.truth_row().tolist(), drawn.frame.tolist(), drawn.label.tolist()
+    sources, frames, label_of = part.truth_row.tolist(), drawn.frame.tolist(), drawn.label.tolist()
     names, vessels = scene.vessel_names, part.truth.vessel
     entries: list[dict[str, Any]] = [{} for _ in part.steps]
     second = np.isin(drawn.kind, (DUPLICATE, FRAGMENT))
