@@ -15,7 +15,7 @@ from modsim3d.film_plan import TITLES, FilmPlan
 from modsim3d.processes import open_workers
 from modsim3d.render.plain_ids import IdDrawer, PlainIds
 from modsim3d.scene import Scene
-from modsim3d.selection import Selection, Shown
+from modsim3d.selection import LatestFrames, Selection
 from modsim3d.simulate import open_renderer
 from modsim3d.view import palette
 from modsim3d.view.film_files import MOST_RATE, encoded, open_film
@@ -34,7 +34,7 @@ STEPS_TOGETHER = 4
 PALETTE_SAMPLES = 4
 IF_KILLED = "draw the film again, perhaps with fewer --workers"
 
-Piece = list[Shown]
+Piece = list[LatestFrames]
 
 
 class Draughtsman:
@@ -56,7 +56,7 @@ class Draughtsman:
         self._layout = plan.layout(scene)
         self._birds_eye = plan.birds_eye(scene)
 
-    def draw(self, shown: Shown) -> Image.Image:
+    def draw(self, shown: LatestFrames) -> Image.Image:
         """The picture of a step, from what each camera of the plan shows."""
         subjects = [None if frame is None else Subject.of(self._scene, frame) for frame in shown.frames]
         sizes = self._layout.panel_sizes
@@ -69,7 +69,7 @@ class Draughtsman:
         titles = [self._title(shown, place, kind) for place, kind in self._plan.panels()]
         return self._layout.compose(self._head(shown), titles, panels)
 
-    def _title(self, shown: Shown, place: int, kind: str) -> str:
+    def _title(self, shown: LatestFrames, place: int, kind: str) -> str:
         several = len(shown.frames) > 1 and kind != "map"
         camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
         age = [_age(shown, place)] if several and _age(shown, place) else []
@@ -90,7 +90,7 @@ class Draughtsman:
             return scene_picture(self._scene, subject.solids.camera, subject.frame.step, window, self._drawer)
         return paint(subject, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
 
-    def _head(self, shown: Shown) -> str:
+    def _head(self, shown: LatestFrames) -> str:
         states = dict.fromkeys(frame.state for frame in shown.frames if frame)
         single = len(shown.frames) == 1
         camera = [self._scene.cameras[self._plan.cameras[0]].name] if single else []
@@ -99,7 +99,7 @@ class Draughtsman:
         return "    ".join([*parts, _age(shown, 0)] if single and _age(shown, 0) else parts)
 
 
-def _age(shown: Shown, place: int) -> str:
+def _age(shown: LatestFrames, place: int) -> str:
     """Of when a camera's picture is, where it is not of the step itself."""
     frame = shown.frames[place]
     if frame is None:
@@ -169,7 +169,7 @@ def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
     scene = selection.run.scene
     with open_draughtsman(scene, plan) as draughtsman:
-        picture = draughtsman.draw(next(selection.shown()))
+        picture = draughtsman.draw(next(selection.latest_frames()))
     partial = path.with_name(f".{path.name}.partial")
     picture.save(partial, format="PNG")
     partial.replace(path)
@@ -229,13 +229,13 @@ def _chain(first: _Drawn, others: Iterable[_Drawn]) -> Iterator[_Drawn]:
     yield from others
 
 
-def _shown_at(selection: Selection, step: int) -> Shown:
-    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).shown())
+def _shown_at(selection: Selection, step: int) -> LatestFrames:
+    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).latest_frames())
 
 
 def _pieces(selection: Selection, steps: set[int]) -> Iterator[Piece]:
     piece: Piece = []
-    for shown in selection.shown():
+    for shown in selection.latest_frames():
         if shown.step in steps:
             piece.append(shown)
         if len(piece) == STEPS_TOGETHER:

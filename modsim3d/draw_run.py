@@ -1,4 +1,4 @@
-"""Pictures of a run and of its scene: ID images, contact sheets, cases of a comparison."""
+"""Pictures of runs: contact sheets and cases of a comparison."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from PIL import Image
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
 from modsim3d.compare import Case
 from modsim3d.draw_film import open_drawer
-from modsim3d.render.id_pass import IdRenderer, Ids
+from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view.comparison_picture import comparison_picture
@@ -18,15 +18,8 @@ from modsim3d.view.contact_sheet import contact_sheet
 from modsim3d.view.moments import Moment
 from modsim3d.view.painter import Subject
 from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
 
 SHEET_FILE = "contact_sheet.png"
-
-
-def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -> Ids:
-    """The whole ID image of a camera at a step: vessel index + 1, zero where no vessel is."""
-    solids = Solids.at(scene, scene.cameras[camera_index], step)
-    return solids.ids(Window(0.0, 0.0, 1.0, solids.intrinsics.image_size_px), renderer)
 
 
 def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:

@@ -1,4 +1,4 @@
-"""All rows of a run as columns, with names as indices into its scene: what the page and the recording show."""
+"""All rows of a run as columns, with names as indices into its scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from modsim3d.formats.columns import (
 )
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
-from modsim3d.view.report.tally import Tally
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,21 +137,3 @@ class RunRows:
             np.where(columns.names < count, self.truth_frame[hidden] * count + columns.names, NOBODY),
         )
         return Occluders(hidden, columns.names, rows, columns.px)
-
-    def tally(self) -> Tally:
-        """The columns that are counted for the tables of the page."""
-        known = self.drawn_vessel >= 0
-        labels = self.scene.detector.labels
-        true_label = np.array([labels.index(vessel.label) for vessel in self.scene.vessels])
-        label = indices(self.drawn, "label", labels)
-        return Tally(
-            frame_state=self.frame_state,
-            vessel=self.truth_vessel,
-            state=self.states_of(self.truth_frame),
-            silhouette_px=self.numbers("silhouette_px"),
-            visible_px=self.numbers("visible_px"),
-            annotated=self.annotated,
-            detected=self.detected,
-            false_state=self.states_of(self.drawn_frame[~known]),
-            mislabelled=int((label[known] != true_label[self.drawn_vessel[known]]).sum()),
-        )
