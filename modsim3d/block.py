@@ -80,22 +80,22 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """What one camera sees at one time: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
+    """What one camera sees at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
 
     Attributes:
-        vessels: Their IDs.
-        labels: Their true classes.
-        full_boxes_px: Whole silhouettes, cut at the image edge, shape (n, 4).
-        visible_boxes_px: What is seen; NaN if nothing is, shape (n, 4).
-        boxes_px: What the annotation mode annotates, shape (n, 4).
-        silhouette_px: Shape (n,).
-        visible_px: Shape (n,).
-        visible_fraction: Shape (n,).
-        in_frame_fraction: Shape (n,).
-        depth_m: Shape (n,).
-        occluded_by: For each vessel, who hides how many of its pixels.
-        annotated: Shape (n,).
-        detected: Shape (n,).
+        vessels: IDs of the vessels.
+        labels: True classes.
+        full_boxes_px: Boxes of the whole silhouettes, cut at the image edge, shape (n, 4).
+        visible_boxes_px: Boxes of the visible pixels; NaN if there are none, shape (n, 4).
+        boxes_px: The boxes that the annotation mode takes: the full or the visible ones, shape (n, 4).
+        silhouette_px: Pixels of the silhouette in the image, shape (n,).
+        visible_px: Pixels of the silhouette that are seen, shape (n,).
+        visible_fraction: visible_px / silhouette_px; NaN if there is no silhouette pixel, shape (n,).
+        in_frame_fraction: Area in the image over area of the silhouette; NaN across the near plane, shape (n,).
+        depth_m: Mean distance along the camera's axis, shape (n,).
+        occluded_by: For each vessel, the names of its occluders and the number of pixels that each hides.
+        annotated: Whether it was given to the detector, shape (n,).
+        detected: Whether it was detected, under whatever label, shape (n,).
     """
 
     vessels: tuple[str, ...]
@@ -119,14 +119,14 @@ class FrameTruth:
 
 @dataclass(frozen=True, eq=False)
 class FrameDetections:
-    """What the detector put out for one frame: m detections as arrays, in shuffled order.
+    """The detector's output for one frame: m detections as arrays, in shuffled order.
 
     Attributes:
-        labels: Classes.
-        confidence: Shape (m,).
+        labels: Detected classes.
+        confidence: In [0, 1], shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
-        kinds: Where each came from: one of `modsim3d.detector.KINDS`.
-        vessels: ID of the vessel each came from, None for a false positive. A tracker must not read this.
+        kinds: Origin of each detection: one of `modsim3d.detector.KINDS`.
+        vessels: ID of the vessel that each detection came from, None for a false positive. A tracker must not read it.
         errors_px: e_x, e_y, e_w, e_h before clipping, NaN for false positives, shape (m, 4).
     """
 
@@ -144,15 +144,15 @@ class FrameDetections:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One camera at one time.
+    """One camera at one step.
 
     Attributes:
-        camera: Its ID.
+        camera: Name of the camera.
         step: Counted from zero.
-        timestamp: The text of its time.
+        timestamp: The text of the step's time.
         state: Name of the detector's performance state.
         truth: What the camera sees.
-        detections: What the detector put out.
+        detections: The detector's output.
         image_size_px: Width and height.
         sea_half_plane: (a, b, c) with a·x + b·y + c >= 0 on the sea's side of the horizon, shape (3,).
         scene_vessels: IDs of all vessels of the scene, seen or not; their order gives the colours of pictures.
@@ -172,14 +172,14 @@ class Frame:
         """Draw sea, sky, truth and detections with matplotlib; a notebook shows what is returned.
 
         Args:
-            axes: Where to draw; a figure of its own if None.
+            axes: Axes to draw into; a new figure if None.
             zoom: Show only the part of the image in which there are vessels.
             labels: Write names, classes and confidences.
 
         Raises:
             ModsimError: matplotlib is not installed.
         """
-        from modsim3d.view.frame_plot import plot_frame  # the one arrow up, for the sake of frame.plot() in notebooks
+        from modsim3d.view.frame_plot import plot_frame  # the one import of a room above, for notebooks
 
         return plot_frame(self, axes, zoom=zoom, labels=labels)
 

@@ -9,12 +9,12 @@ if TYPE_CHECKING:
 
 
 def progress_bar() -> Progress:
-    """A bar on standard error that is redrawn when it is told of progress."""
+    """A bar on standard error that is redrawn at each update."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     class Bar(Progress):
-        """Leaves nothing on the screen of what failed before its first step: an error stands alone."""
+        """Removes itself if an error comes before the first step, so that the error stands alone."""
 
         def __exit__(self, kind: type[BaseException] | None, *rest: Any) -> None:
             if kind is not None and not any(task.completed for task in self.tasks):
@@ -23,5 +23,5 @@ def progress_bar() -> Progress:
             super().__exit__(kind, *rest)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    # Refreshed when told: a thread that refreshes would keep workers from being copies of this process.
+    # Refreshed by updates only: with a second thread, workers could not be forked from this process.
     return Bar(*columns, console=Console(stderr=True), auto_refresh=False)

@@ -131,7 +131,7 @@ def open_run(folder: Path) -> StoredRun:
 
 
 def _kept_steps(folder: Path, scene: Scene) -> int:
-    """How many steps from the first on an interrupted run has kept the truth of."""
+    """Number of steps, from the first on, whose truth an interrupted run has kept."""
     kept = 0
     for start, end in block_ranges(scene.steps, block_steps(scene)):
         if finished_truth(folder / UNFINISHED, start, end) is None:

@@ -1,4 +1,4 @@
-"""Parquet tables of a run: frames, truth, detections."""
+"""The Parquet tables of a run: frames, truth, detections."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from modsim3d.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
-"""Tables that wait to be written: one of a single row takes thousands of bytes."""
+"""Most tables that wait to be written; they are joined then, as a table of one row takes thousands of bytes."""
 
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
 CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
@@ -66,7 +66,7 @@ DETECTIONS = pa.schema(
 
 
 def frame_table(block: Block, scene: Scene) -> pa.Table:
-    """One row for each frame that a camera took: state and counts."""
+    """One row for each frame: state and counts."""
     states = [state.name for state in scene.detector.states]
     return _in_order(
         FRAMES,
@@ -108,7 +108,7 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
 
 
 def detection_table(block: Block, scene: Scene) -> pa.Table:
-    """One row for each detection, with where it came from."""
+    """One row for each detection, with its origin."""
     states = [state.name for state in scene.detector.states]
     tables = []
     for part in block.cameras:
@@ -150,7 +150,7 @@ def _named(names: tuple[str, ...] | list[str], indices: Indices) -> pa.Array:
 
 
 def _nullable(values: Array) -> pa.Array:
-    """Doubles with null for NaN."""
+    """Numbers with null for NaN."""
     return pa.array(np.ascontiguousarray(values), from_pandas=True)
 
 
@@ -167,7 +167,7 @@ def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
 
 
 def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
-    """The cameras' tables as one, in order of step and then camera."""
+    """The tables of all cameras as one, in order of step and then camera."""
     joined = pa.concat_tables([pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables])
     if len(tables) == 1:
         return joined
@@ -175,9 +175,9 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
 
 
 class TableWriter:
-    """Writes a Parquet file in row groups of one size, whatever the size of the tables it is given.
+    """Writes a Parquet file whose row groups all have the same size, so that its bytes do not depend on the blocks.
 
-    Each group is written from one piece: where pages end may depend on the pieces.
+    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
@@ -192,14 +192,14 @@ class TableWriter:
         self._rows += len(table)
         if len(self._waiting) == MOST_WAITING:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
-        while self._rows > ROW_GROUP_ROWS:  # what is left is written at the end, and is not empty
+        while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
             joined = pa.concat_tables(self._waiting)
             self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS).combine_chunks())
             self._waiting = [joined.slice(ROW_GROUP_ROWS)]
             self._rows -= ROW_GROUP_ROWS
 
     def close(self) -> None:
-        """Write what is left and the footer."""
+        """Write the remaining rows and the footer."""
         if self._waiting:
             self._writer.write_table(pa.concat_tables(self._waiting).combine_chunks())
             self._waiting = []
