@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from modsim3d.annotate.record import Truth
 from modsim3d.block import Block, Frame, frames_of
-from modsim3d.errors import RunDirectoryError
+from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.formats.block_files import TABLES, finished_truth
 from modsim3d.formats.columns import read_rows
 from modsim3d.formats.detection_reader import read_detections
@@ -87,8 +87,11 @@ class StoredRun:
 
     @cached_property
     def _simulation(self) -> Simulation:
-        """The detector of an interrupted run, which knows the steps that were kept."""
-        return Simulation(self.scene, scene_census(self.scene, self._kept_blocks()))
+        """The detector of an interrupted run, with a census of the steps that were kept."""
+        try:
+            return Simulation(self.scene, scene_census(self.scene, self._kept_blocks()))
+        except ModsimError as error:  # no vessel is annotated in these steps, and the detector needs one
+            raise RunDirectoryError(f"{self.folder} holds an interrupted run: {error}; {self.how_to_finish}") from None
 
     def _kept_blocks(self) -> Iterator[tuple[Truth, int, int]]:
         return ((self._kept(*steps), *steps) for steps in self._ranges())
