@@ -11,34 +11,16 @@ import pyarrow as pa
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.formats.columns import (
     NOBODY,
-    OccluderColumns,
+    Occluders,
     detection_boxes_px,
     flags,
     indices,
     integers,
     numbers,
-    positions,
     truth_boxes_px,
 )
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
-
-
-@dataclass(frozen=True, eq=False)
-class Occluders:
-    """Who hides whom: m entries.
-
-    Attributes:
-        hidden: Truth row of the hidden vessel, shape (m,).
-        name: The occluder, as an index into the scene's occluder names, shape (m,).
-        row: Truth row of the occluder in the same frame; `NOBODY` if it has none, shape (m,).
-        px: Number of pixels that it hides, shape (m,).
-    """
-
-    hidden: Indices
-    name: Indices
-    row: Indices
-    px: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,10 +112,4 @@ class RunRows:
 
     def occluders(self) -> Occluders:
         """Who hides whom, from the truth."""
-        columns = OccluderColumns.of(self.truth, self.scene.occluder_names)
-        hidden, count = np.repeat(np.arange(len(columns.counts)), columns.counts), len(self.scene.vessels)
-        rows = positions(
-            self.truth_frame * count + self.truth_vessel,
-            np.where(columns.names < count, self.truth_frame[hidden] * count + columns.names, NOBODY),
-        )
-        return Occluders(hidden, columns.names, rows, columns.px)
+        return Occluders.of(self.truth, self.scene.occluder_names)

@@ -91,27 +91,32 @@ def errors_px(table: pa.Table) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class OccluderColumns:
+class Occluders:
     """Who hides whom: m entries of the n rows of a truth table.
 
     Attributes:
         counts: Number of entries of each row, shape (n,).
-        names: Index of the occluder's name, shape (m,).
+        name: Index of the occluder's name, shape (m,).
         px: Number of pixels that it hides, shape (m,).
     """
 
     counts: Indices
-    names: Indices
+    name: Indices
     px: Array
 
     @classmethod
-    def of(cls, truth: pa.Table, occluder_names: Sequence[str]) -> OccluderColumns:
+    def of(cls, truth: pa.Table, occluder_names: Sequence[str]) -> Occluders:
         """Read the column `occluded_by`."""
         lists = truth["occluded_by"].combine_chunks()
         entries = lists.flatten()
         table = pa.table({name: entries.field(name) for name in ("id", "px")})
         counts = np.asarray(lists.value_lengths(), dtype=np.int64)
         return cls(counts, indices(table, "id", occluder_names), numbers(table, "px"))
+
+    @property
+    def hidden(self) -> Indices:
+        """Row of the hidden vessel of each entry, shape (m,)."""
+        return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
     def offsets(self) -> Indices:

@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.annotate.record import Truth
 from modsim3d.formats.columns import (
-    OccluderColumns,
+    Occluders,
     flags,
     indices,
     integers,
@@ -33,7 +33,7 @@ def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
         stop: The step after the last.
     """
     table = read_rows(folder / "truth.parquet", of_steps(first, stop))
-    occluders = OccluderColumns.of(table, scene.occluder_names)
+    occluders = Occluders.of(table, scene.occluder_names)
     return Truth(
         step=integers(table, "step"),
         camera=indices(table, "camera", [camera.name for camera in scene.cameras]),
@@ -42,7 +42,7 @@ def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
         visible_boxes_px=truth_boxes_px(table, "visible"),
         **{name: numbers(table, name) for name in TRUTH_NUMBERS},
         occluder_offsets=occluders.offsets,
-        occluder=occluders.names,
+        occluder=occluders.name,
         occluder_px=occluders.px,
         annotated=flags(table, "annotated"),
         intersections=np.empty((0, 4), dtype=np.int64),
