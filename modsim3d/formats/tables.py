@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +145,7 @@ def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[
     }
 
 
-def _named(names: tuple[str, ...] | list[str], indices: Indices) -> pa.Array:
+def _named(names: Sequence[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
     return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
 
