@@ -26,7 +26,7 @@ from modsim3d.draw_film import Draughtsman, open_drawer, open_painter
 from modsim3d.film_plan import FilmPlan
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
-from modsim3d.selection import Shown, select, select_cameras
+from modsim3d.selection import LatestFrames, select, select_cameras
 from modsim3d.stored_run import open_run
 from modsim3d.view.film_files import open_film
 from modsim3d.view.look import PLAIN_LOOK, SHADED, Look
@@ -71,7 +71,7 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
     run_scene(load_scene(path, mode=2, steps=steps), folder / name)
     run = open_run(folder / name)
     selection = select(run, select_cameras(run, []))
-    frames = list(selection.shown())
+    frames = list(selection.latest_frames())
     assert run.scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
     rows = []
     with open_drawer(run.scene) as drawer, ExitStack() as stack:
@@ -95,19 +95,19 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
     return rows
 
 
-def draw_all(draughtsman: Draughtsman, frames: list[Shown]) -> None:
+def draw_all(draughtsman: Draughtsman, frames: list[LatestFrames]) -> None:
     for step in frames:
         draughtsman.draw(step)
 
 
-def shrink_all(draughtsman: Draughtsman, frames: list[Shown]) -> None:
+def shrink_all(draughtsman: Draughtsman, frames: list[LatestFrames]) -> None:
     """The slow way: at the camera's size, then smaller."""
     for step in frames:
         picture = draughtsman.draw(step)
         picture.resize((WIDTH_PX, picture.height * WIDTH_PX // picture.width), Image.Resampling.BOX)
 
 
-def whole_film(draughtsman: Draughtsman, frames: list[Shown], path: Path) -> float:
+def whole_film(draughtsman: Draughtsman, frames: list[LatestFrames], path: Path) -> float:
     """Frames a second of this process and the encoder's together."""
     before = os.times()
     first = draughtsman.draw(frames[0])

@@ -1,4 +1,4 @@
-"""Some of the boxes that a run's detector saw, and what truncation does to the errors of such boxes."""
+"""A sample of the boxes that a run's detector was given, and what resampling does to the errors of such boxes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from modsim3d.detector.truncation import standard_points, truncated_errors
 from modsim3d.scene import Scene
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
-"""Few enough that a run hardly takes longer for them; what so few boxes leave open is told beside the mean."""
+"""Few enough that a run hardly takes longer; the standard error beside the mean says what so few boxes leave open."""
 _MIX = np.array([2_654_435_761, 40_503, 97_003], dtype=np.int64)
 _RANGE = 2**32
 
@@ -30,9 +30,9 @@ class BoxSample:
     """Boxes spread evenly over a run, the same however it was split into blocks.
 
     Attributes:
-        rows: Key, state, camera and annotated box of each, in order of state and key, shape (n, 7). Kept are those of
-            the least keys of each state.
-        counts: How many detections of a vessel each state had in all, by the state's index.
+        rows: Key, state, camera and annotated box (x_min, y_min, x_max, y_max) of each, in order of state and key,
+            shape (n, 7). The boxes with the least keys of each state are kept.
+        counts: Number of detections of a vessel in each state, by the index of the state.
     """
 
     rows: Array = field(default_factory=_empty)
@@ -40,12 +40,12 @@ class BoxSample:
 
     @classmethod
     def of(cls, block: Block, scene: Scene) -> BoxSample:
-        """Some of a block's boxes."""
+        """Sample the boxes of a block."""
         pieces, counts = [_empty()], dict[int, int]()
         for part in block.cameras:
             drawn, truth = part.detections, part.truth
             found = np.flatnonzero(drawn.kind == TRUE)
-            rows, state = part.truth_row()[found], drawn.states[drawn.frame[found]]
+            rows, state = part.truth_row[found], drawn.states[drawn.frame[found]]
             keys = np.stack([truth.step[rows], truth.vessel[rows], truth.camera[rows]], axis=1) @ _MIX % _RANGE
             boxes = annotation_boxes(truth, scene.annotation.mode)[rows]
             pieces.append(np.column_stack([keys, state, truth.camera[rows], boxes]))
@@ -54,7 +54,7 @@ class BoxSample:
         return cls(_least(np.concatenate(pieces)), counts)
 
     def __add__(self, other: BoxSample) -> BoxSample:
-        """Those of both that have the least keys."""
+        """Keep the least keys of both."""
         counts = {
             state: self.counts.get(state, 0) + other.counts.get(state, 0) for state in {*self.counts, *other.counts}
         }
@@ -100,7 +100,7 @@ class BoxSample:
 
 
 def _least(rows: Array) -> Array:
-    """Those of the least keys of each state, in order."""
+    """The rows with the least keys of each state, in order."""
     ordered = rows[np.lexsort((*rows.T[:1:-1], rows[:, 0], rows[:, 1]))]
     rank = np.arange(len(ordered)) - np.searchsorted(ordered[:, 1], ordered[:, 1])
     least: Array = ordered[rank < BOXES_A_STATE]
@@ -108,5 +108,5 @@ def _least(rows: Array) -> Array:
 
 
 def _rounded(values: Any) -> Any:
-    """Six digits: as many as the integration is worth, and no rounding of sums shows in them."""
+    """Round to six digits: as precise as the integration, and the order of sums does not show."""
     return np.vectorize(lambda value: float(f"{value:.6g}"))(values).tolist()

@@ -1,4 +1,4 @@
-"""What happened in a run, in numbers."""
+"""Counts of what happened in a run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from modsim3d.earth import shift_px
 from modsim3d.scene import Scene
 
 WORTH_A_WARNING_PX = 1.0
-"""A flat sea is warned of where it puts a box further off than this."""
+"""Curvature that moves a box by more than this is reported for a flat sea."""
 
 
 @dataclass(frozen=True)
@@ -21,22 +21,22 @@ class Counts:
     """What happened in a run, summed over cameras and steps.
 
     Attributes:
-        frames: Camera images.
-        vessel_frames: Vessels whose silhouette was in an image.
-        seen: Of those, with a visible pixel.
-        partly_hidden: With fewer visible pixels than silhouette pixels, but some.
-        fully_hidden: With silhouette pixels, none of them visible.
-        annotated: Given to the detector.
-        detected: Of those, detected, under whatever label.
-        missed: Annotated and not detected.
-        mislabelled: Detected under another label.
-        missed_by_gate: Of those missed, by a hard limit and not by chance.
+        frames: Frames that were taken.
+        vessel_frames: Vessels whose silhouette was in a frame.
+        seen: Vessels with a visible pixel.
+        partly_hidden: Vessels with some visible pixels, but fewer than silhouette pixels.
+        fully_hidden: Vessels with silhouette pixels, none of them visible.
+        annotated: Vessels that were given to the detector.
+        detected: Annotated vessels that were detected, under whatever label.
+        missed: Annotated vessels that were not detected.
+        missed_by_gate: Missed vessels that a hard limit removed, not chance.
         merged: Detections that are one box for two vessels.
+        mislabelled: Detections of a vessel under another label.
         false_positives: Detections of nothing, and second boxes of a vessel.
         clipped: Detections of a vessel whose box was cut at the image edge.
-        redrawn: Detections of a vessel whose first box error left less than a pixel of the box.
-        below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one: a matching
-            evaluation counts such a one as a miss and a false detection.
+        redrawn: Detections of a vessel whose box error was resampled, as it left less than a pixel of the box.
+        below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one. An evaluation that
+            matches boxes counts such a detection as a miss and a false positive.
         off_by_curvature: Vessels on a flat sea whose box the Earth's curvature would move by more than a pixel.
         largest_curvature_px: The largest such shift.
     """
@@ -71,17 +71,17 @@ class Counts:
 
 
 _LARGEST = ("largest_curvature_px",)
-"""What is not added up: the largest of all blocks counts."""
+"""Counts that are not summed: the largest of all blocks is kept."""
 
 
 def _count(part: CameraBlock, scene: Scene) -> Counts:
     truth, drawn = part.truth, part.detections
     true = np.flatnonzero(~drawn.false())
-    rows = part.truth_row()[true]
+    rows = part.truth_row[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
     boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
     asked = sizes(annotated) + drawn.errors_px[true, 2:]
-    detected = int(part.detected().sum())
+    detected = int(part.detected.sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
     curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
     curvature_px = curvature_px[curvature_px > WORTH_A_WARNING_PX]

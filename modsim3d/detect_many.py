@@ -1,13 +1,13 @@
-"""Many seeds and detectors over one truth, in memory: what campaigns and tests of the detector need."""
+"""Runs many detectors and seeds over one truth in memory, for campaigns and tests of the detector."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from modsim3d.annotate.record import Truth, concatenate
-from modsim3d.detector.chain import Detector, reference_of
+from modsim3d.detector.census import take_census
+from modsim3d.detector.chain import Detector
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.reference import Reference
 from modsim3d.learn.evidence import Evidence, Seen
 from modsim3d.scene import Scene
 from modsim3d.simulate import DetectorInput, block_ranges, block_steps, detector_inputs, open_renderer, truth_block
@@ -15,11 +15,11 @@ from modsim3d.simulate import DetectorInput, block_ranges, block_steps, detector
 
 @dataclass(frozen=True, eq=False)
 class ManyDetections:
-    """What the cameras of a scene give their detectors over a whole run.
+    """The truth of a whole run, ready for any detector.
 
     Attributes:
         scene: The scene.
-        inputs: One for each camera.
+        inputs: What each camera's detector is given.
     """
 
     scene: Scene
@@ -34,18 +34,13 @@ class ManyDetections:
 
     @classmethod
     def of_truth(cls, scene: Scene, truth: Truth) -> ManyDetections:
-        """From the truth of a whole run, such as a stored one's."""
+        """Take the truth of a whole run, such as that of a stored run."""
         return cls(scene, tuple(detector_inputs(scene, truth, 0, scene.steps)))
-
-    def reference(self, model: DetectorModel) -> Reference | None:
-        """What a detector must know of the truth before it can begin, if anything."""
-        if not model.needs_reference:
-            return None
-        return sum((reference_of(model, part.frames, part.targets) for part in self.inputs), Reference())
 
     def detect(self, model: DetectorModel, seed: int) -> Evidence:
         """What a run with this detector and seed would show."""
-        detector = Detector(model, seed, self.scene.times_s, self.reference(model))
+        census = take_census(model, ((part.frames, part.targets) for part in self.inputs))
+        detector = Detector(model, seed, census, self.scene.times_s)
         return Evidence.of(
             [Seen(part.frames, part.targets, detector.detect(part.frames, part.targets)) for part in self.inputs]
         )

@@ -1,4 +1,4 @@
-"""The detector alone, over the truth of a finished run."""
+"""Runs the detector again over the truth of a finished run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from modsim3d.run import RunResult, settings_of, write_run
 from modsim3d.scene import Scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.stored_run import StoredRun
-from modsim3d.workers import open_workers
+from modsim3d.workers import open_block_workers
 
 
 def detect_run(
@@ -23,15 +23,15 @@ def detect_run(
     workers: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
-    """Write the run directory that the run's scene would have given with another detector or seed, without rendering.
+    """Write the run directory that another detector or seed would have given, without rendering.
 
     Args:
         run: A finished run.
         folder: The new run directory.
         detector: A detector file; the run's own if None.
-        seed: Of the detector; the run's own if None.
+        seed: Seed of the detector; the run's own if None.
         overwrite: Replace a run that is there.
-        workers: Processes that make blocks; the files are the same bytes whatever their number.
+        workers: Number of processes; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
 
     Raises:
@@ -47,15 +47,15 @@ def detect_run(
     settings = settings_of(scene, run.settings["backend"])
     if settings["versions"] != run.settings["versions"]:
         settings["truth_versions"] = run.settings["versions"]
-    with open_workers(scene, workers, truth_run=run.folder) as made:
-        return write_run(scene, folder, made, settings, overwrite=overwrite, progress=progress)
+    with open_block_workers(scene, workers, truth_run=run.folder) as block_workers:
+        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, progress=progress)
 
 
 def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:
     """A run's scene with another detector file or another seed of the detector.
 
-    Where what the cameras see does not depend on the seed, it is the scene's own seed that changes; else only the
-    detector's, as the truth must stay.
+    The seed replaces the seed of the scene if the truth does not depend on it; else only the seed of the detector, as
+    the truth must stay.
 
     Raises:
         InputError: The detector file is wrong, or does not know the label of a vessel.

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from modsim3d.errors import ModsimError, RendererError
+from modsim3d.errors import RendererError
 from modsim3d.film_plan import TITLES, FilmPlan
-from modsim3d.processes import in_order, open_pool
+from modsim3d.processes import open_workers
 from modsim3d.render.plain_ids import IdDrawer, PlainIds
 from modsim3d.scene import Scene
-from modsim3d.selection import Selection, Shown
+from modsim3d.selection import LatestFrames, Selection
 from modsim3d.simulate import open_renderer
 from modsim3d.view import palette
 from modsim3d.view.film_files import MOST_RATE, encoded, open_film
@@ -32,8 +32,9 @@ from modsim3d.view.window import Window
 STEPS_TOGETHER = 4
 """Steps that a worker draws at a time."""
 PALETTE_SAMPLES = 4
+IF_KILLED = "draw the film again, perhaps with fewer --workers"
 
-Piece = list[Shown]
+Piece = list[LatestFrames]
 
 
 class Draughtsman:
@@ -55,7 +56,7 @@ class Draughtsman:
         self._layout = plan.layout(scene)
         self._birds_eye = plan.birds_eye(scene)
 
-    def draw(self, shown: Shown) -> Image.Image:
+    def draw(self, shown: LatestFrames) -> Image.Image:
         """The picture of a step, from what each camera of the plan shows."""
         subjects = [None if frame is None else Subject.of(self._scene, frame) for frame in shown.frames]
         sizes = self._layout.panel_sizes
@@ -68,7 +69,7 @@ class Draughtsman:
         titles = [self._title(shown, place, kind) for place, kind in self._plan.panels()]
         return self._layout.compose(self._head(shown), titles, panels)
 
-    def _title(self, shown: Shown, place: int, kind: str) -> str:
+    def _title(self, shown: LatestFrames, place: int, kind: str) -> str:
         several = len(shown.frames) > 1 and kind != "map"
         camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
         age = [_age(shown, place)] if several and _age(shown, place) else []
@@ -89,7 +90,7 @@ class Draughtsman:
             return scene_picture(self._scene, subject.solids.camera, subject.frame.step, window, self._drawer)
         return paint(subject, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
 
-    def _head(self, shown: Shown) -> str:
+    def _head(self, shown: LatestFrames) -> str:
         states = dict.fromkeys(frame.state for frame in shown.frames if frame)
         single = len(shown.frames) == 1
         camera = [self._scene.cameras[self._plan.cameras[0]].name] if single else []
@@ -98,7 +99,7 @@ class Draughtsman:
         return "    ".join([*parts, _age(shown, 0)] if single and _age(shown, 0) else parts)
 
 
-def _age(shown: Shown, place: int) -> str:
+def _age(shown: LatestFrames, place: int) -> str:
     """Of when a camera's picture is, where it is not of the step itself."""
     frame = shown.frames[place]
     if frame is None:
@@ -168,7 +169,7 @@ def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
     scene = selection.run.scene
     with open_draughtsman(scene, plan) as draughtsman:
-        picture = draughtsman.draw(next(selection.shown()))
+        picture = draughtsman.draw(next(selection.latest_frames()))
     partial = path.with_name(f".{path.name}.partial")
     picture.save(partial, format="PNG")
     partial.replace(path)
@@ -193,7 +194,7 @@ def draw_film(
         kind: Of `FORMATS`.
         path: The file, or the folder of PNG files.
         speed: Seconds of the run in one of the film.
-        workers: Processes that draw; the film is the same bytes whatever their number.
+        workers: Number of processes; the bytes of the film do not depend on it.
         progress: Called with the number of frames done since its last call.
 
     Raises:
@@ -203,16 +204,17 @@ def draw_film(
     timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
     shown = dict(zip(selection.steps, timetable.shown.tolist(), strict=True))
     drawn = [step for step in selection.steps if shown[step] or kind == "png"]
-    with _open_draughtsmen(scene, plan, workers) as draw:
+    with open_workers(workers, IF_KILLED, open_draughtsman, scene, plan) as draughtsmen:
         colours = None
         samples: list[_Drawn] = []
         if kind == "gif":
             chosen = dict.fromkeys(drawn[i * len(drawn) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
             pieces = [[_shown_at(selection, step)] for step in chosen]
-            samples = [one for piece in draw(_Job("mp4", None, piece) for piece in pieces) for one in piece]
+            jobs = (_Job("mp4", None, piece) for piece in pieces)
+            samples = [one for piece in draughtsmen.map(_draw_job, jobs) for one in piece]
             colours = film_palette([Image.frombytes("RGB", one.size, one.data) for one in samples])
         jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn)))
-        pictures = (one for piece in draw(jobs) for one in piece)
+        pictures = (one for piece in draughtsmen.map(_draw_job, jobs) for one in piece)
         first = next(pictures)
         # Opened after the workers have started: they must not hold its end of the encoder's pipe open.
         with open_film(kind, path, first.size, timetable.rate, colours) as film:
@@ -227,13 +229,13 @@ def _chain(first: _Drawn, others: Iterable[_Drawn]) -> Iterator[_Drawn]:
     yield from others
 
 
-def _shown_at(selection: Selection, step: int) -> Shown:
-    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).shown())
+def _shown_at(selection: Selection, step: int) -> LatestFrames:
+    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).latest_frames())
 
 
 def _pieces(selection: Selection, steps: set[int]) -> Iterator[Piece]:
     piece: Piece = []
-    for shown in selection.shown():
+    for shown in selection.latest_frames():
         if shown.step in steps:
             piece.append(shown)
         if len(piece) == STEPS_TOGETHER:
@@ -261,36 +263,6 @@ class _Drawn:
     data: bytes
 
 
-Draw = Callable[[Iterable[_Job]], Iterator[list[_Drawn]]]
-
-
-@contextmanager
-def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Draw]:
-    """Somebody who draws: this process for one worker, or that many others."""
-    if workers == 1:
-        with open_draughtsman(scene, plan) as draughtsman:
-            yield lambda jobs: (_draw_job(draughtsman, job) for job in jobs)
-        return
-    with open_pool(workers, _start, scene, plan) as pool:
-        yield lambda jobs: in_order(pool, workers, _work, jobs, "draw the film again, perhaps with fewer --workers")
-
-
 def _draw_job(draughtsman: Draughtsman, job: _Job) -> list[_Drawn]:
     pictures = [(shown.step, draughtsman.draw(shown)) for shown in job.piece]
     return [_Drawn(step, picture.size, encoded(picture, job.kind, job.colours)) for step, picture in pictures]
-
-
-_draughtsman: Draughtsman | None = None
-_open = ExitStack()
-
-
-def _start(scene: Scene, plan: FilmPlan) -> None:
-    """Set a worker up once; its context lives as long as it does."""
-    global _draughtsman
-    _draughtsman = _open.enter_context(open_draughtsman(scene, plan))
-
-
-def _work(job: _Job) -> list[_Drawn]:
-    if _draughtsman is None:
-        raise ModsimError("this process was not set up as a worker")
-    return _draw_job(_draughtsman, job)

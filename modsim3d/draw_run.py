@@ -1,4 +1,4 @@
-"""Pictures of a run: joins what was simulated with how it is drawn."""
+"""Pictures of runs: contact sheets and cases of a comparison."""
 
 from __future__ import annotations
 
@@ -8,27 +8,18 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
-from modsim3d.block import frames_of
 from modsim3d.compare import Case
-from modsim3d.detector.reference import Reference
-from modsim3d.render.id_pass import IdRenderer, Ids
-from modsim3d.render.plain_ids import PlainIds
+from modsim3d.draw_film import open_drawer
+from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
-from modsim3d.simulate import Simulation, open_renderer, truth_block
+from modsim3d.stored_run import StoredRun
 from modsim3d.view.comparison_picture import comparison_picture
 from modsim3d.view.contact_sheet import contact_sheet
 from modsim3d.view.moments import Moment
 from modsim3d.view.painter import Subject
 from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
 
 SHEET_FILE = "contact_sheet.png"
-
-
-def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -> Ids:
-    """The whole ID image of a camera at a step: vessel index + 1, zero where no vessel is."""
-    solids = Solids.at(scene, scene.cameras[camera_index], step)
-    return solids.ids(Window(0.0, 0.0, 1.0, solids.intrinsics.image_size_px), renderer)
 
 
 def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
@@ -51,29 +42,18 @@ def describe_case(scene: Scene, case: Case) -> str:
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"
 
 
-def draw_contact_sheet(scene: Scene, folder: Path, reference: Reference | None = None) -> Path:
-    """Draw a finished run's contact sheet into its folder.
-
-    Args:
-        scene: What was run.
-        folder: The run directory.
-        reference: What the run's detector had to know of the whole scene, from `RunResult`.
+def draw_contact_sheet(run: StoredRun) -> Path:
+    """Draw the contact sheet of a finished run into its folder.
 
     Returns:
         The PNG's path.
     """
-    simulation = Simulation(scene, reference)
-    with open_renderer(scene) as renderer:
+    scene, path = run.scene, run.folder / SHEET_FILE
+    title = f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
 
-        def look(moment: Moment) -> Subject:
-            step = moment.step
-            block = simulation.detect(truth_block(scene, step, step + 1, renderer), step, step + 1)
-            (frame,) = (frame for frame in frames_of(block, scene) if frame.camera == moment.camera)
-            return Subject.of(scene, frame)
+    def subject(moment: Moment) -> Subject:
+        return Subject.of(scene, run.frame(moment.camera, moment.step))
 
-        title = (
-            f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
-        )
-        sheet = contact_sheet(folder, title, scene.annotation.mode, look, renderer or PlainIds())
-        sheet.save(folder / SHEET_FILE)
-    return folder / SHEET_FILE
+    with open_drawer(scene) as drawer:
+        contact_sheet(run.folder, title, scene.annotation.mode, subject, drawer).save(path)
+    return path

@@ -103,7 +103,7 @@ class FilmPlan:
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     """For each camera the part of its image in which vessels and their detections are."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
-    for step in selection.shown():
+    for step in selection.latest_frames():
         for found, frame in zip(boxes, step.frames, strict=True):
             if frame is None:
                 continue

@@ -1,96 +1,71 @@
-"""A run directory as a labelled set: its own truth, its detections, and what it knows of where they came from."""
+"""A run directory as a labelled set: its truth, its detections, and which vessel each detection came from."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.boxes import corner_form
+from modsim3d.arrays import Indices
 from modsim3d.detector.records import FALSE_KINDS, KINDS
-from modsim3d.formats.tables import CENTRE_FORM
-from modsim3d.learn.labelled import NOBODY, Found, Images, Labelled, Truth, sorted_by_image
+from modsim3d.formats.columns import NOBODY, indices, numbers, positions
+from modsim3d.learn.labelled import Found, Images, Labelled, Truth, sorted_by_image
+from modsim3d.report_rows import RunRows
 from modsim3d.stored_run import StoredRun, open_run
 
 
 def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
-    """A run: an image for each camera and step, a condition for each performance state."""
+    """Read a run as a labelled set, with an image for each frame and a condition for each performance state."""
     run = open_run(folder)
-    scene, tables = run.scene, run.tables()
-    cameras = [camera.name for camera in scene.cameras]
-    states = tuple(state.name for state in scene.detector.states)
-    frames = tables["frames"]
-    order = np.lexsort((_numbers(frames, "step"), _places(frames, "camera", cameras)))
-    camera = _places(frames, "camera", cameras)[order]
-    step = _numbers(frames, "step").astype(np.int64)[order]
-    times = np.asarray(scene.times_s(0, scene.steps))[step]
-    stride = int(step.max(initial=0)) + 1
-    row_of = np.full(len(cameras) * stride, NOBODY)
-    row_of[camera * stride + step] = np.arange(len(order))
+    rows, detector = RunRows.of(run), run.scene.detector
+    cameras = len(run.scene.cameras)
+    frames = rows.frames[np.lexsort((rows.frames // cameras, rows.frames % cameras))]  # in order of camera and step
+    truth, states = _truth(rows, frames), tuple(state.name for state in detector.states)
+    labelled = Labelled(detector.labels, states, _images(rows, frames), truth, _found(rows, frames, truth))
+    return labelled, run
 
-    def image(table: pa.Table) -> Indices:
-        return row_of[_places(table, "camera", cameras) * stride + _numbers(table, "step").astype(np.int64)]
 
-    images = Images(
-        names=tuple(f"{cameras[c]} {s}" for c, s in zip(camera.tolist(), step.tolist(), strict=True)),
-        sizes_px=np.array([scene.cameras[c].intrinsics.image_size_px for c in range(len(cameras))], dtype=float)[
-            camera
-        ],
-        condition=_places(frames, "state", states)[order],
-        source=np.zeros(len(order), dtype=np.int64),
+def _images(rows: RunRows, frames: Indices) -> Images:
+    cameras = rows.scene.cameras
+    step, camera = frames // len(cameras), frames % len(cameras)
+    sizes_px = np.array([camera.intrinsics.image_size_px for camera in cameras], dtype=np.float64)
+    return Images(
+        names=tuple(f"{cameras[c].name} {s}" for c, s in zip(camera.tolist(), step.tolist(), strict=True)),
+        sizes_px=sizes_px[camera],
+        condition=rows.states_of(frames),
+        source=np.zeros(len(frames), dtype=np.int64),
         sequence=camera,
-        time_s=times,
+        time_s=np.asarray(rows.scene.times_s(0, rows.scene.steps))[step],
     )
-    annotated = tables["truth"].filter(tables["truth"]["annotated"])
-    side = "visible" if scene.annotation.mode == 2 else "full"
-    vessels, labels = list(scene.vessel_names), tuple(scene.detector.labels)
+
+
+def _truth(rows: RunRows, frames: Indices) -> Truth:
+    """The annotated vessels of all images."""
+    annotated, scene = np.flatnonzero(rows.annotated), rows.scene
     truth = Truth(
-        image=image(annotated),
-        label=_places(annotated, "label", labels),
-        boxes_px=np.column_stack(
-            [_numbers(annotated, f"{side}_{end}_px") for end in ("x_min", "y_min", "x_max", "y_max")]
-        ),
+        image=positions(frames, rows.truth_frame[annotated]),
+        label=indices(rows.truth, "label", scene.detector.labels)[annotated],
+        boxes_px=rows.boxes_px("visible" if scene.annotation.mode == 2 else "full")[annotated],
         ignored=np.zeros(len(annotated), dtype=bool),
         crowd=np.zeros(len(annotated), dtype=bool),
-        identity=_places(annotated, "vessel", vessels),
-        visible_fraction=_numbers(annotated, "visible_fraction"),
-        distance_m=_numbers(annotated, "depth_m"),
+        identity=rows.truth_vessel[annotated],
+        visible_fraction=rows.numbers("visible_fraction")[annotated],
+        distance_m=rows.numbers("depth_m")[annotated],
     )
-    truth = Truth(**sorted_by_image(truth)[0])
-    detections = tables["detections"]
-    found = _found(detections, image(detections), labels, vessels, truth, len(images))
-    return Labelled(labels, states, images, truth, found), run
+    return Truth(**sorted_by_image(truth)[0])
 
 
-def _found(
-    table: pa.Table, image: Indices, labels: tuple[str, ...], vessels: list[str], truth: Truth, images: int
-) -> Found:
-    boxes = corner_form(np.column_stack([_numbers(table, name) for name in CENTRE_FORM]))
-    kind = _places(table, "kind", KINDS)
-    row_of = np.full(images * max(len(vessels), 1), NOBODY)
-    row_of[truth.image * len(vessels) + truth.identity] = np.arange(len(truth))
-    vessel = _places(table, "vessel", vessels)
-    own = ~np.isin(kind, FALSE_KINDS) & (vessel >= 0)
-    origin = np.where(own, row_of[image * len(vessels) + np.maximum(vessel, 0)], NOBODY)
+def _found(rows: RunRows, frames: Indices, truth: Truth) -> Found:
+    """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
+    image, vessels = positions(frames, rows.drawn_frame), len(rows.scene.vessels)
+    own = ~np.isin(indices(rows.drawn, "kind", KINDS), FALSE_KINDS) & (rows.drawn_vessel >= 0)
     found = Found(
         image=image,
-        label=_places(table, "label", labels),
-        boxes_px=boxes,
-        confidence=_numbers(table, "confidence"),
-        origin=origin,
+        label=indices(rows.drawn, "label", rows.scene.detector.labels),
+        boxes_px=rows.drawn_boxes_px(),
+        confidence=numbers(rows.drawn, "confidence"),
+        origin=positions(
+            truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.drawn_vessel, NOBODY)
+        ),
     )
     return Found(**sorted_by_image(found)[0])
-
-
-def _numbers(table: pa.Table, name: str) -> Array:
-    """A column of numbers, NaN for null."""
-    return table[name].to_numpy(zero_copy_only=False).astype(np.float64)  # type: ignore[no-any-return]
-
-
-def _places(table: pa.Table, name: str, names: Any) -> Indices:
-    """A column of names as their places among all names, −1 for null."""
-    known = {value: place for place, value in enumerate(names)}
-    return np.array([known.get(value, NOBODY) for value in table[name].to_pylist()], dtype=np.int64)

@@ -1,41 +1,26 @@
-"""A run's tables as columns of numbers, with names as indices into its scene: what a page of it is made from."""
+"""All rows of a run as columns, with names as indices into its scene."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import corner_form
-from modsim3d.formats.tables import BOX_SIDES, CENTRE_FORM
+from modsim3d.formats.columns import (
+    NOBODY,
+    Occluders,
+    detection_boxes_px,
+    flags,
+    indices,
+    integers,
+    numbers,
+    truth_boxes_px,
+)
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
-from modsim3d.view.report.tally import Tally
-
-NOBODY = -1
-"""The vessel of a false positive; the row of an occluder that is no vessel."""
-
-
-@dataclass(frozen=True, eq=False)
-class Occluders:
-    """Who hides whom: p entries.
-
-    Attributes:
-        hidden: Truth row, shape (p,).
-        name: Index into the scene's occluder names, shape (p,).
-        row: The occluder's own truth row; `NOBODY` if it has none, shape (p,).
-        px: Pixels that it hides, shape (p,).
-    """
-
-    hidden: Indices
-    name: Indices
-    row: Indices
-    px: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +28,16 @@ class RunRows:
     """All rows of a run. A frame is one camera at one step; its number is step × cameras + camera.
 
     Attributes:
-        scene: Of the run.
-        steps: That are there.
+        scene: The scene of the run.
+        steps: Number of steps that are there.
         frames: Numbers of the frames that were taken, ascending, shape (F,).
-        frame_state: Performance state in each, shape (F,).
-        truth: The table of n rows.
-        truth_frame: Frame of each row, shape (n,).
-        truth_vessel: Shape (n,).
-        drawn: The table of m detections.
-        drawn_frame: Frame of each, shape (m,).
-        drawn_vessel: `NOBODY` for a false positive, shape (m,).
+        frame_state: Index of the performance state in each frame, shape (F,).
+        truth: The truth table, n rows.
+        truth_frame: Number of the frame of each row, shape (n,).
+        truth_vessel: Index of the vessel of each row, shape (n,).
+        drawn: The table of detections, m rows.
+        drawn_frame: Number of the frame of each detection, shape (m,).
+        drawn_vessel: Index of the vessel of each detection; `NOBODY` for a false positive, shape (m,).
     """
 
     scene: Scene
@@ -74,28 +59,27 @@ class RunRows:
         cameras = [camera.name for camera in scene.cameras]
 
         def frame(table: pa.Table) -> Indices:
-            steps: Indices = table["step"].to_numpy()
-            return steps * len(cameras) + indices(table, "camera", cameras)
+            return integers(table, "step") * len(cameras) + indices(table, "camera", cameras)
 
         return cls(
-            scene,
-            run.steps,
-            frame(frames),
-            indices(frames, "state", [state.name for state in scene.detector.states]),
-            truth,
-            frame(truth),
-            indices(truth, "vessel", scene.vessel_names),
-            drawn,
-            frame(drawn),
-            indices(drawn, "vessel", scene.vessel_names),
+            scene=scene,
+            steps=run.steps,
+            frames=frame(frames),
+            frame_state=indices(frames, "state", [state.name for state in scene.detector.states]),
+            truth=truth,
+            truth_frame=frame(truth),
+            truth_vessel=indices(truth, "vessel", scene.vessel_names),
+            drawn=drawn,
+            drawn_frame=frame(drawn),
+            drawn_vessel=indices(drawn, "vessel", scene.vessel_names),
         )
 
     def states_of(self, frames: Indices) -> Indices:
-        """Performance state in frames that were taken, by their numbers."""
+        """Index of the performance state in each of some frames, by their numbers, shape (k,)."""
         return self.frame_state[np.searchsorted(self.frames, frames)]
 
     def last_taken(self, steps: Indices) -> Indices:
-        """For each step and camera the step of the last frame taken until then, `NOBODY` if none; (steps, cameras)."""
+        """The step of the last frame of each camera at each step, `NOBODY` before the first, shape (steps, cameras)."""
         cameras = len(self.scene.cameras)
         last = np.full((len(steps), cameras), NOBODY)
         for index in range(cameras):
@@ -105,81 +89,27 @@ class RunRows:
         return last
 
     def numbers(self, name: str) -> Array:
-        """A column of the truth; NaN for null."""
+        """A column of the truth, NaN for null, shape (n,)."""
         return numbers(self.truth, name)
 
     def boxes_px(self, prefix: str) -> Array:
-        """The full or the visible boxes of the truth, shape (n, 4)."""
-        return np.column_stack([self.numbers(f"{prefix}_{side}") for side in BOX_SIDES])
+        """The boxes `full` or `visible` of the truth as x_min, y_min, x_max, y_max, shape (n, 4)."""
+        return truth_boxes_px(self.truth, prefix)
 
     def drawn_boxes_px(self) -> Array:
         """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
-        return corner_form(np.column_stack([numbers(self.drawn, name) for name in CENTRE_FORM]))
+        return detection_boxes_px(self.drawn)
 
     @cached_property
     def annotated(self) -> Mask:
-        """Shape (n,)."""
-        return _flags(self.truth, "annotated")
+        """Whether each row of the truth was given to the detector, shape (n,)."""
+        return flags(self.truth, "annotated")
 
     @cached_property
     def detected(self) -> Mask:
-        """Shape (n,)."""
-        return _flags(self.truth, "detected")
+        """Whether each row of the truth was detected, shape (n,)."""
+        return flags(self.truth, "detected")
 
     def occluders(self) -> Occluders:
         """Who hides whom, from the truth."""
-        lists = self.truth["occluded_by"].combine_chunks()
-        counts = np.asarray(lists.value_lengths(), dtype=np.int64)
-        entries = lists.flatten()
-        hidden = np.repeat(np.arange(len(counts)), counts)
-        names = pa.table({"id": entries.field("id")})
-        vessel = indices(names, "id", self.scene.vessel_names)
-        count = len(self.scene.vessels)
-        rows = positions(
-            self.truth_frame * count + self.truth_vessel,
-            np.where(vessel >= 0, self.truth_frame[hidden] * count + vessel, NOBODY),
-        )
-        name = indices(names, "id", self.scene.occluder_names)
-        return Occluders(hidden, name, rows, np.asarray(entries.field("px"), dtype=np.float64))
-
-    def tally(self) -> Tally:
-        """What is counted."""
-        known = self.drawn_vessel >= 0
-        labels = self.scene.detector.labels
-        meant = np.array([labels.index(vessel.label) for vessel in self.scene.vessels])
-        given = indices(self.drawn, "label", labels)
-        return Tally(
-            frame_state=self.frame_state,
-            vessel=self.truth_vessel,
-            state=self.states_of(self.truth_frame),
-            silhouette_px=self.numbers("silhouette_px"),
-            visible_px=self.numbers("visible_px"),
-            annotated=self.annotated,
-            detected=self.detected,
-            false_state=self.states_of(self.drawn_frame[~known]),
-            mislabelled=int((given[known] != meant[self.drawn_vessel[known]]).sum()),
-        )
-
-
-def positions(keys: Indices, asked: Indices) -> Indices:
-    """Where each of the numbers asked for stands among distinct ones, `NOBODY` if nowhere."""
-    if not len(keys):
-        return np.full(len(asked), NOBODY)
-    order = np.argsort(keys)
-    at = order[np.minimum(np.searchsorted(keys, asked, sorter=order), len(keys) - 1)]
-    return np.where(keys[at] == asked, at, NOBODY)
-
-
-def numbers(table: pa.Table, name: str) -> Array:
-    """A column as doubles; NaN for null."""
-    return np.asarray(table[name].to_numpy(), dtype=np.float64)
-
-
-def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
-    """A column of names as indices; `NOBODY` for null and for a name that is not among them."""
-    found = pc.index_in(table[name], value_set=pa.array(list(names), pa.string()))
-    return np.asarray(found.fill_null(NOBODY).to_numpy(), dtype=np.int64)
-
-
-def _flags(table: pa.Table, name: str) -> Mask:
-    return np.asarray(table[name].to_numpy(), dtype=bool)
+        return Occluders.of(self.truth, self.scene.occluder_names)

@@ -1,24 +1,25 @@
-"""One run into a run directory."""
+"""Runs a scene and writes its run directory."""
 
 from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from modsim3d.box_sample import BoxSample
 from modsim3d.counts import Counts
-from modsim3d.detector.reference import Reference
+from modsim3d.detector.census import TargetCensus
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.pose_lines import pose_lines
 from modsim3d.formats.run_directory import LOG_FILE, RunDirectory
 from modsim3d.scene import Scene
-from modsim3d.simulate import step_ranges
-from modsim3d.workers import Range, Workers, open_workers
+from modsim3d.simulate import Range, step_ranges
+from modsim3d.workers import BlockMaker, BlockWorkers, FinishedBlock, backend_of, open_block_workers
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
@@ -34,9 +35,9 @@ class RunResult:
         steps: Number of time steps.
         seconds: Wall-clock time.
         resumed_steps: Steps whose truth was taken from an interrupted run.
-        intersecting: Pairs of vessels whose boxes overlap in space, of which the analytic source knows nothing.
-        reference: What the detector had to know of the whole scene; None if nothing.
-        truncation: What drawing degenerate boxes anew does to the box errors, by state; as in `run.json`.
+        intersecting: Pairs of vessels whose boxes overlap in space: the analytic source cannot tell what is visible of
+            them.
+        truncation: What resampling of box errors does to them, by state, as in `run.json`.
     """
 
     folder: Path
@@ -45,7 +46,6 @@ class RunResult:
     seconds: float
     resumed_steps: int
     intersecting: tuple[tuple[str, str], ...]
-    reference: Reference | None
     truncation: dict[str, dict[str, Any]]
 
 
@@ -65,7 +65,7 @@ def run_scene(
         folder: The run directory.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
-        workers: Processes that make blocks; the files are the same bytes whatever their number.
+        workers: Number of processes; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
 
     Raises:
@@ -76,16 +76,15 @@ def run_scene(
             f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
             "workers: leave --workers out"
         )
-    with open_workers(scene, workers) as made:
-        return write_run(
-            scene, folder, made, settings_of(scene, made.backend), overwrite=overwrite, resume=resume, progress=progress
-        )
+    with open_block_workers(scene, workers) as block_workers:
+        settings = settings_of(scene, backend_of(block_workers))
+        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, resume=resume, progress=progress)
 
 
 def write_run(
     scene: Scene,
     folder: Path,
-    made: Workers,
+    workers: BlockWorkers,
     settings: dict[str, Any],
     *,
     overwrite: bool = False,
@@ -97,81 +96,102 @@ def write_run(
     Args:
         scene: The scene.
         folder: The run directory.
-        made: Who makes the blocks.
+        workers: From `open_block_workers`.
         settings: Everything that decides the content of the files, see `settings_of`.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
         progress: Called with the number of steps done since its last call.
 
     Raises:
-        ModsimError: The scene asks for what cannot be, or the folder cannot be used.
+        ModsimError: The scene cannot be run, or the folder cannot be used.
     """
     started = time.perf_counter()
-    if scene.live:
-        _refuse_for_live(scene, resume)
-    counts, boxes, steps, resumed, pairs = Counts(), BoxSample(), 0, 0, set[tuple[int, int]]()
-    with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-        reference = None
-        if scene.detector.needs_reference:
-            reference, resumed = _survey(made, directory.work, step_ranges(scene), progress)
-        ranges = _told_what_is_kept(step_ranges(scene), scene, directory.work)
-        for block in made.blocks(directory.work, ranges, reference):
-            directory.write(block.files)
-            if scene.live:
-                directory.write_poses(pose_lines(scene, steps, steps + block.steps))
-            counts += block.counts
-            boxes += block.boxes
-            steps += block.steps
-            pairs |= block.intersecting
-            if reference is None:
-                resumed += block.steps if block.resumed else 0
-                progress(block.steps)
-        directory.write_live_own_ships(steps)
-        truncation = boxes.truncation(scene)
-        known = {**settings, **directory.live_settings(steps)}
-        directory.finish({**known, "counts": asdict(counts), "truncation": truncation})
-    seconds = time.perf_counter() - started
-    (folder / LOG_FILE).write_text(
-        f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
-        f"{counts.frames} frames in {seconds:.3f} s, {resumed} steps taken from an interrupted run\n"
-    )
-    names = scene.occluder_names
-    intersecting = tuple((names[a], names[b]) for a, b in sorted(pairs))
-    return RunResult(folder, counts, steps, seconds, resumed, intersecting, reference, truncation)
-
-
-def _refuse_for_live(scene: Scene, resume: bool) -> None:
-    if resume:
+    if scene.live and resume:
         raise ModsimError(
             f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
             "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
         )
+    with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
+        total = _write_blocks(scene, directory, workers, progress)
+        directory.write_live_own_ships(total.steps)
+        truncation = total.boxes.truncation(scene)
+        known = {**settings, **directory.live_settings(total.steps)}
+        directory.finish({**known, "counts": asdict(total.counts), "truncation": truncation})
+    seconds = time.perf_counter() - started
+    (folder / LOG_FILE).write_text(
+        f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
+        f"{total.counts.frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
+    )
+    names = scene.occluder_names
+    intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
+    return RunResult(folder, total.counts, total.steps, seconds, total.resumed_steps, intersecting, truncation)
 
 
-def _told_what_is_kept(ranges: Iterator[Range], scene: Scene, work: Path) -> Iterator[Range]:
-    """The ranges; an error in what a stream brings also says where the steps before it are."""
+@dataclass
+class _Total:
+    """The blocks that are written so far: the attributes of `FinishedBlock`, summed."""
+
+    steps: int = 0
+    counts: Counts = field(default_factory=Counts)
+    boxes: BoxSample = field(default_factory=BoxSample)
+    resumed_steps: int = 0
+    intersecting: set[tuple[int, int]] = field(default_factory=set)
+
+    def add(self, block: FinishedBlock) -> None:
+        self.steps += block.steps
+        self.counts += block.counts
+        self.boxes += block.boxes
+        self.resumed_steps += block.resumed_steps
+        self.intersecting |= block.intersecting
+
+
+def _write_blocks(
+    scene: Scene, directory: RunDirectory, workers: BlockWorkers, progress: Callable[[int], None]
+) -> _Total:
+    """Make all blocks and write them; the census needs all truth first."""
+    total, census, resumed = _Total(), TargetCensus(), None
+    if scene.detector.needs_census:
+        census, resumed = _take_census(scene, directory.work, workers, progress)
+    make = partial(BlockMaker.make, folder=directory.work, census=census)
+    for block in workers.map(make, _with_steps_kept(scene, directory.work)):
+        directory.write(block.files)
+        if scene.live:
+            directory.write_poses(pose_lines(scene, total.steps, total.steps + block.steps))
+        total.add(block)
+        if resumed is None:
+            progress(block.steps)
+    return total if resumed is None else replace(total, resumed_steps=resumed)
+
+
+def _take_census(
+    scene: Scene, folder: Path, workers: BlockWorkers, progress: Callable[[int], None]
+) -> tuple[TargetCensus, int]:
+    """Make and keep all truth; the census of it, and the number of steps that an interrupted run had kept."""
+    resumed = 0
+
+    def parts() -> Iterator[TargetCensus]:
+        nonlocal resumed
+        for block in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene)):
+            resumed += block.resumed_steps
+            progress(block.steps)
+            yield block.census
+
+    census = TargetCensus.total(parts())
+    return census, resumed
+
+
+def _with_steps_kept(scene: Scene, folder: Path) -> Iterator[Range]:
+    """The blocks of a scene; an error in what a stream brings also says where the steps before it are kept."""
     done = 0
     try:
-        for first, stop in ranges:
+        for first, stop in step_ranges(scene):
             yield first, stop
             done = stop
     except InputError as error:
         if not scene.live or not done:
             raise
-        kept = f"what came before, {done} steps, is kept as complete lines in {work}"
+        kept = f"what came before, {done} steps, is kept as complete lines in {folder}"
         raise InputError(error.source, [*error.problems, kept]) from None
-
-
-def _survey(
-    made: Workers, folder: Path, ranges: Iterable[Range], progress: Callable[[int], None]
-) -> tuple[Reference, int]:
-    """Make and keep all truth first; what the detector must know of it, and steps of an interrupted run."""
-    reference, resumed = Reference(), 0
-    for block in made.surveys(folder, ranges):
-        reference += block.reference
-        resumed += block.steps if block.resumed else 0
-        progress(block.steps)
-    return reference, resumed
 
 
 def settings_of(scene: Scene, backend: str) -> dict[str, Any]:

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import RunDirectoryError
-from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
+from modsim3d.formats.columns import NOBODY, indices, numbers
+from modsim3d.report_rows import RunRows
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette
 from modsim3d.view.report.page import Page, report_page
 from modsim3d.view.report.recording import NONE, Column, Recording, in_250ths, in_quanta, quantum_px, starts
 from modsim3d.view.report.silhouettes import shapes
+from modsim3d.view.report.tally import Tally
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
@@ -54,7 +56,7 @@ def write_report(
         )
     out = run.folder / REPORT_FILE if out is None else out
     rows, scene = RunRows.of(run), run.scene
-    tally = rows.tally()
+    tally = _tally(rows)
     page = Page(
         name=scene.name,
         recording=_recording(rows, every, progress),
@@ -74,6 +76,24 @@ def write_report(
     except OSError as error:
         raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
     return out
+
+
+def _tally(rows: RunRows) -> Tally:
+    """The columns that are counted for the tables of the page."""
+    known, labels = rows.drawn_vessel >= 0, rows.scene.detector.labels
+    true_label = np.array([labels.index(vessel.label) for vessel in rows.scene.vessels])
+    label = indices(rows.drawn, "label", labels)
+    return Tally(
+        frame_state=rows.frame_state,
+        vessel=rows.truth_vessel,
+        state=rows.states_of(rows.truth_frame),
+        silhouette_px=rows.numbers("silhouette_px"),
+        visible_px=rows.numbers("visible_px"),
+        annotated=rows.annotated,
+        detected=rows.detected,
+        false_state=rows.states_of(rows.drawn_frame[~known]),
+        mislabelled=int((label[known] != true_label[rows.drawn_vessel[known]]).sum()),
+    )
 
 
 def _related(folder: Path, out: Path) -> list[tuple[str, str]]:

@@ -11,7 +11,8 @@ import numpy as np
 
 from modsim3d.arrays import Indices
 from modsim3d.errors import ModsimError, RunDirectoryError
-from modsim3d.report_rows import NOBODY, RunRows, indices, numbers
+from modsim3d.formats.columns import NOBODY, indices, numbers
+from modsim3d.report_rows import RunRows
 from modsim3d.scene import AtSea, Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view import palette

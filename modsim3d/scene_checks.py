@@ -33,10 +33,15 @@ def _live_problems(scene: Scene) -> list[str]:
             "waves.spectrum: the sea needs to know how fast vessels are, which a stream tells too late: use "
             "a level or coefficients"
         )
-    if scene.detector.needs_reference:
+    if scene.detector.dropout.anchored:
         problems.append(
             "detector: holds rates over the whole scene (anchor: state_rate), which a stream does not show beforehand: "
             "use anchor: none"
+        )
+    if scene.detector.clutter.needs_census:
+        problems.append(
+            "detector: false positives are as large as the scene's vessels, which a stream does not show beforehand: "
+            "give false_positives a size"
         )
     return problems
 

@@ -1,4 +1,4 @@
-"""Which steps and cameras of a stored run are meant."""
+"""Steps and cameras of a stored run that a user chose."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ NEAR_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """What cameras show at a step: each the last frame that it took.
+class LatestFrames:
+    """The frames of several cameras at a step. Cameras may take a frame at some steps only; the latest one counts.
 
     Attributes:
-        step: Of the scene.
+        step: The step.
         timestamp: The text of its time.
         frames: One for each camera; None before its first.
     """
@@ -40,8 +40,8 @@ class Selection:
     Attributes:
         run: The run.
         cameras: Indices into the scene's cameras.
-        steps: Ascending.
-        durations_s: How long each step stands for, shape (n,).
+        steps: The n steps, ascending.
+        durations_s: Time from each step to the next, shape (n,).
     """
 
     run: StoredRun
@@ -54,8 +54,8 @@ class Selection:
         """Names of the cameras."""
         return tuple(self.run.scene.cameras[index].name for index in self.cameras)
 
-    def shown(self) -> Iterator[Shown]:
-        """What the cameras show at each step."""
+    def latest_frames(self) -> Iterator[LatestFrames]:
+        """The latest frames of the cameras at each step."""
         scene, names = self.run.scene, self.camera_names
         first, stop = self.steps[0], self.steps[-1] + 1
         last = {name: self._frame_before(index, first) for name, index in zip(names, self.cameras, strict=True)}
@@ -65,20 +65,19 @@ class Selection:
             while frame is not None and frame.step <= step:
                 last[frame.camera] = frame
                 frame = next(coming, None)
-            yield Shown(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
+            yield LatestFrames(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
 
     def _frame_before(self, camera: int, step: int) -> Frame | None:
-        """The last frame that a camera took before a step; None too if it takes one at that step."""
+        """The last frame that a camera took before a step; None if there is none, or if it takes one at that step."""
         scene = self.run.scene
         taken = scene.last_frame(scene.cameras[camera], step + 1)
         if taken is None or taken == step:
             return None
-        frames = self.run.frames(taken, taken + 1)
-        return next(frame for frame in frames if frame.camera == scene.cameras[camera].name)
+        return self.run.frame(scene.cameras[camera].name, taken)
 
 
 def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
-    """Indices of cameras by their names; all if none is named.
+    """Indices of the cameras with these names; of all cameras if there are no names.
 
     Raises:
         ModsimError: One has no such name.
@@ -99,18 +98,18 @@ def select(
     every: int = 1,
     only_with_vessels: bool = False,
 ) -> Selection:
-    """Steps of a run.
+    """Select steps of a run.
 
     Args:
         run: The run.
         cameras: Indices of the cameras.
-        from_s: First time, as in the run's timestamps.
-        to_s: Last time.
-        every: Take every K-th of the steps that are left.
+        from_s: First time, as in the run's timestamps; the first step if None.
+        to_s: Last time; the last step if None.
+        every: Take every K-th of the steps between these times.
         only_with_vessels: Leave out steps at which no camera has a vessel in its image.
 
     Raises:
-        ModsimError: There is no such step.
+        ModsimError: No step is left.
     """
     times = times_of(run)
     inside = (times >= _or(from_s, -math.inf) - NEAR_S) & (times <= _or(to_s, math.inf) + NEAR_S)
@@ -121,11 +120,13 @@ def select(
     found = Selection(run, cameras, tuple(steps.tolist()), durations)
     if not only_with_vessels:
         return found
-    seen = np.array([any(frame and len(frame.truth) for frame in shown.frames) for shown in found.shown()])
-    if not seen.any():
+    with_vessels = np.array(
+        [any(frame and len(frame.truth) for frame in latest.frames) for latest in found.latest_frames()]
+    )
+    if not with_vessels.any():
         names = ", ".join(found.camera_names)
         raise ModsimError(f"no vessel is in an image of {names} in {len(steps)} frames; {span(run)}")
-    return Selection(run, cameras, tuple(steps[seen].tolist()), durations[seen])
+    return Selection(run, cameras, tuple(steps[with_vessels].tolist()), durations[with_vessels])
 
 
 def find_step(run: StoredRun, text: str) -> int:
@@ -164,7 +165,7 @@ def times_of(run: StoredRun) -> Array:
 
 
 def span(run: StoredRun) -> str:
-    """What there is of a run."""
+    """The steps and times that a run has, in words."""
     first, last = run.scene.timestamps(0, 1)[0], run.scene.timestamps(run.steps - 1, run.steps)[0]
     there = f"steps 0 to {run.steps - 1}, {first} s to {last} s"
     if run.finished:
@@ -177,7 +178,7 @@ def _or(value: float | None, otherwise: float) -> float:
 
 
 def _durations(times: Array, steps: Indices, every: int) -> Array:
-    """How long each chosen step stands for: until the next one; the last as long as the one before it."""
+    """Time from each chosen step to the next; for the last one, as long as before it; shape (n,)."""
     gaps = np.diff(times[steps])
     if len(gaps):
         return np.append(gaps, gaps[-1])

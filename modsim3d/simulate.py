@@ -1,9 +1,9 @@
-"""The pipeline: scene in, frames out."""
+"""The pipeline: from a scene to the truth of its steps, and from truth to detections and frames."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -18,9 +18,9 @@ from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.arrays import Indices
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
-from modsim3d.detector.chain import Detector, reference_of
-from modsim3d.detector.records import Frames, Targets
-from modsim3d.detector.reference import Reference
+from modsim3d.detector.census import TargetCensus, take_census
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.records import Detections, Frames, Targets
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.poses import LivePoses
 from modsim3d.scene import Scene
@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
 BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 250
-"""Vessels times steps that are looked at together, and most steps: few calls for many, but arrays that fit a cache."""
+"""Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
+
+Range = tuple[int, int]
+"""The first step of a block, and the step after its last."""
 
 
 @contextmanager
@@ -57,14 +60,14 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
         scene: The scene.
         first: First step.
         stop: The step after the last.
-        renderer: For the rendered source.
+        renderer: From `open_renderer`.
 
     Raises:
         ModsimError: The vessel that carries a camera is missing.
     """
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
-    seen = [_camera_truth(scene, index, camera, steps, renderer) for index, camera, steps in taken if len(steps)]
-    return concatenate(seen) if seen else no_truth()
+    parts = [_camera_truth(scene, index, camera, steps, renderer) for index, camera, steps in taken if len(steps)]
+    return concatenate(parts) if parts else no_truth()
 
 
 def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, renderer: IdRenderer | None) -> Truth:
@@ -79,13 +82,16 @@ def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, rend
 def occlusion_by(
     outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
 ) -> Occlusion:
-    """What the source that the annotation names says is seen.
+    """Who hides how much of whom, by the source of truth that the annotation names.
 
     Args:
         outlines: The vessels in front of the camera.
-        intrinsics: Of the camera.
+        intrinsics: The camera's.
         annotation: Names the source.
-        renderer: For the rendered source.
+        renderer: The rendered source needs it.
+
+    Raises:
+        ModsimError: The rendered source has no renderer.
     """
     if annotation.source == "analytic":
         return analytic_occlusion(outlines, intrinsics)
@@ -102,13 +108,13 @@ def occlusion_by(
 
 @dataclass(frozen=True, eq=False)
 class DetectorInput:
-    """What a camera's detector is given for a block.
+    """What the detector of one camera is given for a block.
 
     Attributes:
-        truth: The camera's rows.
-        rows: Those of them that are annotated, shape (n,).
-        frames: Those that the camera takes.
-        targets: The annotated vessels.
+        truth: The camera's rows of the block.
+        rows: Rows of `truth` that are annotated, shape (n,).
+        frames: The frames that the camera takes.
+        targets: The annotated vessels, n of them.
     """
 
     truth: Truth
@@ -118,7 +124,7 @@ class DetectorInput:
 
 
 def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterator[DetectorInput]:
-    """What the truth of steps first to stop − 1 gives each camera's detector, in the order of the cameras."""
+    """The input of each camera's detector at steps first to stop − 1, in the order of the cameras."""
     index = {label: i for i, label in enumerate(scene.detector.labels)}
     labels = np.array([index[vessel.label] for vessel in scene.vessels])
     times_s = scene.times_s(first, stop)
@@ -146,57 +152,78 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
         yield DetectorInput(seen, rows, frames, targets)
 
 
-def survey(scene: Scene, truth: Truth, first: int, stop: int) -> Reference:
-    """What a detector that `needs_reference` must know of a block; blocks add up."""
-    parts = detector_inputs(scene, truth, first, stop)
-    return sum((reference_of(scene.detector, part.frames, part.targets) for part in parts), Reference())
+def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetCensus:
+    """The census that a scene's detector needs, whatever its model.
+
+    Args:
+        scene: The scene.
+        blocks: Truth of steps first to stop − 1, first and stop. They are not read if the detector needs no census.
+    """
+    parts = (part for block in blocks for part in detector_inputs(scene, *block))
+    return take_census(scene.detector, ((part.frames, part.targets) for part in parts))
+
+
+def detected_block(
+    scene: Scene, truth: Truth, first: int, stop: int, detections_of: Callable[[Frames, Targets], Detections]
+) -> Block:
+    """Truth and detections of steps first to stop − 1.
+
+    Args:
+        scene: The scene.
+        truth: What all cameras see at these steps.
+        first: First step.
+        stop: The step after the last.
+        detections_of: Gives the detections of one camera.
+    """
+    parts = tuple(
+        CameraBlock(
+            camera=index,
+            steps=part.frames.steps,
+            sea_half_planes=part.frames.sea_half_planes,
+            truth=part.truth,
+            target_rows=part.rows,
+            detections=detections_of(part.frames, part.targets),
+        )
+        for index, part in enumerate(detector_inputs(scene, truth, first, stop))
+    )
+    return Block(first, scene.timestamps(first, stop), parts)
 
 
 class Simulation:
-    """A scene with its detector: blocks of truth in, blocks of truth and detections out."""
+    """A scene with its detector: takes blocks of truth, gives blocks of truth and detections."""
 
-    def __init__(self, scene: Scene, reference: Reference | None = None) -> None:
-        """Set the detector up from its seed.
+    def __init__(self, scene: Scene, census: TargetCensus) -> None:
+        """Set up the detector from its seed.
 
         Args:
             scene: The scene.
-            reference: Its targets, from `survey`, if its detector needs to know them.
+            census: Of all its targets, from `scene_census`.
         """
         self.scene = scene
-        self._detector = Detector(scene.detector, scene.detector_seed, scene.times_s, reference)
+        self._detector = Detector(scene.detector, scene.detector_seed, census, scene.times_s)
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
-        parts = tuple(
-            CameraBlock(
-                index,
-                part.frames.steps,
-                part.truth,
-                part.rows,
-                self._detector.detect(part.frames, part.targets),
-            )
-            for index, part in enumerate(detector_inputs(self.scene, truth, first, stop))
-        )
-        return Block(first, self.scene.timestamps(first, stop), parts)
+        return detected_block(self.scene, truth, first, stop, self._detector.detect)
 
 
 def block_steps(scene: Scene) -> int:
-    """How many steps of a scene are looked at together; no result depends on it."""
+    """How many steps of a scene make a block; no result depends on it."""
     return max(1, min(MOST_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
 
 
-def block_ranges(steps: int, block_steps: int) -> list[tuple[int, int]]:
-    """First step and the step after the last of each block of a run."""
+def block_ranges(steps: int, block_steps: int) -> list[Range]:
+    """The blocks of a run."""
     return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
 
 
-def step_ranges(scene: Scene) -> Iterator[tuple[int, int]]:
-    """First step and the step after the last of each block of a scene.
+def step_ranges(scene: Scene) -> Iterator[Range]:
+    """The blocks of a scene.
 
-    A live scene gives a block of one step when that step has come, and waits for the next only when it is asked for it.
+    A live scene has a block for each step. The generator waits for a step when its block is asked for.
 
     Raises:
-        InputError: What came is wrong, or a camera has no place at the step.
+        InputError: The poses that came are wrong, or a camera has no place at the step.
     """
     poses = scene.poses
     if not isinstance(poses, LivePoses):
@@ -213,21 +240,20 @@ def step_ranges(scene: Scene) -> Iterator[tuple[int, int]]:
 
 
 def simulate_frames(scene: Scene) -> Iterator[Frame]:
-    """Run a scene in memory, frame by frame, without writing anything.
+    """Simulate a scene in memory, without writing anything.
 
     Args:
         scene: From `load_scene`.
 
     Yields:
-        Each camera's frame at each step at which it takes one; of a live scene before the next step is waited for.
+        The frames of all cameras, in order of step and camera. A live scene gives the frames of a step before it waits
+        for the next step.
     """
     with open_renderer(scene) as renderer:
-        truths: Iterable[tuple[Truth, int, int]]
-        truths = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene))
-        reference = None
-        if scene.detector.needs_reference:
-            truths = list(truths)
-            reference = sum((survey(scene, *block) for block in truths), Reference())
-        simulation = Simulation(scene, reference)
-        for block in truths:
+        blocks: Iterable[tuple[Truth, int, int]]
+        blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene))
+        if scene.detector.needs_census:
+            blocks = list(blocks)
+        simulation = Simulation(scene, scene_census(scene, blocks))
+        for block in blocks:
             yield from frames_of(simulation.detect(*block), scene)

@@ -1,38 +1,43 @@
-"""A run directory, opened again: its scene, and its frames without running it anew."""
+"""A run directory, opened again: its scene, truth, detections and frames."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import orjson
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from modsim3d.annotate.record import Truth
-from modsim3d.block import Frame, frames_of
-from modsim3d.detector.reference import Reference
-from modsim3d.errors import RunDirectoryError
+from modsim3d.block import Block, Frame, frames_of
+from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.formats.block_files import TABLES, finished_truth
+from modsim3d.formats.columns import read_rows
+from modsim3d.formats.detection_reader import read_detections
 from modsim3d.formats.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
-from modsim3d.formats.table_reader import read_frames, read_truth
+from modsim3d.formats.table_reader import read_truth
 from modsim3d.scene import Scene
 from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import Simulation, block_ranges, block_steps, survey
+from modsim3d.simulate import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
     """A finished or an interrupted run.
 
+    An interrupted run has kept its truth. Its detections are drawn from that truth again: they are those that it would
+    have written. Only a detector that needs a census of the scene may draw others, as the census has only the steps
+    that were kept.
+
     Attributes:
         folder: The run directory.
-        settings: Of `run.json`; of an interrupted run, without counts.
-        scene: From the copy in the folder.
-        finished: Whether the run was.
-        steps: Steps that are there; of an interrupted run, those whose truth was kept.
+        settings: The content of `run.json`; of an interrupted run, without counts.
+        scene: The scene, from the copy in the folder.
+        finished: Whether the run was finished.
+        steps: Number of steps that are there; of an interrupted run, those whose truth was kept.
     """
 
     folder: Path
@@ -43,57 +48,62 @@ class StoredRun:
 
     @property
     def how_to_finish(self) -> str:
-        """What to do with an interrupted run: what came in live cannot come again, but is kept."""
+        """How a user finishes an interrupted run: the poses of a live one cannot come again, but are kept."""
         if (self.folder / UNFINISHED / POSES_FILE).is_file():
             return f"`modsim3d run {self.scene.path} --out DIR` makes a finished run of the poses that came in"
         return "finish it with `modsim3d run SCENE --resume` first"
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """The frames of steps first to stop − 1, in order of step and camera.
-
-        An interrupted run's detections are drawn again from its truth: they are the ones that it would have written,
-        but for a detector that must know the whole scene, which then knows only what is there.
-        """
-        simulation = None if self.finished else Simulation(self.scene, self._reference())
+        """The frames of steps first to stop − 1, in order of step and camera."""
         stop = self.steps if stop is None else min(stop, self.steps)
-        for start, end in block_ranges(self.scene.steps, block_steps(self.scene)):
-            low, high = max(start, first), min(end, stop)
-            if low >= high:
-                continue
-            if simulation is None:
-                yield from read_frames(self.folder, self.scene, low, high)
-            else:
-                block = simulation.detect(self._kept(start, end), start, end)
-                yield from frames_of(block, self.scene, range(low, high))
+        for start, end in self._ranges():
+            wanted = range(max(start, first), min(end, stop))
+            if wanted:
+                yield from frames_of(self._block(start, end, wanted), self.scene, wanted)
+
+    def frame(self, camera: str, step: int) -> Frame:
+        """The frame that a camera took at a step."""
+        return next(frame for frame in self.frames(step, step + 1) if frame.camera == camera)
 
     def tables(self) -> dict[str, pa.Table]:
-        """All rows of `frames`, `truth` and `detections`; an interrupted run's are those that it would have written.
-
-        For who wants columns: many times as fast as `frames`, but all in memory.
-        """
+        """All rows of `frames`, `truth` and `detections`: many times as fast as `frames()`, but all in memory."""
         if self.finished:
-            return {name: pq.read_table(self.folder / f"{name}.parquet") for name in TABLES}
-        parts = []
-        for first, stop in block_ranges(self.scene.steps, block_steps(self.scene)):
-            if first < self.steps:
-                block = Simulation(self.scene).detect(self._kept(first, stop), first, stop)
-                parts.append({name: table(block, self.scene) for name, (_, table) in TABLES.items()})
+            return {name: read_rows(self.folder / f"{name}.parquet") for name in TABLES}
+        blocks = (self._simulation.detect(truth, *steps) for truth, *steps in self._kept_blocks())
+        parts = [{name: table(block, self.scene) for name, (_, table) in TABLES.items()} for block in blocks]
         return {name: pa.concat_tables([part[name] for part in parts]) for name in TABLES}
 
     def truth(self, first: int, stop: int) -> Truth:
         """The truth of steps first to stop − 1 of a finished run."""
         return read_truth(self.folder, self.scene, first, stop)
 
-    def _reference(self) -> Reference | None:
-        if not self.scene.detector.needs_reference:
-            return None
-        ranges = block_ranges(self.steps, block_steps(self.scene))
-        return sum((survey(self.scene, self._kept(*steps), *steps) for steps in ranges), Reference())
+    def _block(self, first: int, stop: int, wanted: range) -> Block:
+        """The truth and detections of the wanted steps at least, of a block of steps first to stop − 1."""
+        if not self.finished:
+            return self._simulation.detect(self._kept(first, stop), first, stop)
+        first, stop = wanted.start, wanted.stop
+        read = partial(read_detections, self.folder, self.scene.detector)
+        return detected_block(self.scene, self.truth(first, stop), first, stop, read)
 
-    def _kept(self, start: int, end: int) -> Truth:
-        truth = finished_truth(self.folder / UNFINISHED, start, end)
+    @cached_property
+    def _simulation(self) -> Simulation:
+        """The detector of an interrupted run, with a census of the steps that were kept."""
+        try:
+            return Simulation(self.scene, scene_census(self.scene, self._kept_blocks()))
+        except ModsimError as error:  # no vessel is annotated in these steps, and the detector needs one
+            raise RunDirectoryError(f"{self.folder} holds an interrupted run: {error}; {self.how_to_finish}") from None
+
+    def _kept_blocks(self) -> Iterator[tuple[Truth, int, int]]:
+        return ((self._kept(*steps), *steps) for steps in self._ranges())
+
+    def _ranges(self) -> list[Range]:
+        """The blocks that are there."""
+        return [steps for steps in block_ranges(self.scene.steps, block_steps(self.scene)) if steps[0] < self.steps]
+
+    def _kept(self, first: int, stop: int) -> Truth:
+        truth = finished_truth(self.folder / UNFINISHED, first, stop)
         if truth is None:
-            raise RunDirectoryError(f"{self.folder} has lost the truth of steps {start} to {end - 1}")
+            raise RunDirectoryError(f"{self.folder} has lost the truth of steps {first} to {stop - 1}")
         return truth
 
 
@@ -124,7 +134,7 @@ def open_run(folder: Path) -> StoredRun:
 
 
 def _kept_steps(folder: Path, scene: Scene) -> int:
-    """How many steps from the first on an interrupted run has kept the truth of."""
+    """Number of steps, from the first on, whose truth an interrupted run has kept."""
     kept = 0
     for start, end in block_ranges(scene.steps, block_steps(scene)):
         if finished_truth(folder / UNFINISHED, start, end) is None:

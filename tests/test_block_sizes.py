@@ -5,6 +5,7 @@ import pytest
 
 from modsim3d.annotate.record import COLUMNS, concatenate
 from modsim3d.camera import Intrinsics
+from modsim3d.detector import TargetCensus
 from modsim3d.frames import camera_R_parent
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import Simulation, block_ranges, truth_block
@@ -19,7 +20,7 @@ def test_truth_and_detections_are_the_same_bits_in_blocks_of_one_step_and_of_man
     scene = load_scene(name, mode=2, source=source, steps=STEPS)
     truths, boxes = [], []
     for size in (1, 7, STEPS):
-        simulation, parts, found = Simulation(scene), [], []
+        simulation, parts, found = Simulation(scene, TargetCensus()), [], []
         for first, stop in block_ranges(STEPS, size):
             truth = truth_block(scene, first, stop, renderer)
             parts += [truth.take(truth.step == step) for step in range(first, stop)]

@@ -171,7 +171,7 @@ def test_the_detector_knows_when_the_camera_took_its_frame_before(finished):
 def test_films_show_the_last_frame_that_a_camera_took(finished):
     run = open_run(finished)
     for first in (0, 7, 9, 20):
-        for shown in select(run, (0, 1), from_s=first / 10).shown():
+        for shown in select(run, (0, 1), from_s=first / 10).latest_frames():
             fast, slow = shown.frames
             assert fast.step == shown.step
             before = [step for step in SLOW if step <= shown.step]
@@ -180,7 +180,8 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
     plan = FilmPlan(("detections",), (0, 1), 640)
     with open_drawer(run.scene) as drawer:
         pictures = {
-            shown.step: np.asarray(Draughtsman(run.scene, plan, drawer).draw(shown)) for shown in selection.shown()
+            shown.step: np.asarray(Draughtsman(run.scene, plan, drawer).draw(shown))
+            for shown in selection.latest_frames()
         }
     right = {step: picture[60:200, 330:] for step, picture in pictures.items()}  # the slow camera's, below its title
     np.testing.assert_array_equal(right[8], right[9])

@@ -13,9 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d import simulate
+from modsim3d import cli, simulate
 from modsim3d.detector import KINDS
 from modsim3d.scene import Scene
+from modsim3d.stored_run import open_run
 
 DETECTORS = Path(__file__).resolve().parents[1] / "scenes" / "detectors"
 SCENE = """
@@ -157,3 +158,32 @@ def test_a_contact_sheet_shows_the_detections_of_the_run(folder: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (folder / "drawn" / "contact_sheet.png").stat().st_size > 10_000
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def test_the_contact_sheet_of_a_finished_run_can_be_drawn_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert command(monkeypatch, "view", str(run), "--sheet") == 0
+    (run / "contact_sheet.png").unlink()
+
+
+def test_an_interrupted_run_has_a_page_whose_tables_are_those_of_its_frames(
+    folder: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop_at_once(steps: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        modsim3d.run_scene(scene, folder / "cut", progress=stop_at_once)
+    assert command(monkeypatch, "report", str(folder / "cut")) == 0
+    assert (folder / "cut" / "report.html").is_file()
+    cut = open_run(folder / "cut")
+    assert 0 < cut.steps < scene.steps
+    confidence = np.concatenate([frame.detections.confidence for frame in cut.frames()])
+    assert np.array_equal(confidence, cut.tables()["detections"]["confidence"].to_numpy())

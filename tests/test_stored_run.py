@@ -1,14 +1,16 @@
 """A run directory opened again gives what the run had, and can be run again from its own copy."""
 
+import json
 import shutil
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from modsim3d.annotate.record import COLUMNS
-from modsim3d.errors import RunDirectoryError
+from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import open_renderer, simulate_frames, truth_block
@@ -92,6 +94,18 @@ def test_an_interrupted_run_gives_the_steps_that_it_has_kept(scene, finished, tm
     assert not run.finished
     assert 0 < run.steps < STEPS
     assert_same_frames(run.frames(), [f for f in open_run(finished).frames() if f.step < run.steps])
+
+
+def test_an_interrupted_run_whose_detector_lacks_a_vessel_says_so(tmp_path):
+    boats = {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}  # behind the camera
+    path = write_scene(tmp_path, boats, 3)
+    false_positives = {"model": "per_image", "rate": 2}
+    detector = yaml.safe_load((tmp_path / "detector.yaml").read_text()) | {"false_positives": false_positives}
+    (tmp_path / "detector.yaml").write_text(json.dumps(detector))
+    with pytest.raises(ModsimError, match="as large as annotated vessels, but there are none"):
+        run_scene(load_scene(path), tmp_path / "run")
+    with pytest.raises(RunDirectoryError, match=r"holds an interrupted run: .* annotated vessels, but there are none"):
+        open_run(tmp_path / "run").tables()
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", '{"scene": 3}', "[1]"])

@@ -365,7 +365,8 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
     sea = {"spectrum": "jonswap", "significant_height_m": 1.0, "peak_period_s": 5.5, "direction_rad": 2.6}
     thesis = yaml.safe_load((ROOT / "scenes/detectors/thesis.yaml").read_text())
     anchored = thesis | {
-        "dropout": {"model": "logistic", "anchor": "state_rate", "distance_m": {"per_doubling": 1, "reference": 50}}
+        "dropout": {"model": "logistic", "anchor": "state_rate", "distance_m": {"per_doubling": 1, "reference": 50}},
+        "false_positives": {"model": "per_image", "rate": 1},
     }
     detector = tmp_path / "anchored.json"
     detector.write_text(json.dumps(anchored))
@@ -373,6 +374,7 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
         live_scene(tmp_path, waves=sea, detector=str(detector))
     assert "waves.spectrum: the sea needs to know how fast vessels are" in str(caught.value)
     assert "detector: holds rates over the whole scene (anchor: state_rate)" in str(caught.value)
+    assert "give false_positives a size" in str(caught.value)
 
 
 @pytest.mark.parametrize(

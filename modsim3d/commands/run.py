@@ -78,8 +78,9 @@ def run_command(
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
         from modsim3d.draw_run import draw_contact_sheet
+        from modsim3d.stored_run import open_run
 
-        draw_contact_sheet(loaded, folder, result.reference)
+        draw_contact_sheet(open_run(folder))
     print_summary(loaded, result, sheet)
 
 

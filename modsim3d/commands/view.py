@@ -208,7 +208,7 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
             f"modsim3d run --resume); --film and --frame draw the {run.steps} steps that are there"
         )
     _check_free(run.folder / SHEET_FILE, overwrite)
-    typer.echo(f"contact sheet  {draw_contact_sheet(run.scene, run.folder)}")
+    typer.echo(f"contact sheet  {draw_contact_sheet(run)}")
 
 
 def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | None, overwrite: bool) -> None:

@@ -1,10 +1,10 @@
 """The statistical detector: state, dropout and class, box error, false positives, confidence."""
 
-from modsim3d.detector.chain import Detector, reference_of
+from modsim3d.detector.census import TargetCensus, take_census
+from modsim3d.detector.chain import Detector
 from modsim3d.detector.loader import load_detector, parse_detector
 from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, TRUE, Detections, Frames, Targets
-from modsim3d.detector.reference import Reference
 
 __all__ = [
     "FALSE_KINDS",
@@ -16,9 +16,9 @@ __all__ = [
     "DetectorModel",
     "Frames",
     "PerformanceState",
-    "Reference",
+    "TargetCensus",
     "Targets",
     "load_detector",
     "parse_detector",
-    "reference_of",
+    "take_census",
 ]

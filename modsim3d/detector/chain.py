@@ -10,6 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes, unions
 from modsim3d.detector.box_error import Misplaced, NormalBoxError
+from modsim3d.detector.census import TargetCensus
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
 from modsim3d.detector.confidence import Confidence
@@ -30,7 +31,6 @@ from modsim3d.detector.records import (
     Frames,
     Targets,
 )
-from modsim3d.detector.reference import Reference
 from modsim3d.detector.states import PerformanceStates
 from modsim3d.random_streams import Streams
 
@@ -80,27 +80,25 @@ class Detector:
     same detections, whatever was detected before and however a run is split into chunks.
     """
 
-    def __init__(
-        self, model: DetectorModel, seed: int, clock: Clock | None = None, reference: Reference | None = None
-    ) -> None:
+    def __init__(self, model: DetectorModel, seed: int, census: TargetCensus, clock: Clock | None = None) -> None:
         """Build the parts that the model asks for.
 
         Args:
             model: What the detector is like.
             seed: Everything random comes from it.
+            census: Of the scene's targets, from `take_census`.
             clock: Times of the scene's steps, for noise that persists.
-            reference: The scene's targets, if `model.needs_reference`; see `reference_of`.
 
         Raises:
-            ModsimError: The model needs a clock or a reference that is not given.
+            ModsimError: The model needs a clock and has none, or takes sizes from targets and there are none.
         """
         self.model = model
         self._streams = Streams(seed)
         self._states = PerformanceStates(model, self._streams)
         self._noise = VesselNoise(model.persistence, self._streams, clock)
-        self._classifier = ConfusionClassifier.from_model(model, reference)
+        self._classifier = ConfusionClassifier.from_model(model, census)
         self._box_error = NormalBoxError.from_model(model)
-        self._clutter = clutter_of(model, reference)
+        self._clutter = clutter_of(model, census)
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
     def detect(self, frames: Frames, targets: Targets) -> Detections:
@@ -269,21 +267,15 @@ def _of_vessels(
     )
 
 
-def clutter_of(model: DetectorModel, reference: Reference | None) -> ClutterSource:
+def clutter_of(model: DetectorModel, census: TargetCensus) -> ClutterSource:
     """The false positives of a detector.
 
     Raises:
-        ModsimError: Their sizes come from the scene, and there is no reference.
+        ModsimError: Their sizes come from the scene's targets, and there are none.
     """
     rates = Rates(
         model.column("false_discovery_rate"),
         model.column("false_positives_per_image"),
         model.confidence_threshold,
     )
-    return ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), reference)
-
-
-def reference_of(model: DetectorModel, frames: Frames, targets: Targets) -> Reference:
-    """What a detector that `needs_reference` must know of each part of a scene; parts add up."""
-    passed = np.flatnonzero(model.gates.passed(frames, targets))
-    return Reference.of(model.dropout, frames, select(targets, passed))
+    return ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), census)

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.census import TargetCensus
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Frames, Targets
-from modsim3d.detector.reference import Reference
-from modsim3d.errors import ModsimError
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,20 +29,19 @@ class ConfusionClassifier:
     intercepts: Array
 
     @classmethod
-    def from_model(cls, model: DetectorModel, reference: Reference | None = None) -> ConfusionClassifier:
+    def from_model(cls, model: DetectorModel, census: TargetCensus) -> ConfusionClassifier:
         """The classifier of a detector model.
 
-        Raises:
-            ModsimError: A rate is to be held over the scene, and no reference says what is in it.
+        Args:
+            model: The detector.
+            census: Of the scene over which anchored miss rates hold on average.
         """
         distributions = cumulative(np.swapaxes(model.column("confusion"), 1, 2))
         misses = _miss_rates(distributions)
         intercepts = np.zeros_like(misses)
         if model.dropout.anchored:
-            if reference is None:
-                raise ModsimError("dropout is anchored to the scene: give the Detector a reference")
             for state, label in np.ndindex(*misses.shape):
-                intercepts[state, label] = anchor(float(misses[state, label]), *reference.log_odds_of(label))
+                intercepts[state, label] = anchor(float(misses[state, label]), *census.log_odds_of(label))
         return cls(distributions, model.dropout, intercepts)
 
     def miss_rates(self, states: Indices, targets: Targets) -> Array:

@@ -10,12 +10,12 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import clip, sizes
+from modsim3d.detector.census import TargetCensus
 from modsim3d.detector.clutter_sizes import SceneSizes, Sizes
 from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, poisson_quantile, step_uniforms
 from modsim3d.detector.persistent_clutter import wanderers
 from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import Frames, Targets
-from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 
@@ -44,7 +44,7 @@ class ClutterOptions:
     persistent_share: float = 0.0
 
     @property
-    def needs_reference(self) -> bool:
+    def needs_census(self) -> bool:
         """Whether sizes come from all of the scene: an empty frame has none to offer, and a wake keeps its own."""
         return self.size is None and (self.model == "per_image" or self.persistent_share > 0)
 
@@ -197,7 +197,7 @@ class ClutterSource:
 
     @classmethod
     def of(
-        cls, options: ClutterOptions, rates: Rates, false_positive_labels: Array, reference: Reference | None
+        cls, options: ClutterOptions, rates: Rates, false_positive_labels: Array, census: TargetCensus
     ) -> ClutterSource:
         """The false positives of a detector.
 
@@ -205,18 +205,18 @@ class ClutterSource:
             options: What the file says.
             rates: How many there are.
             false_positive_labels: Distribution over labels of each state, shape (states, labels).
-            reference: The scene's targets, if sizes come from them.
+            census: Of the scene's targets, if sizes come from them.
 
         Raises:
-            ModsimError: Sizes come from the scene, and there is no reference.
+            ModsimError: Sizes come from the scene's targets, and there are none.
         """
         sizes_ = options.size
-        if options.needs_reference:
-            if reference is None:
-                raise ModsimError("false positives are as large as the scene's vessels: give the Detector a reference")
-            if not len(reference.sides.counts) and options.model == "per_image":
-                raise ModsimError("no vessel of this scene is ever annotated: give false_positives a size")
-            sizes_ = SceneSizes(reference) if len(reference.sides.counts) else None
+        if options.needs_census:
+            if not len(census.sides.counts) and options.model == "per_image":
+                raise ModsimError(
+                    "false positives are as large as annotated vessels, but there are none: give false_positives a size"
+                )
+            sizes_ = SceneSizes(census) if len(census.sides.counts) else None
         return cls(options, rates, cumulative(false_positive_labels), sizes_)
 
     def draw(self, setting: Setting) -> Clutter:

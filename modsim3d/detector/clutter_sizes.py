@@ -10,8 +10,8 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array
+from modsim3d.detector.census import TargetCensus
 from modsim3d.detector.draws import normals
-from modsim3d.detector.reference import Reference
 
 _LN_2 = math.log(2)
 
@@ -53,8 +53,8 @@ class LognormalSize:
 class SceneSizes:
     """The sizes of the scene's annotated boxes, over all its steps."""
 
-    reference: Reference
+    census: TargetCensus
 
     def at(self, uniforms: Array) -> Array:
         """The size of one of them."""
-        return self.reference.sizes_px(uniforms)
+        return self.census.sizes_px(uniforms)

@@ -89,9 +89,9 @@ class DetectorModel:
     performance: Performance = field(default_factory=Performance)
 
     @property
-    def needs_reference(self) -> bool:
-        """Whether the detector must know all targets of the scene before it can detect any."""
-        return self.dropout.anchored or self.clutter.needs_reference
+    def needs_census(self) -> bool:
+        """Whether the detector must count all targets of the scene before it can detect any."""
+        return self.dropout.anchored or self.clutter.needs_census
 
     def column(self, attribute: str) -> Array:
         """One attribute of every state, stacked: shape (number of states, ...)."""

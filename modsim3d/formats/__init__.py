@@ -1,1 +1,1 @@
-"""Files that a run writes and reads back."""
+"""Files of a run, written and read back, and files of other programs."""

@@ -1,4 +1,4 @@
-"""A block in the form of a run's files: rows of tables and JSON lines; and its truth, kept for runs that go on."""
+"""A block as rows of tables and JSON lines; and the truth of a block, kept so that a run can be resumed."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_
 
 
 def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
-    """The columns of each table that a scene's run has."""
+    """The schema of each table that a run of the scene has."""
     own_ship = {OWN_SHIP: ownship_table.OWN_SHIP} if scene.own_ships else {}
     return {**{name: schema for name, (schema, _) in TABLES.items()}, **own_ship}
 
 
 @dataclass(frozen=True, eq=False)
 class BlockFiles:
-    """What a block adds to a run's files.
+    """What a block adds to the files of a run.
 
     Attributes:
-        tables: Name of a table → rows.
-        lines: Kind of JSON file and index of the camera → complete lines.
+        tables: New rows by the name of the table.
+        lines: New complete lines by the kind of JSON file and the index of the camera.
     """
 
     tables: dict[str, pa.Table]
@@ -44,7 +44,7 @@ class BlockFiles:
     def of(cls, block: Block, scene: Scene) -> BlockFiles:
         """Format a block."""
         rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
-        if scene.own_ships and not scene.live:  # accelerations need steps that have not come: written at the end
+        if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
             rows[OWN_SHIP] = ownship_table.own_ship_table(scene, block.first, block.stop)
         return cls(
             rows,
@@ -61,7 +61,7 @@ def _truth_path(folder: Path, first: int, stop: int) -> Path:
 
 
 def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
-    """The truth of a block that an interrupted run had finished, or None."""
+    """The truth of a block that an interrupted run kept; None if it kept none."""
     path = _truth_path(folder, first, stop)
     if not path.exists():
         return None
@@ -70,7 +70,7 @@ def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
 
 
 def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
-    """Keep the truth of a finished block, for a run that goes on after an interruption."""
+    """Keep the truth of a block, so that an interrupted run can be resumed."""
     path = _truth_path(folder, first, stop)
     partial = path.with_suffix(".partial")
     with partial.open("wb") as out:

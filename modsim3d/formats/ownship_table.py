@@ -1,4 +1,4 @@
-"""The table of how the vessels that carry cameras move."""
+"""The table of the motion of the vessels that carry cameras."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VECTORS = {
     "measured_rates_rad_s": ("measured_p_rad_s", "measured_q_rad_s", "measured_r_rad_s"),
     "measured_forces_m_s2": ("measured_f1_m_s2", "measured_f2_m_s2", "measured_f3_m_s2"),
 }
-"""Columns of each vector of `OwnShips`."""
+"""Names of the three columns of each vector of `OwnShips`."""
 OWN_SHIP = pa.schema(
     [
         ("vessel", pa.string()),
@@ -32,7 +32,7 @@ OWN_SHIP = pa.schema(
 
 
 def own_ship_table(scene: Scene, first: int, stop: int) -> pa.Table:
-    """One row for each of steps first to stop − 1 and vessel that carries a camera, in this order."""
+    """One row for each step from first to stop − 1 and each vessel that carries a camera, in this order."""
     own = own_ships_at(scene, first, stop)
     steps, vessels = own.headings_rad.shape
     names = pa.array([scene.vessel_names[index] for index in own.vessels])

@@ -1,4 +1,4 @@
-"""Poses as JSON Lines, one time step a line, in the form of the thesis's pose file (Figure 7.3)."""
+"""Poses as JSON Lines, one step a line, in the form of the thesis's pose file (Jessen & Mohr (2023), Figure 7.3)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from modsim3d.scene import Scene
 
 
 def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
-    """The poses of steps first to stop − 1; read again they are the same numbers."""
+    """The poses of steps first to stop − 1; reading the lines gives exactly the same numbers."""
     poses = scene.poses.poses(first, stop)
     lines = []
     for row, timestamp in enumerate(scene.timestamps(first, stop)):

@@ -1,4 +1,4 @@
-"""A run directory: made, filled step by step, finished in one go, and continued after an interruption."""
+"""A run directory: made, filled block by block, finished, and resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from modsim3d.formats.ownship_table import own_ship_table
 from modsim3d.scene import Scene
 
 UNFINISHED = "unfinished"
-"""The folder inside a run directory that holds what is written while the run goes on."""
+"""The folder inside a run directory with the files of a run that goes on."""
 RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
 SCENE_FOLDER = "scene"
-"""A copy of the scene and of every file that it names."""
+"""The folder with a copy of the scene and of every file that it names."""
 POSES_FILE = "poses.jsonl"
-"""What a live scene took in; a pose file for another run."""
+"""The poses that a live scene received, as a pose file for another run."""
 
 
 class RunDirectory:
     """The folder of one run, while it is written.
 
-    Finished truth is kept block by block, so that an interrupted run can go on where it stopped. The files of the
-    detector, which is cheap, are written anew by a run that goes on.
+    The truth of finished blocks is kept, so that an interrupted run can be resumed. A resumed run writes the files of
+    the detector from the start, because the detector is cheap.
     """
 
     def __init__(
@@ -42,12 +42,12 @@ class RunDirectory:
         overwrite: bool = False,
         resume: bool = False,
     ) -> None:
-        """Make the folder, or take up an interrupted run; a run that is replaced stays until the new one is finished.
+        """Make the folder, or resume an interrupted run; a run that is replaced stays until the new one is finished.
 
         Args:
-            folder: Where.
-            scene: What is run.
-            settings: What decides the files' content; an interrupted run must have had the same.
+            folder: The run directory.
+            scene: The scene that is run.
+            settings: Everything that decides the content of the files; an interrupted run must have had the same.
             overwrite: Replace a run that is there.
             resume: Continue an interrupted run that is there.
 
@@ -76,13 +76,13 @@ class RunDirectory:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
 
     def __enter__(self) -> RunDirectory:
-        """Nothing more to do: the folder is ready."""
+        """Return the folder, which is ready."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close what is open; what was written stays.
+        """Close all files; what was written stays.
 
         Raises:
             RunDirectoryError: The disk is full, or the files cannot be written for another reason.
@@ -129,12 +129,12 @@ class RunDirectory:
         partial.replace(self.work / SETTINGS_FILE)
 
     def _hardly_begun(self) -> bool:
-        """Whether a run was killed before it had written what it is."""
+        """Whether a run was killed before it had written its settings."""
         names = {path.name for path in self.work.iterdir()} if self.work.is_dir() else {"none"}
         return names <= {f"{SETTINGS_FILE}.partial"} and {path.name for path in self.folder.iterdir()} == {UNFINISHED}
 
     def _remove_replaced(self) -> None:
-        """Remove the run that this one replaces; `run.json` first, as it says that the others are complete."""
+        """Remove the run that this one replaces; `run.json` first, as it means that all other files are complete."""
         replaced = self.work / "replaced.json"
         if (self.folder / RUN_FILE).exists():
             (self.folder / RUN_FILE).replace(replaced)
@@ -160,26 +160,26 @@ class RunDirectory:
             self._lines[key].flush()
 
     def write_poses(self, lines: bytes) -> None:
-        """Add the poses of steps that a live scene has made."""
+        """Add the poses of steps that a live scene has received."""
         if self._poses is not None:
             self._poses.write(lines)
             self._poses.flush()
             self._poses_sha256.update(lines)
 
     def write_live_own_ships(self, steps: int) -> None:
-        """Add how own ships moved in a live scene, once all its steps have come."""
+        """Add the motion of own ships in a live scene, once all its steps have come."""
         if self._poses is not None and self._scene.own_ships and steps:
             self._writers[OWN_SHIP].write(own_ship_table(self._scene, 0, steps))
 
     def live_settings(self, steps: int) -> dict[str, Any]:
-        """What decided the files' content and was not known before a live scene had run."""
+        """Settings that are not known before a live scene has run."""
         return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
 
     def finish(self, run: dict[str, Any]) -> None:
         """Put every file in its place; `run.json` last, so that its presence means that all are complete.
 
         Args:
-            run: What `run.json` holds.
+            run: The content of `run.json`.
         """
         self.__exit__(None, None, None)
         self._remove_replaced()
@@ -203,7 +203,7 @@ class RunDirectory:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a file is a run's own `run.json` or `settings.json`, and not another program's of the same name."""
+    """Whether a file is the `run.json` or `settings.json` of a run, and not of another program."""
     try:
         content = orjson.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -212,7 +212,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def place(partial: Path, final: Path) -> None:
-    """Move a complete file to its place in one step, after it has reached the disk."""
+    """Move a complete file to its place in one step, once it is on the disk."""
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
     partial.replace(final)

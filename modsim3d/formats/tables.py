@@ -1,7 +1,8 @@
-"""Parquet tables of a run: frames, truth, detections."""
+"""The Parquet tables of a run: frames, truth, detections."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,14 @@ from modsim3d.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
-"""Tables that wait to be written: one of a single row takes thousands of bytes."""
+"""Most tables that wait to be written; they are joined then, as a table of one row takes thousands of bytes."""
 
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
 CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
+TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
+"""Columns of the truth table that are attributes of `Truth`."""
 _OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
 
 
@@ -42,7 +46,7 @@ TRUTH = pa.schema(
         ("vessel", pa.string()),
         ("label", pa.string()),
         *_doubles(*(f"full_{side}" for side in BOX_SIDES), *(f"visible_{side}" for side in BOX_SIDES)),
-        *_doubles("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m"),
+        *_doubles(*TRUTH_NUMBERS),
         ("occluded_by", _OCCLUDERS),
         ("annotated", pa.bool_()),
         ("detected", pa.bool_()),
@@ -53,17 +57,17 @@ DETECTIONS = pa.schema(
         *_KEYS,
         ("detection", pa.int64()),
         ("label", pa.string()),
-        *_doubles("confidence", "x_px", "y_px", "width_px", "height_px"),
+        *_doubles("confidence", *CENTRE_FORM),
         ("state", pa.string()),
         ("kind", pa.string()),
         ("vessel", pa.string()),
-        *_doubles("e_x_px", "e_y_px", "e_w_px", "e_h_px"),
+        *_doubles(*ERRORS),
     ]
 )
 
 
 def frame_table(block: Block, scene: Scene) -> pa.Table:
-    """One row for each frame that a camera took: state and counts."""
+    """One row for each frame: state and counts."""
     states = [state.name for state in scene.detector.states]
     return _in_order(
         FRAMES,
@@ -95,24 +99,21 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
                 "label": _named(labels, truth.vessel),
                 **_box_columns("full", truth.full_boxes_px),
                 **_box_columns("visible", truth.visible_boxes_px),
-                **{name: _nullable(getattr(truth, name)) for name in _TRUTH_NUMBERS},
+                **{name: _nullable(getattr(truth, name)) for name in TRUTH_NUMBERS},
                 "occluded_by": _occluders(part, scene),
                 "annotated": truth.annotated,
-                "detected": part.detected(),
+                "detected": part.detected,
             }
         )
     return _in_order(TRUTH, tables)
 
 
-_TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
-
-
 def detection_table(block: Block, scene: Scene) -> pa.Table:
-    """One row for each detection, with where it came from."""
+    """One row for each detection, with its origin."""
     states = [state.name for state in scene.detector.states]
     tables = []
     for part in block.cameras:
-        drawn, rows = part.detections, part.truth_row()
+        drawn, rows = part.detections, part.truth_row
         boxes = centre_form(drawn.boxes_px)
         starts = np.searchsorted(drawn.frame, drawn.frame)
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
@@ -122,14 +123,11 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
                 "detection": np.arange(len(drawn)) - starts,
                 "label": _named(scene.detector.labels, drawn.label),
                 "confidence": drawn.confidence,
-                **dict(zip(("x_px", "y_px", "width_px", "height_px"), boxes.T, strict=True)),
+                **dict(zip(CENTRE_FORM, boxes.T, strict=True)),
                 "state": _named(states, drawn.states[drawn.frame]),
                 "kind": _named(KINDS, drawn.kind),
                 "vessel": _named(scene.vessel_names, vessels),
-                **{
-                    name: _nullable(column)
-                    for name, column in zip(("e_x_px", "e_y_px", "e_w_px", "e_h_px"), drawn.errors_px.T, strict=True)
-                },
+                **{name: _nullable(column) for name, column in zip(ERRORS, drawn.errors_px.T, strict=True)},
             }
         )
     return _in_order(DETECTIONS, tables)
@@ -147,13 +145,13 @@ def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[
     }
 
 
-def _named(names: tuple[str, ...] | list[str], indices: Indices) -> pa.Array:
+def _named(names: Sequence[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
     return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
 
 
 def _nullable(values: Array) -> pa.Array:
-    """Doubles with null for NaN."""
+    """Numbers with null for NaN."""
     return pa.array(np.ascontiguousarray(values), from_pandas=True)
 
 
@@ -170,7 +168,7 @@ def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
 
 
 def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
-    """The cameras' tables as one, in order of step and then camera."""
+    """The tables of all cameras as one, in order of step and then camera."""
     joined = pa.concat_tables([pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables])
     if len(tables) == 1:
         return joined
@@ -178,9 +176,9 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
 
 
 class TableWriter:
-    """Writes a Parquet file in row groups of one size, whatever the size of the tables it is given.
+    """Writes a Parquet file whose row groups all have the same size, so that its bytes do not depend on the blocks.
 
-    Each group is written from one piece: where pages end may depend on the pieces.
+    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
@@ -195,14 +193,14 @@ class TableWriter:
         self._rows += len(table)
         if len(self._waiting) == MOST_WAITING:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
-        while self._rows > ROW_GROUP_ROWS:  # what is left is written at the end, and is not empty
+        while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
             joined = pa.concat_tables(self._waiting)
             self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS).combine_chunks())
             self._waiting = [joined.slice(ROW_GROUP_ROWS)]
             self._rows -= ROW_GROUP_ROWS
 
     def close(self) -> None:
-        """Write what is left and the footer."""
+        """Write the remaining rows and the footer."""
         if self._waiting:
             self._writer.write_table(pa.concat_tables(self._waiting).combine_chunks())
             self._waiting = []

@@ -1,7 +1,7 @@
 """The thesis's JSON: annotations and detections by timestamp and vessel (Jessen & Mohr (2023), Figure 7.17).
 
-A file is written as JSON Lines while a run goes on, one line a frame, and becomes one JSON object at the end:
-the lines without their outer braces, joined by commas.
+While a run goes on, a file has JSON Lines, one line a frame. At the end it becomes one JSON object: the lines without
+their outer braces, joined by commas.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.scene import Scene
 
 JOINED_BYTES = 1 << 22
-"""Lines are joined this many bytes at a time."""
+"""Bytes of lines that are joined at a time."""
 
 
 def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
-    """One line a frame: timestamp → vessel ID → label and box with depth."""
+    """The annotations of a camera, one line a frame: timestamp → vessel ID → label and box with depth."""
     truth, rows = part.truth, part.target_rows
     boxes = centre_form(annotation_boxes(truth, scene.annotation.mode)[rows]).tolist()
     vessels, depths = truth.vessel[rows].tolist(), truth.depth_m[rows].tolist()
@@ -37,14 +37,14 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[
 
 
 def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
-    """One line a frame: timestamp → vessel ID or `false_positive_<n>` → label, confidence, box."""
+    """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
     drawn, labels = part.detections, scene.detector.labels
     boxes, confidence = centre_form(drawn.boxes_px).tolist(), drawn.confidence.tolist()
-    sources, frames, label_of = part.truth_row().tolist(), drawn.frame.tolist(), drawn.label.tolist()
+    sources, frames, label_of = part.truth_row.tolist(), drawn.frame.tolist(), drawn.label.tolist()
     names, vessels = scene.vessel_names, part.truth.vessel
     entries: list[dict[str, Any]] = [{} for _ in part.steps]
     second = np.isin(drawn.kind, (DUPLICATE, FRAGMENT))
-    for i in np.argsort(second, kind="stable").tolist():  # a vessel's own detection takes its name
+    for i in np.argsort(second, kind="stable").tolist():  # a vessel's first detection gets its plain name
         entry, row, label = entries[frames[i]], sources[i], label_of[i]
         entry[_free_key(entry, names[vessels[row]] if row >= 0 else None)] = {
             "label": labels[label],
@@ -55,7 +55,7 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[b
 
 
 def _free_key(entry: dict[str, Any], vessel: str | None) -> str:
-    """The key of a detection: false positives are counted, a second box of a vessel is `<vesselID>#2`."""
+    """The next free key: false positives are numbered from 1; the second box of a vessel is `<vessel ID>#2`."""
     prefix, number = ("false_positive_", 1) if vessel is None else (f"{vessel}#", 2)
     if vessel is not None and vessel not in entry:
         return vessel
@@ -74,9 +74,9 @@ def _lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) -> It
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:
-    """Write the one JSON object that a file of such lines makes.
+    """Join a file of such lines to one JSON object.
 
-    A line break inside a text would be written as an escape, so `}`, line break, `{` is only ever between two lines.
+    JSON escapes line breaks inside strings, so the bytes `}`, line break, `{` occur only between two lines.
     """
     separator = b"{\n"
     with lines.open("rb") as source:

@@ -48,7 +48,7 @@ class Asked:
 def asked_of(model: DetectorModel, evidence: Evidence) -> Asked:
     """What a detector's gates, confusion matrices and dropout ask of every chance."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
-    classifier = ConfusionClassifier.from_model(model, evidence.reference(model))
+    classifier = ConfusionClassifier.from_model(model, evidence.census(model))
     chances = evidence.chances
     edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[chances.state, chances.label]
     usual = edges[:, -2].copy()

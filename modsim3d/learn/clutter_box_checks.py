@@ -51,7 +51,7 @@ def clutter_box_checks(model: DetectorModel, evidence: Evidence, lasting: Array)
 
 def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     """Distance of each column of `_looks` from that of many draws in the same frames (Smirnov (1939))."""
-    source, rng = clutter_of(model, evidence.reference(model)), np.random.default_rng(0)
+    source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
         rows = np.flatnonzero(seen.detections.kind == FALSE_POSITIVE)

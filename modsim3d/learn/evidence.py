@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel
-from modsim3d.detector.chain import reference_of
+from modsim3d.detector.census import TargetCensus, take_census
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Detections, Frames, Targets
-from modsim3d.detector.reference import Reference
 
 Columns = dict[str, NDArray[Any]]
 
@@ -160,11 +159,9 @@ class Evidence:
             Clutter(**_joined(clutter, {"image": first_image, "chance": first_row})),
         )
 
-    def reference(self, model: DetectorModel) -> Reference | None:
-        """What the detector had to know of the scene before it could begin, if anything."""
-        if not model.needs_reference:
-            return None
-        return sum((reference_of(model, seen.frames, seen.targets) for seen in self.cameras), Reference())
+    def census(self, model: DetectorModel) -> TargetCensus:
+        """The census that the detector had of the scene."""
+        return take_census(model, ((seen.frames, seen.targets) for seen in self.cameras))
 
 
 def _joined(parts: Sequence[Columns], offsets: dict[str, Indices] | None = None) -> Columns:

@@ -14,12 +14,11 @@ import numpy as np
 from scipy import stats
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector import Detector, reference_of
+from modsim3d.detector import Detector, take_census
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.records import FALSE_KINDS, Frames, Targets
-from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.learn.labelled import NOBODY, Found, Labelled, sorted_by_image
 from modsim3d.learn.learned import Learned, Settings, Values, learn_again
@@ -98,9 +97,7 @@ def parts_of(labelled: Labelled, image_state: Indices) -> Iterator[Part]:
 def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, seed: int) -> Labelled:
     """The same images and truth, with what a detector puts out for them; states are those of the images."""
     parts = list(parts_of(labelled, image_state))
-    reference = None
-    if model.needs_reference:
-        reference = sum((reference_of(model, part.frames, part.targets) for part in parts), Reference())
+    census = take_census(model, ((part.frames, part.targets) for part in parts))
     columns: list[Found] = []
     for part in parts:
         times = part.frames.times_s
@@ -111,7 +108,7 @@ def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, se
         def clock(first: int, stop: int, times: Array = times) -> Array:
             return times[first:stop]
 
-        drawn = Detector(held, seed, clock=clock, reference=reference).detect(part.frames, part.targets)
+        drawn = Detector(held, seed, census, clock).detect(part.frames, part.targets)
         own = ~np.isin(drawn.kind, FALSE_KINDS) & (drawn.target >= 0)
         columns.append(
             Found(

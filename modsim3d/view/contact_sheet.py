@@ -22,18 +22,17 @@ COLUMNS = 2
 GAP_PX, CAPTION_PX, FOOT_PX = 16, 44, 40
 INSET_PX = 150
 
-Look = Callable[[Moment], Subject]
-"""Gives the frame of a moment."""
 
-
-def contact_sheet(folder: Path, title: str, mode: int, look: Look, drawer: IdDrawer) -> Image.Image:
+def contact_sheet(
+    folder: Path, title: str, mode: int, subject_of: Callable[[Moment], Subject], drawer: IdDrawer
+) -> Image.Image:
     """Panels of the moments that are worth a look, each with its place in the whole image.
 
     Args:
         folder: A finished run directory.
         title: Line at the top.
         mode: Annotation mode of the run.
-        look: Gives a moment's frame.
+        subject_of: Gives the frame of a moment.
         drawer: Draws ID buffers.
     """
     moments = pick_moments(folder)
@@ -48,7 +47,7 @@ def contact_sheet(folder: Path, title: str, mode: int, look: Look, drawer: IdDra
     for i, moment in enumerate(moments):
         x = GAP_PX + (i % COLUMNS) * (PANEL_PX[0] + GAP_PX)
         y = GAP_PX + CAPTION_PX + (i // COLUMNS) * (PANEL_PX[1] + CAPTION_PX + GAP_PX)
-        subject = look(moment)
+        subject = subject_of(moment)
         frame = subject.frame
         place = f"{frame.camera}, {frame.timestamp} s, detector {frame.state}"
         draw.text((x, y), moment.caption, fill=palette.INK, font=font(18))

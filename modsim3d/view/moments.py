@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Mask
-
-SIDES = ("x_min", "y_min", "x_max", "y_max")
+from modsim3d.formats.columns import flags, numbers
+from modsim3d.formats.tables import BOX_SIDES
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,14 @@ class _Rows:
 
     @classmethod
     def of(cls, table: pa.Table) -> _Rows:
-        def numbers(name: str) -> Array:
-            return np.asarray(table[name].to_numpy(), dtype=np.float64)
-
-        def flags(name: str) -> Mask:
-            return np.asarray(table[name].to_numpy(), dtype=bool)
-
+        fraction = numbers(table, "visible_fraction")
         return cls(
-            np.where(np.isnan(numbers("visible_fraction")), 1.0, numbers("visible_fraction")),
-            numbers("silhouette_px"),
-            numbers("visible_px"),
+            np.where(np.isnan(fraction), 1.0, fraction),
+            numbers(table, "silhouette_px"),
+            numbers(table, "visible_px"),
             pc.list_value_length(table["occluded_by"]).to_numpy() > 0,
-            flags("annotated"),
-            flags("detected"),
+            flags(table, "annotated"),
+            flags(table, "detected"),
         )
 
     @property
@@ -110,7 +105,7 @@ def pick_moments(folder: Path) -> list[Moment]:
         for k, kind in enumerate(KINDS):
             best[k] = _better(best[k], table, np.where(kind.wanted(rows), kind.rank(rows), np.inf))
     found = [
-        Moment(row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {say}")
+        Moment(row["step"], row["camera"], tuple(row[f"full_{side}"] for side in BOX_SIDES), f"{row['vessel']}: {say}")
         for row, say in ((entry[1], kind.say(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry)
     ]
     false: tuple[float, dict[str, Any]] | None = None

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detector import Detections, Detector, DetectorModel, Frames, Targets
+from modsim3d.detector import Detections, Detector, DetectorModel, Frames, Targets, take_census
 
 IMAGE_PX = (3600, 2400)
 ALL_SEA = (0.0, 0.0, 1.0)
@@ -149,4 +149,4 @@ def all_bytes(detections: Detections) -> dict[str, bytes]:
 
 
 def run(model: DetectorModel, frames: Frames, targets: Targets, seed: int = 1) -> Detections:
-    return Detector(model, seed).detect(frames, targets)
+    return Detector(model, seed, take_census(model, [(frames, targets)])).detect(frames, targets)

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_POSITIVE, TRUE, Detections, Detector, Targets, parse_detector
+from modsim3d.detector import FALSE_POSITIVE, TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
 
 STEPS, VESSELS = 120, 5
 
@@ -53,12 +53,12 @@ def test_chunk_borders_change_nothing(detector_file: dict[str, Any], borders: li
     assert np.sum(whole.kind == FALSE_POSITIVE) > 10
     assert whole.redrawn.sum() > 10
     assert len(set(whole.states)) == 2
-    assert all_bytes(detect_in_chunks(Detector(model, 1), frames, targets, borders)) == all_bytes(whole)
+    assert all_bytes(detect_in_chunks(Detector(model, 1, TargetCensus()), frames, targets, borders)) == all_bytes(whole)
 
 
 def test_chunks_may_come_in_any_order() -> None:
     model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    detector = Detector(model, 1)
+    detector = Detector(model, 1, TargetCensus())
     late = detect_in_chunks(detector, frames, targets, [80, 120])
     whole = detector.detect(frames, targets)
     assert np.array_equal(late.boxes_px, whole.boxes_px[whole.frame >= 80])
@@ -162,7 +162,7 @@ def test_confidence_is_clipped_not_dropped() -> None:
 
 
 def test_no_frames_and_no_targets_give_no_detections() -> None:
-    detector = Detector(parse_detector(detector_data()), 1)
+    detector = Detector(parse_detector(detector_data()), 1, TargetCensus())
     nothing = make_targets(np.empty((0, 3, 4)))
     assert len(detector.detect(make_frames(0), nothing)) == 0
     empty_sea = detector.detect(make_frames(9), nothing)

@@ -17,10 +17,9 @@ from modsim3d.detector import (
     Frames,
     Targets,
     parse_detector,
-    reference_of,
+    take_census,
 )
 from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.errors import ModsimError
 
 FRAMES, VESSELS = 4000, 10
 LOGISTIC = {
@@ -47,7 +46,7 @@ def model_data(**changes: Any) -> dict[str, Any]:
 
 def detect(data: dict[str, Any], frames: Frames, targets: Targets) -> Detections:
     model = parse_detector(data)
-    return Detector(model, 1, reference=reference_of(model, frames, targets)).detect(frames, targets)
+    return Detector(model, 1, take_census(model, [(frames, targets)])).detect(frames, targets)
 
 
 def labels_of(found: Detections, targets: Targets) -> np.ndarray:
@@ -92,7 +91,7 @@ def test_table_multiplies_the_odds_in_each_range() -> None:
 def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout: dict[str, Any]) -> None:
     targets, frames = varied_targets(), make_frames(FRAMES)
     model = parse_detector(model_data(dropout=dropout | {"anchor": "state_rate"}))
-    classifier = ConfusionClassifier.from_model(model, reference_of(model, frames, targets))
+    classifier = ConfusionClassifier.from_model(model, take_census(model, [(frames, targets)]))
     rates = classifier.miss_rates(np.zeros(len(targets), dtype=np.int64), targets)
     for label, asked in ((0, 0.2), (1, 0.3)):
         assert abs(rates[targets.label == label].mean() - asked) < 3.1e-5
@@ -137,9 +136,15 @@ def test_an_unknown_visible_fraction_changes_nothing() -> None:
     )
 
 
-def test_anchored_dropout_without_a_reference_is_an_error() -> None:
-    with pytest.raises(ModsimError, match="give the Detector a reference"):
-        Detector(parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})), 1)
+def test_a_detector_cannot_be_made_without_a_census() -> None:
+    with pytest.raises(TypeError, match="census"):
+        Detector(parse_detector(model_data()), 1)  # type: ignore[call-arg]
+
+
+def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_census() -> None:
+    parts = iter([(make_frames(50), varied_targets(50))])
+    assert not len(take_census(parse_detector(model_data(dropout=LOGISTIC)), parts).sides.counts)
+    assert len(list(parts)) == 1
 
 
 def gated(**gates: float) -> tuple[Targets, Detections]:

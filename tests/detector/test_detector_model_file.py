@@ -52,7 +52,7 @@ def test_models_that_are_switched_off_leave_every_byte_of_the_plain_chain() -> N
     for state in apart["states"].values():
         normal = state["confidence"]
         state["confidence"] = {True: dict(normal), False: dict(normal), "visibility_slope": 0, "size_slope": 0}
-    assert not parse_detector(apart).needs_reference
+    assert not parse_detector(apart).needs_census
     assert all_bytes(run(parse_detector(apart), frames, targets)) == all_bytes(
         run(parse_detector(data), frames, targets)
     )

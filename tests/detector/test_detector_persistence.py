@@ -20,7 +20,7 @@ from detector_builders import (
 )
 from scipy import stats
 
-from modsim3d.detector import TRUE, Detections, Detector, Targets, parse_detector
+from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
 from modsim3d.detector.persistence import Clock
 from modsim3d.errors import ModsimError
 
@@ -32,7 +32,7 @@ def clock(step_s: float) -> Clock:
 
 
 def detect(data: dict[str, Any], targets: Targets, frames: int, step_s: float, seed: int = 1) -> Detections:
-    detector = Detector(parse_detector(data), seed, clock(step_s))
+    detector = Detector(parse_detector(data), seed, TargetCensus(), clock(step_s))
     return detector.detect(make_frames(frames, time_step_s=step_s), targets)
 
 
@@ -182,11 +182,11 @@ def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
 def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> None:
     data = detector_data(persistence={"class_s": 3, "box_s": 0.7})
     targets, frames = make_targets(same_boxes(1200, 4, centred(300, 200))), make_frames(1200)
-    whole = Detector(parse_detector(data), 1, clock(0.1)).detect(frames, targets)
-    split = detect_in_chunks(Detector(parse_detector(data), 1, clock(0.1)), frames, targets, borders)
+    whole = Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)).detect(frames, targets)
+    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)), frames, targets, borders)
     assert all_bytes(split) == all_bytes(whole)
 
 
 def test_persistence_without_a_clock_is_an_error() -> None:
     with pytest.raises(ModsimError, match="give the Detector a clock"):
-        Detector(parse_detector(detector_data(persistence={"box_s": 1})), 1)
+        Detector(parse_detector(detector_data(persistence={"box_s": 1})), 1, TargetCensus())

@@ -15,11 +15,12 @@ from detector_builders import (
     make_targets,
     no_error,
     one_state_data,
+    run,
     same_boxes,
 )
 from scipy import stats
 
-from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector
+from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, take_census
 from modsim3d.detector.persistent_clutter import Wanderers, wanderers
 from modsim3d.detector.records import PERSISTENT
 from modsim3d.random_streams import Streams
@@ -87,7 +88,7 @@ def detector_file(**persistence: float) -> dict[str, Any]:
 
 def detect(frames: int = 6000, **persistence: float) -> Detections:
     targets = make_targets(same_boxes(frames, 6, centred(80, 40)))
-    return Detector(parse_detector(detector_file(**persistence)), 1).detect(make_frames(frames), targets)
+    return run(parse_detector(detector_file(**persistence)), make_frames(frames), targets)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4])
@@ -118,5 +119,6 @@ def test_they_drift_along_the_horizon_at_their_speed() -> None:
 def test_chunk_borders_change_nothing_in_persistent_ones() -> None:
     model = parse_detector(detector_file(lifetime_s=3.0, drift_px_s=9.0, share=0.5))
     targets, frames = make_targets(same_boxes(400, 6, centred(80, 40))), make_frames(400, first_step=70)
-    whole = Detector(model, 1).detect(frames, targets)
-    assert all_bytes(detect_in_chunks(Detector(model, 1), frames, targets, [0, 1, 133, 400])) == all_bytes(whole)
+    detector = Detector(model, 1, take_census(model, [(frames, targets)]))
+    whole = detector.detect(frames, targets)
+    assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 1, 133, 400])) == all_bytes(whole)

@@ -20,7 +20,7 @@ from detector_builders import (
 from scipy import stats
 
 from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, reference_of
+from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, take_census
 from modsim3d.detector.placement import Placement
 from modsim3d.errors import ModsimError
 
@@ -101,8 +101,7 @@ def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6
     boxes[:, :1] = [100, 100, 300, 150]
     targets = make_targets(boxes)
     model, seen = parse_detector(data | {"false_positives": false_positives}), make_frames(frames)
-    reference = reference_of(model, seen, targets) if model.needs_reference else None
-    return Detector(model, 1, reference=reference).detect(seen, targets)
+    return Detector(model, 1, take_census(model, [(seen, targets)])).detect(seen, targets)
 
 
 FIXED = {"model": "fixed", "px": [30, 20]}

@@ -10,7 +10,7 @@ import pytest
 from detector_builders import all_bytes, detect_in_chunks, make_frames, make_targets
 
 from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_KINDS, KINDS, Detections, Detector, Frames, Targets, load_detector, reference_of
+from modsim3d.detector import FALSE_KINDS, KINDS, Detections, Detector, Frames, Targets, load_detector, take_census
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
 STEPS, VESSELS, STEP_S = 600, 9, 0.2
@@ -45,7 +45,7 @@ def whole() -> Detections:
 
 
 def detector(seed: int = 5) -> Detector:
-    return Detector(MODEL, seed, clock, reference_of(MODEL, rich_frames(), rich_targets()))
+    return Detector(MODEL, seed, take_census(MODEL, [(rich_frames(), rich_targets())]), clock)
 
 
 def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections) -> None:
@@ -81,7 +81,7 @@ def test_a_vessel_has_one_detection_that_is_not_false(whole: Detections) -> None
     assert not whole.gated[sources].any()
 
 
-def test_reference_does_not_depend_on_how_the_scene_is_split() -> None:
+def test_census_does_not_depend_on_how_the_scene_is_split() -> None:
     targets = rich_targets()
     halves = []
     for first, stop in ((0, 333), (333, STEPS)):
@@ -89,8 +89,8 @@ def test_reference_does_not_depend_on_how_the_scene_is_split() -> None:
         columns = {field.name: getattr(targets, field.name)[rows] for field in fields(Targets)[:-1]}
         columns["frame"] = columns["frame"] - first
         frames = make_frames(stop - first, first_step=first, time_step_s=STEP_S)
-        halves.append(reference_of(MODEL, frames, Targets(**columns, vessel_ids=targets.vessel_ids)))
-    joined, one = halves[0] + halves[1], reference_of(MODEL, rich_frames(), targets)
+        halves.append(take_census(MODEL, [(frames, Targets(**columns, vessel_ids=targets.vessel_ids))]))
+    joined, one = halves[0] + halves[1], take_census(MODEL, [(rich_frames(), targets)])
     for name in ("log_odds", "sides"):
         assert np.array_equal(getattr(joined, name).rows, getattr(one, name).rows)
         assert np.array_equal(getattr(joined, name).counts, getattr(one, name).counts)

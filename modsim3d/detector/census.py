@@ -1,0 +1,116 @@
+"""Counts of what all targets of a scene look like.
+
+Two models need them before the first frame. A miss rate that is anchored to the scene is an average over all targets.
+False positives that are as large as the scene's vessels take their sizes from all targets.
+
+Only whole numbers are kept: how many targets fall in each narrow range. So the census of a scene is the same however
+the scene was split into parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import sizes
+from modsim3d.detector.draws import cumulative, log2, select
+from modsim3d.detector.dropout import Dropout
+from modsim3d.detector.records import Frames, Targets
+
+if TYPE_CHECKING:
+    from modsim3d.detector.model import DetectorModel
+
+LOG_ODDS_STEP = 1 / 4096
+"""Width of a range of log-odds: an anchored rate is off by at most half of it times p·(1 − p), so 3e-5."""
+SIZE_STEPS = 16
+"""Ranges of a side for each doubling: sides are within 2.2 % of those counted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """How often each row of whole numbers occurred.
+
+    Attributes:
+        rows: Each distinct row once, in ascending order, shape (k, width).
+        counts: How often each occurred, shape (k,).
+    """
+
+    rows: Indices
+    counts: Indices
+
+    @classmethod
+    def of(cls, rows: Indices, counts: Indices | None = None) -> Tally:
+        """Count rows of shape (n, width), each once or `counts` times."""
+        unique, place = np.unique(rows, axis=0, return_inverse=True)
+        weights = np.ones(len(rows), dtype=np.int64) if counts is None else counts
+        totals = np.zeros(len(unique), dtype=np.int64)
+        np.add.at(totals, place.ravel(), weights)
+        return cls(unique, totals)
+
+    def __add__(self, other: Tally) -> Tally:
+        """Both together."""
+        return Tally.of(np.concatenate([self.rows, other.rows]), np.concatenate([self.counts, other.counts]))
+
+
+def _nothing() -> Tally:
+    return Tally(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class TargetCensus:
+    """The targets of a scene that pass the detector's gates, counted; `take_census` makes it.
+
+    Attributes:
+        log_odds: Counts of (label, range of the log-odds that the target's look adds to a miss).
+        sides: Counts of (range of the width, range of the height).
+    """
+
+    log_odds: Tally = field(default_factory=_nothing)
+    sides: Tally = field(default_factory=_nothing)
+
+    @classmethod
+    def of(cls, dropout: Dropout, targets: Targets) -> TargetCensus:
+        """Count some targets, which have passed the gates."""
+        ranges = np.rint(dropout.log_odds(targets) / LOG_ODDS_STEP).astype(np.int64)
+        sides = np.rint(SIZE_STEPS * log2(np.maximum(sizes(targets.boxes_px), 1.0))).astype(np.int64)
+        return cls(Tally.of(np.column_stack([targets.label, ranges])), Tally.of(sides))
+
+    @classmethod
+    def total(cls, parts: Iterable[TargetCensus]) -> TargetCensus:
+        """The census of a scene from those of its parts, such as blocks of steps or cameras."""
+        return sum(parts, cls())
+
+    def __add__(self, other: TargetCensus) -> TargetCensus:
+        """Both together."""
+        return TargetCensus(self.log_odds + other.log_odds, self.sides + other.sides)
+
+    def log_odds_of(self, label: int) -> tuple[Array, Array]:
+        """Log-odds that occurred for a label, and how often, shapes (k,)."""
+        rows = self.log_odds.rows[:, 0] == label
+        return self.log_odds.rows[rows, 1] * LOG_ODDS_STEP, self.log_odds.counts[rows].astype(np.float64)
+
+    def sizes_px(self, uniforms: Array) -> Array:
+        """Width and height of one target for each uniform number of shape (m,), shape (m, 2)."""
+        distribution = cumulative(self.sides.counts.astype(np.float64))
+        sides = np.exp2(self.sides.rows / SIZE_STEPS)
+        return sides[np.searchsorted(distribution, uniforms, side="right")]
+
+
+def take_census(model: DetectorModel, parts: Iterable[tuple[Frames, Targets]]) -> TargetCensus:
+    """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
+
+    Args:
+        model: Its gates decide which targets count.
+        parts: Frames and targets that together are the whole scene. They are not read if the model needs no census;
+            the result is then empty.
+    """
+    if not model.needs_census:
+        return TargetCensus()
+    return TargetCensus.total(
+        TargetCensus.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
+        for frames, targets in parts
+    )
