@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from scipy import special
-
 from modsim3d.arrays import Array
-from modsim3d.random_streams import Streams
-
-LEAST_UNIFORM = 2.0**-54  # stands for the 0 whose normal would be −∞
+from modsim3d.random_streams import Purpose, Streams, normals
 
 
 @dataclass(frozen=True)
@@ -43,8 +38,8 @@ class Imu:
         Returns:
             Errors of the angular rates and of the specific force, each of shape (n, 3).
         """
-        sample = _normals(streams.uniforms("imu_noise", vessel, first=first, count=count, width=6))
-        offset = _normals(streams.uniforms("imu_bias", vessel, first=0, count=1, width=6))
+        sample = normals(streams.uniforms(Purpose.IMU_NOISE, vessel, first=first, count=count, width=6))
+        offset = normals(streams.uniforms(Purpose.IMU_BIAS, vessel, first=0, count=1, width=6))
         rates = self.rate_noise_rad_s * sample[:, :3] + self.rate_bias_rad_s * offset[:, :3]
         forces = self.acceleration_noise_m_s2 * sample[:, 3:] + self.acceleration_bias_m_s2 * offset[:, 3:]
         return rates, forces
@@ -52,8 +47,3 @@ class Imu:
 
 PERFECT_IMU = Imu()
 """At the vessel's origin, without any error."""
-
-
-def _normals(uniforms: Array) -> Array:
-    normals: Array = special.ndtri(np.maximum(uniforms, LEAST_UNIFORM))
-    return normals

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array
-from modsim3d.detector.draws import normals
 from modsim3d.detector.reference import Reference
+from modsim3d.random_streams import normals
 
 _LN_2 = math.log(2)
 

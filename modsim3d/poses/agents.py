@@ -21,7 +21,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.poses.replay import RecordedPoses
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 from modsim3d.validation import MAX_COORDINATE_M, Strict
 from modsim3d.vessels import Vessel
 
@@ -104,7 +104,7 @@ def drive_agents(vessels: Sequence[Vessel], steps: int, time_step_s: float, basi
     Raises:
         InputError: The vessels do not fit into the basin.
     """
-    rng = Streams(seed).generator("agents", step=0)
+    rng = Streams(seed).generator(Purpose.AGENTS, step=0)
     fleet = _placed(vessels, basin, rng)
     positions, headings = np.zeros((steps, len(vessels), 3)), np.zeros((steps, len(vessels)))
     for step in range(steps):

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 from modsim3d.validation import Metres, Rate, Strict
 from modsim3d.vessels import Vessel
 
@@ -130,7 +130,7 @@ def circular_motion(
     radii = []
     for vessel in vessels:
         draws = radius_m[0] + (radius_m[1] - radius_m[0]) * streams.uniforms(
-            "circular_radius", vessel.name, first=0, count=MAX_DRAWS, width=1
+            Purpose.CIRCLE_RADIUS, vessel.name, first=0, count=MAX_DRAWS, width=1
         )
         for radius in map(float, draws[:, 0]):
             inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
@@ -147,7 +147,7 @@ def circular_motion(
         rings.append((inner, outer))
         radii.append(radius)
     other = np.concatenate(
-        [streams.uniforms("circular_start", vessel.name, first=0, count=1, width=2) for vessel in vessels]
+        [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1, width=2) for vessel in vessels]
     )
     low, high = rotation_rate_rad_s
     return CircularMotion(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 from modsim3d.waves.base import GRAVITY_M_S2
 
 PEAKEDNESS = 3.3
@@ -108,7 +108,7 @@ def jonswap_sea(
     within = centres[:, None] + widths[:, None] / 2 * nodes
     energy = (jonswap_shape(within, peak, peakedness) * weights).sum(axis=1) * widths
     energy *= (significant_height_m / 4) ** 2 / energy.sum()
-    draws = Streams(seed).uniforms("sea", first=0, count=bands, width=2)
+    draws = Streams(seed).uniforms(Purpose.SEA, first=0, count=bands, width=2)
     return Sea(
         frequencies_rad_s=edges[:-1] + widths * draws[:, 0],
         amplitudes_m=np.sqrt(2 * energy),

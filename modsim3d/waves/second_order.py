@@ -10,10 +10,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams, normals
 from modsim3d.waves.base import Motion, Passage
 
 AXES = ("roll", "pitch", "yaw")
@@ -22,7 +21,6 @@ SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)
 LEVELS = {"none": 0.0, "small": 1.0, "medium": 2.0, "large": 4.0, "huge": 8.0}
 """Times the small noise. The source gives numbers for small and large only (Tables 9.8, 9.12); the others are ours."""
 BLOCK_STEPS = 4096
-LEAST_UNIFORM = 2.0**-54  # stands for the 0 whose normal would be −∞
 
 
 @dataclass(frozen=True)
@@ -127,8 +125,8 @@ class SecondOrderWaves:
 
     def _extend(self, vessel: str, track: _Track) -> None:
         done = len(track.angles) - 1
-        uniforms = self._streams.uniforms("waves", vessel, first=done, count=BLOCK_STEPS, width=3)
-        noise = special.ndtri(np.maximum(uniforms, LEAST_UNIFORM))
+        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS, width=3)
+        noise = normals(uniforms)
         columns = []
         for i, axis in enumerate(self._axes):
             angles, track.states[i] = second_order(axis.sigma_rad * noise[:, i], axis, track.states[i])
