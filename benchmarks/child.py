@@ -241,7 +241,7 @@ class OurPass:
         from modsim3d.simulate import occlusion_by
 
         scene, intrinsics = self._scene, self._scene.cameras[0].intrinsics
-        outlines = sight.outlines(intrinsics, scene.vessels)
+        outlines = sight.outlines()
         return outlines.vessel, occlusion_by(outlines, intrinsics, scene.annotation, self._renderer)
 
 

@@ -50,9 +50,9 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
         first: First step.
         stop: The step after the last.
     """
-    begin, end = scene.with_neighbours(np.arange(first, stop), NEIGHBOURS)
+    begin, end = scene.motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
     own, times_s = list(scene.own_ships), scene.times_s(begin, end)
-    sea = scene.at_sea(np.arange(begin, end))
+    sea = scene.motion.at(np.arange(begin, end))
     attitude = sea.world_R_vessel[:, own]
     positions = sea.poses.positions_m[:, own]
     unit = positions + attitude @ np.array(scene.imu.position_m)

@@ -31,7 +31,7 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
 
 def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     sight = scene.sight(camera, steps)
-    inside = None if scene.annotation.allow_camera_inside else sight.body_around(scene.vessels)
+    inside = None if scene.annotation.allow_camera_inside else sight.body_around()
     if inside is None:
         return
     frame, body = inside

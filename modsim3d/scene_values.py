@@ -7,8 +7,8 @@ from typing import Any
 
 from modsim3d.camera import Camera, Intrinsics, Mount
 from modsim3d.lens import Distortion
-from modsim3d.scene import Waves
 from modsim3d.scene_file import CameraKeys, WavesKeys
+from modsim3d.vessel_motion import Waves
 from modsim3d.vessels import Vessel
 from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 

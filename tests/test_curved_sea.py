@@ -78,7 +78,7 @@ def test_obstacles_are_lowered_by_their_centre_and_own_ship_is_not(tmp_path):
     assert (own == 0).all()
     places = before.poses.positions_m[:, 1]
     np.testing.assert_allclose(other, drop_m(places, before.camera_poses.positions_m), rtol=1e-12)
-    (rock,) = after._obstacle_bodies(curved.vessels)
+    (rock,) = after._obstacle_bodies()
     expected = drop_m(np.array([6000.0, 0.0]), before.camera_poses.positions_m)
     np.testing.assert_allclose(rock.positions_m[:, 0, 2], -expected)
     assert np.all(rock.positions_m[:, 0, :2] == 0)

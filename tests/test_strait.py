@@ -57,7 +57,7 @@ def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, rend
         hiders |= {scene.occluder_names[index] for index in truth.occluder}
     assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
     bow = scene.cameras[0]
-    outlines = scene.sight(bow, np.arange(3)).outlines(bow.intrinsics, scene.vessels)
+    outlines = scene.sight(bow, np.arange(3)).outlines()
     own = outlines.vessel == scene.vessel_names.index("own")
     assert own.sum() == 3  # its own foredeck, in each frame
     assert not outlines.boxed[own].any()

@@ -8,7 +8,9 @@ from decimal import Decimal
 from pathlib import Path
 from typing import ClassVar, Protocol
 
-from modsim3d.arrays import Array, Mask
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.vessels import Vessel
 
 
@@ -25,6 +27,10 @@ class Poses:
     present: Mask
     positions_m: Array
     headings_rad: Array
+
+    def rows(self, rows: Indices | slice) -> Poses:
+        """Poses at some of the steps, by index."""
+        return Poses(self.present[rows], self.positions_m[rows], self.headings_rad[rows])
 
 
 class PoseSource(Protocol):
@@ -86,6 +92,11 @@ class SourceKeys:
             InputError: With every problem found.
         """
         raise NotImplementedError
+
+
+def times_s(timestamps: Sequence[str], first: int, stop: int) -> Array:
+    """Times of steps first to stop − 1 since the first step, in seconds, shape (stop − first,)."""
+    return np.array([float(text) for text in timestamps[first:stop]]) - float(timestamps[0])
 
 
 def generated_timestamps(steps: int, time_step_s: float) -> tuple[str, ...]:

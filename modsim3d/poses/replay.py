@@ -46,8 +46,7 @@ class RecordedPoses:
 
     def poses(self, first: int, stop: int) -> Poses:
         """Poses at steps first to stop − 1."""
-        taken = slice(first, stop)
-        return Poses(self.recorded.present[taken], self.recorded.positions_m[taken], self.recorded.headings_rad[taken])
+        return self.recorded.rows(slice(first, stop))
 
 
 def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:

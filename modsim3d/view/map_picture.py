@@ -209,7 +209,7 @@ class _Map:
 
     def _vessels(self) -> None:
         scene, step = self.birds_eye.scene, self.step
-        poses, rotations = scene.poses.poses(step, step + 1), scene.at_sea(np.array([step])).world_R_vessel[0]
+        poses, rotations = scene.poses.poses(step, step + 1), scene.motion.at(np.array([step])).world_R_vessel[0]
         for circle, colour in zip(self.birds_eye.circles_m, self._colours(), strict=False):
             self._line(circle, color=colour, lw=0.7, ls=":", zorder=3, label=self._once("circle"))
         recent = self._recent()
