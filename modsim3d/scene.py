@@ -11,7 +11,7 @@ from modsim3d.annotate.modes import Annotation
 from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Camera, CameraPoses, poses_ashore
 from modsim3d.detector.model import DetectorModel
-from modsim3d.errors import InputError
+from modsim3d.errors import InputError, ModsimError
 from modsim3d.frame_timing import takes_frame
 from modsim3d.imu import PERFECT_IMU, Imu
 from modsim3d.obstacles import PREFIX, Obstacle
@@ -19,6 +19,7 @@ from modsim3d.plugins import Plugin
 from modsim3d.poses import LivePoses, PoseSource, times_s
 from modsim3d.scene_copy import SceneCopy
 from modsim3d.sight import Sight, line_of_sight
+from modsim3d.snapshot import Snapshot
 from modsim3d.vessel_motion import PosesInWaves, VesselMotion, Waves
 from modsim3d.vessels import Vessel
 
@@ -118,6 +119,20 @@ class Scene:
         camera_poses = self._camera_poses(camera, vessel_poses, steps)
         curved = self.sea == "curved"
         return line_of_sight(camera, camera_poses, steps, self.vessels, vessel_poses, self.obstacles, curved)
+
+    def at(self, step: int) -> Snapshot:
+        """The scene at one step: where all vessels, obstacles and cameras are.
+
+        Raises:
+            InputError: The vessel that carries a camera has no pose at this step.
+            ModsimError: The scene has no such step.
+        """
+        if not 0 <= step < self.steps:
+            raise ModsimError(f"scene {self.path}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
+        steps = np.array([step])
+        vessel_poses = self.motion.at(steps)
+        camera_poses = tuple(self._camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
+        return Snapshot(self.vessels, vessel_poses, self.obstacles, self.cameras, camera_poses)
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
         """The sea's side of the horizon in a camera's images; see `Intrinsics.sea_half_plane`.
