@@ -37,10 +37,8 @@ def seen_from(camera, exported, name):
     """Vertices of a node of the trimesh scene in the axes of a camera's frame in it, shape (K, 3), and its faces."""
     world_T_node, geometry = exported.graph[name]
     world_T_camera, _ = exported.graph[f"camera#{camera.name}"]
-    vertices = trimesh.transform_points(
-        exported.geometry[geometry].vertices, np.linalg.inv(world_T_camera) @ world_T_node
-    )
-    return vertices @ CV_TO_GL, exported.geometry[geometry].faces
+    camera_T_node, mesh = np.linalg.inv(world_T_camera) @ world_T_node, exported.geometry[geometry]
+    return trimesh.transform_points(mesh.vertices, camera_T_node) @ CV_TO_GL, mesh.faces
 
 
 def nearest(triangles, rays):
@@ -94,13 +92,12 @@ def test_silhouettes_have_the_full_boxes_of_the_rendered_truth(scene, exported, 
     truth = truth_block(scene, STEP, STEP + 1, renderer)
     compared = 0
     for row in np.flatnonzero(truth.camera == index).tolist():
-        vertices, faces = seen_from(camera, exported, scene.vessel_names[truth.vessel[row]])
+        name = scene.vessel_names[truth.vessel[row]]
+        vertices, faces = seen_from(camera, exported, name)
         points = camera.intrinsics.project(vertices[np.unique(faces)])
         box = np.concatenate([points.min(axis=0), points.max(axis=0)])
         if np.all(box[:2] >= 0) and np.all(box[2:] <= camera.intrinsics.image_size_px):
-            np.testing.assert_allclose(
-                truth.full_boxes_px[row], box, atol=1.0, err_msg=scene.vessel_names[truth.vessel[row]]
-            )
+            np.testing.assert_allclose(truth.full_boxes_px[row], box, atol=1.0, err_msg=name)
             compared += 1
     assert compared >= 2
 
@@ -169,9 +166,9 @@ def test_shipped_meshes_stay_watertight(scene):
 
 
 def test_an_absent_vessel_is_left_out(tmp_path):
-    tracks = {"a": [[0, 100, 0], [1, 120, 0]], "b": [[0.5, 100, 30], [1, 120, 30]]}
-    path = write_scene(tmp_path, poses={"tracks": tracks})
-    assert set(load_scene(path).at(0).to_trimesh().geometry) == {"a"}
+    boats = {"a": ((9, 3, 2), [[0, 100, 0], [2, 120, 0]]), "b": ((9, 3, 2), [[1, 100, 30], [2, 120, 30]])}
+    scene = load_scene(write_scene(tmp_path, boats, steps=2))
+    assert [set(scene.at(step).to_trimesh().geometry) for step in (0, 1)] == [{"a"}, {"a", "b"}]
 
 
 @pytest.mark.parametrize("step", [-1, 300])
