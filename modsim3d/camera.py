@@ -1,4 +1,4 @@
-"""A pinhole camera: intrinsics with skew and non-square pixels, pose, projection, near plane, horizon.
+"""A camera: intrinsics with skew and non-square pixels, projection, lens distortion, horizon.
 
 Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left
 pixel, so the image is [0, width] × [0, height].
@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.frames import camera_R_parent, vehicle_R_nominal, world_R_vehicle
+from modsim3d.arrays import Array
+from modsim3d.camera_poses import Mount
 from modsim3d.lens import Distortion
 
 DEFAULT_NEAR_CLIP_M = 0.1
@@ -195,25 +195,6 @@ class Intrinsics:
 
 
 @dataclass(frozen=True)
-class Mount:
-    """Where a camera is fixed: in the world (`vessel` None) or in a vessel's VCF.
-
-    Attributes:
-        position_m: In the frame that carries it.
-        roll_rad: About c3.
-        pitch_rad: About c1.
-        yaw_rad: About c2.
-        vessel: ID of the vessel that carries it.
-    """
-
-    position_m: tuple[float, float, float]
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    yaw_rad: float = 0.0
-    vessel: str | None = None
-
-
-@dataclass(frozen=True)
 class Camera:
     """A virtual camera.
 
@@ -230,146 +211,3 @@ class Camera:
     mount: Mount
     frame_rate_hz: float | None = None
     start_offset_s: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class CameraPoses:
-    """Where a camera is at S time steps.
-
-    Attributes:
-        camera_R_world: Rotations WCF to CCF, shape (S, 3, 3).
-        positions_m: Camera centres in WCF, shape (S, 3).
-    """
-
-    camera_R_world: Array
-    positions_m: Array
-
-    def to_camera(self, points_world: Array) -> Array:
-        """World points in camera coordinates, R · (p − s) (Jessen & Mohr (2023), eq. 7.16).
-
-        Args:
-            points_world: Shape (S, ..., 3).
-
-        Returns:
-            Metres in CCF, shape (S, ..., 3).
-        """
-        steps = len(self.positions_m)
-        offsets = points_world.reshape(steps, -1, 3) - self.positions_m[:, None, :]
-        return (offsets @ np.swapaxes(self.camera_R_world, 1, 2)).reshape(points_world.shape)
-
-
-def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
-    """The same pose at every step (Jessen & Mohr (2023), eq. 7.15, 7.16).
-
-    Args:
-        mount: Pose in the world.
-        steps: Number of steps S.
-
-    Returns:
-        Poses of shapes (S, 3, 3) and (S, 3).
-    """
-    rotation = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
-    position = np.array(mount.position_m, dtype=np.float64)
-    return CameraPoses(np.broadcast_to(rotation, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
-
-
-def poses_on_board(
-    mount: Mount, positions_m: Array, headings_rad: Array, waves_rad: Array, composition: str = "rigid"
-) -> CameraPoses:
-    """Poses of a camera fixed to a vessel that waves turn, lever arm included.
-
-    Rigid: camera = mount ∘ wave ∘ heading. The source adds the wave's angles to the camera's own (`additive`, eq.
-    7.32–7.34), which is right only for a camera that looks forward, and leaves out what turning does to its place; a
-    camera that looks abeam sees its vessel's roll as pitch.
-
-    Args:
-        mount: Pose in VCF.
-        positions_m: Of the vessel's origin in WCF, shape (S, 3).
-        headings_rad: Counter-clockwise from w1, shape (S,).
-        waves_rad: Roll, pitch and yaw of the vessel in waves, shape (S, 3).
-        composition: `rigid` or `additive`.
-
-    Returns:
-        Poses of shapes (S, 3, 3) and (S, 3).
-    """
-    place = np.array(mount.position_m, dtype=np.float64)
-    nominal = world_R_vehicle(headings_rad)
-    if composition == "additive":
-        roll, pitch, yaw = waves_rad.T
-        turned = camera_R_parent(mount.roll_rad + roll, mount.pitch_rad + pitch, mount.yaw_rad + headings_rad + yaw)
-        return CameraPoses(turned, positions_m + nominal @ place)
-    vcf_R_world = vehicle_R_nominal(waves_rad) @ np.swapaxes(nominal, -1, -2)
-    camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
-    return CameraPoses(camera_R_vcf @ vcf_R_world, positions_m + np.swapaxes(vcf_R_world, -1, -2) @ place)
-
-
-def near_plane(intrinsics: Intrinsics) -> Array:
-    """The half-space c3 >= near_clip_m as rows (n, d) with n · p >= d, shape (1, 4)."""
-    return np.array([[0.0, 0.0, 1.0, intrinsics.near_clip_m]])
-
-
-def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
-    """The half-spaces that project to the image and a band around it, shape (4, 4); see `near_plane`.
-
-    The left one, x >= −guard, reads (f1, s, a1 + guard) · p >= 0 in camera coordinates, and so on.
-    """
-    matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
-    depth = matrix[2]
-    normals = [
-        matrix[0] + guard_px * depth,
-        (width + guard_px) * depth - matrix[0],
-        matrix[1] + guard_px * depth,
-        (height + guard_px) * depth - matrix[1],
-    ]
-    return np.column_stack([np.array(normals), np.zeros(4)])
-
-
-def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
-    """The parts of triangles inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
-
-    Args:
-        triangles_camera: Corners in CCF, shape (T, 3, 3).
-        half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
-
-    Returns:
-        Triangles in CCF, shape (T', 3, 3); order and orientation kept.
-    """
-    kept = triangles_camera
-    for plane in half_spaces:
-        kept = _clip_by(kept, kept @ plane[:3] - plane[3])
-    return kept
-
-
-def _clip_by(triangles: Array, height: Array) -> Array:
-    """The parts of triangles where a linear function of their corners, shape (T, 3), is not negative."""
-    inside = height >= 0
-    if inside.all():
-        return triangles
-    count = inside.sum(axis=1)
-    # Turn each triangle so that its odd corner, the one inside or the one outside, comes first.
-    odd = np.where(count == 1, inside.argmax(axis=1), inside.argmin(axis=1))
-    turn = (odd[:, None] + np.arange(3)) % 3
-    corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
-    heights = np.take_along_axis(height, turn, axis=1)
-    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
-    tip = np.stack(
-        [corners[one, 0], _crossing(corners, heights, one, 0, 1), _crossing(corners, heights, one, 0, 2)], axis=1
-    )
-    first, last = _crossing(corners, heights, two, 1, 0), _crossing(corners, heights, two, 2, 0)
-    near = np.stack([first, corners[two, 1], corners[two, 2]], axis=1)
-    far = np.stack([first, corners[two, 2], last], axis=1)
-    whole = np.flatnonzero(count == 3)
-    source = np.concatenate([whole, one, two, two])
-    parts = np.concatenate([triangles[whole], tip, near, far])
-    return parts[np.argsort(source, kind="stable")]
-
-
-def _crossing(corners: Array, heights: Array, rows: Indices, inner: int, outer: int) -> Array:
-    """Where edges leave the half-space, shape (k, 3).
-
-    From the corner inside, so that two triangles with this edge get the very same point.
-    """
-    a, b = corners[rows, inner], corners[rows, outer]
-    height_a, height_b = heights[rows, inner, None], heights[rows, outer, None]
-    crossing: Array = a + height_a / (height_a - height_b) * (b - a)
-    return crossing

@@ -9,7 +9,8 @@ import numpy as np
 
 from modsim3d.annotate.modes import Annotation
 from modsim3d.arrays import Array, Indices
-from modsim3d.camera import Camera, CameraPoses, poses_ashore
+from modsim3d.camera import Camera
+from modsim3d.camera_poses import CameraPoses, poses_ashore
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.frame_timing import takes_frame

@@ -26,7 +26,9 @@ from modsim3d.scene_file import MAX_STEPS, SceneKeys
 from modsim3d.scene_meshes import SceneMeshes, read_obstacle
 from modsim3d.scene_values import Axes, camera_of, waves_of
 from modsim3d.shipped import data_folder
-from modsim3d.validation import describe, join_path, load_json, load_yaml, nearest, shown
+from modsim3d.strict_json import load_json
+from modsim3d.strict_yaml import load_yaml
+from modsim3d.validation import describe, join_path, nearest, shown
 from modsim3d.vessels import Vessel, load_mapping, parse_vessels
 from modsim3d.wave_levels import find_level
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from modsim3d.camera import Camera, Intrinsics, Mount
+from modsim3d.camera import Camera, Intrinsics
+from modsim3d.camera_poses import Mount
 from modsim3d.lens import Distortion
 from modsim3d.scene_file import CameraKeys, WavesKeys
 from modsim3d.vessel_motion import Waves

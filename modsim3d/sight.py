@@ -10,7 +10,8 @@ from modsim3d.annotate.inside import first_body_around
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.bodies import Bodies, vessel_bodies
-from modsim3d.camera import Camera, CameraPoses
+from modsim3d.camera import Camera
+from modsim3d.camera_poses import CameraPoses
 from modsim3d.earth import lowered
 from modsim3d.obstacles import Obstacle, obstacle_bodies
 from modsim3d.poses import Poses

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.camera import Camera, CameraPoses
+from modsim3d.camera import Camera
+from modsim3d.camera_poses import CameraPoses
 from modsim3d.obstacles import PREFIX, Obstacle
 from modsim3d.vessel_motion import PosesInWaves
 from modsim3d.vessels import Vessel

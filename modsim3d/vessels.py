@@ -12,7 +12,8 @@ from pydantic import Field, ValidationError, field_validator
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
-from modsim3d.validation import Strict, describe, join_path, load_json, shown
+from modsim3d.strict_json import load_json
+from modsim3d.validation import Strict, describe, join_path, shown
 
 if TYPE_CHECKING:
     import trimesh

@@ -3,15 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.camera import (
-    Intrinsics,
-    Mount,
-    clip_triangles,
-    guard_planes,
-    near_plane,
-    poses_ashore,
-    poses_on_board,
-)
+from modsim3d.camera import Intrinsics
+from modsim3d.camera_poses import Mount, poses_ashore, poses_on_board
+from modsim3d.clipping import clip_triangles, guard_planes, near_plane
 from modsim3d.frames import camera_R_parent
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d import cli
-from modsim3d.camera import Camera, Mount
+from modsim3d.camera import Camera
+from modsim3d.camera_poses import Mount
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.view import palette

@@ -14,7 +14,9 @@ from pydantic import RootModel
 
 from modsim3d.errors import InputError
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys
-from modsim3d.validation import MAX_COORDINATE_M, join_path, load_json, nearest, parse_json, read_text, shown
+from modsim3d.strict_json import load_json, parse_json
+from modsim3d.text_files import read_text
+from modsim3d.validation import MAX_COORDINATE_M, join_path, nearest, shown
 
 MAX_PROBLEMS = 20
 """A file with one mistake in every line should not fill the screen."""
