@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.frames import camera_R_parent, vehicle_R_nominal, world_R_vehicle
+from modsim3d.rotations import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.frames import rotation_vector
+from modsim3d.rotations import rotation_vector
 
 
 def slopes(times_s: Array, values: Array) -> Array:

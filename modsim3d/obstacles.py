@@ -12,8 +12,8 @@ import shapely
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.bodies import Bodies
-from modsim3d.earth import drop_m
-from modsim3d.frames import world_R_vehicle
+from modsim3d.curved_sea import drop_m
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.vessels import Solid
 
 if TYPE_CHECKING:

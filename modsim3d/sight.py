@@ -12,7 +12,7 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.bodies import Bodies, vessel_bodies
 from modsim3d.camera import Camera
 from modsim3d.camera_poses import CameraPoses
-from modsim3d.earth import lowered
+from modsim3d.curved_sea import lowered
 from modsim3d.obstacles import Obstacle, obstacle_bodies
 from modsim3d.poses import Poses
 from modsim3d.vessel_motion import PosesInWaves

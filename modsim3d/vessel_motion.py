@@ -8,9 +8,9 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.camera_poses import CameraPoses, Mount, poses_on_board
-from modsim3d.frames import vehicle_R_nominal, world_R_vehicle
 from modsim3d.kinematics import velocities
 from modsim3d.poses import LivePoses, Poses, PoseSource, times_s
+from modsim3d.rotations import vehicle_R_nominal, world_R_vehicle
 from modsim3d.waves import Passage, WaveMotion
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from modsim3d import cli, simulate
 from modsim3d.compare import compare_sources
-from modsim3d.earth import RADIUS_M, drop_m, shift_px
+from modsim3d.curved_sea import RADIUS_M, drop_m, shift_px
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import simulate_frames

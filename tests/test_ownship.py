@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import rotation_vector, world_R_vehicle
 from modsim3d.imu import Imu
 from modsim3d.ownship import own_ships_at
 from modsim3d.poses.base import generated_timestamps
 from modsim3d.poses.circular import CircularMotion
+from modsim3d.rotations import rotation_vector, world_R_vehicle
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.vessel_motion import Waves

@@ -8,7 +8,7 @@ import shapely
 import yaml
 
 from modsim3d.compare import compare_sources
-from modsim3d.frames import world_R_vehicle
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import data_folder, load_scene
 from modsim3d.simulate import truth_block
 

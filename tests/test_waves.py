@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.camera_poses import Mount, poses_on_board
-from modsim3d.frames import camera_R_parent, vehicle_R_nominal
+from modsim3d.rotations import camera_R_parent, vehicle_R_nominal
 from modsim3d.scene_reader import load_scene
 from modsim3d.waves import (
     LEVELS,

@@ -11,8 +11,8 @@ from pydantic import RootModel
 
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import heading_of
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
+from modsim3d.rotations import heading_of
 from modsim3d.validation import Metres, Number, join_path, nearest
 
 Waypoint = tuple[Number, Metres, Metres]

@@ -13,7 +13,7 @@ from PIL import Image
 
 from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
-from modsim3d.frames import world_R_vehicle
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.view import palette
 from modsim3d.view.birds_eye import BirdsEye, hull_m, ring_step, view_of
 

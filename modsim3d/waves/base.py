@@ -35,7 +35,7 @@ class Motion:
 
     Attributes:
         heave_m: How far its origin is lifted along w3, shape (n,).
-        angles_rad: Roll, pitch and yaw as in `frames.vehicle_R_nominal`, shape (n, 3): positive roll lowers the port
+        angles_rad: Roll, pitch and yaw as in `rotations.vehicle_R_nominal`, shape (n, 3): positive roll lowers the port
             side, positive pitch the bow, positive yaw turns to port.
     """
 
