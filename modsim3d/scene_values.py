@@ -11,9 +11,8 @@ from modsim3d.lens import Distortion
 from modsim3d.scene_file import CameraKeys, WavesKeys
 from modsim3d.vessel_motion import Waves
 from modsim3d.vessels import Vessel
+from modsim3d.wave_levels import Axes
 from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
-
-Axes = tuple[Axis, Axis, Axis]
 
 
 def camera_of(name: str, keys: CameraKeys) -> Camera:

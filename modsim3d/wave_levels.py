@@ -6,8 +6,11 @@ from modsim3d.errors import InputError
 from modsim3d.plugins import WAVE_LEVELS, Plugin, load_plugin
 from modsim3d.waves import AXES, LEVELS, Axis, level_axes
 
+Axes = tuple[Axis, Axis, Axis]
+"""Roll, pitch and yaw."""
 
-def find_level(name: str) -> tuple[tuple[Axis, Axis, Axis], Plugin | None]:
+
+def find_level(name: str) -> tuple[Axes, Plugin | None]:
     """The axes of a wave level, and the plug-in that brought it, if it is none of ours.
 
     A plug-in of the group `modsim3d.wave_levels` is a tuple of three `Axis`: roll, pitch and yaw.

@@ -293,7 +293,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     # what belongs together
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], ("cameras.shore.mount: give exactly",)),
     ("scene", "cameras/shore/pose", DELETED, ("cameras.shore.mount: give exactly one of pose (ashore) and mount",)),
-    ("scene", "poses", CIRCULAR, ("poses: circular makes its own times: steps and time_step_s must be given",)),
+    ("scene", "poses", CIRCULAR, ("poses: circular has no times of its own: give steps and time_step_s",)),
     (
         "scene",
         "poses",

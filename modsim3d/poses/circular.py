@@ -108,52 +108,54 @@ def circular_motion(
     rotation_rate_rad_s: tuple[float, float],
     seed: int,
 ) -> CircularMotion:
-    """Draw radii, rates and start phases, so that no two hulls can ever touch.
-
-    Distinct radii alone do not keep hulls apart: a radius is drawn again until the ring that its hull sweeps is
-    free of the rings drawn before it.
+    """Circles with random radii, rates and start phases on which no two hulls can ever touch.
 
     Args:
-        vessels: Their lengths and beams are what must be kept apart; their names key the draws.
+        vessels: Lengths and beams are what is kept apart; names key the random numbers.
         steps: Number of time steps.
         time_step_s: Interval between them.
-        centre_m: Centre of all circles.
+        centre_m: Centre of all circles, w1 and w2.
         radius_m: Least and greatest radius.
         rotation_rate_rad_s: Least and greatest rate.
-        seed: Everything is drawn from it.
+        seed: Seed of the random numbers.
 
     Raises:
         InputError: The vessels do not fit between the two radii.
     """
     streams = Streams(seed)
-    rings: list[tuple[float, float]] = []
-    radii = []
-    for vessel in vessels:
-        draws = radius_m[0] + (radius_m[1] - radius_m[0]) * streams.uniforms(
-            Purpose.CIRCLE_RADIUS, vessel.name, first=0, count=MAX_DRAWS, width=1
-        )
-        for radius in map(float, draws[:, 0]):
-            inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
-            if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
-                break
-        else:
-            raise InputError(
-                "poses.circular",
-                [
-                    f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
-                    f"{radius_m[0]} and {radius_m[1]} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
-                ],
-            )
-        rings.append((inner, outer))
-        radii.append(radius)
-    other = np.concatenate(
-        [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1, width=2) for vessel in vessels]
-    )
+    starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1, width=2) for vessel in vessels]
+    rate, phase = np.concatenate(starts).T
     low, high = rotation_rate_rad_s
     return CircularMotion(
         timestamps=generated_timestamps(steps, time_step_s),
         centre_m=centre_m,
-        radii_m=np.array(radii),
-        rates_rad_s=low + (high - low) * other[:, 0],
-        phases_rad=2 * math.pi * other[:, 1],
+        radii_m=_radii(vessels, radius_m, streams),
+        rates_rad_s=low + (high - low) * rate,
+        phases_rad=2 * math.pi * phase,
     )
+
+
+def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: Streams) -> Array:
+    """A radius for each vessel, shape (V,).
+
+    Distinct radii alone do not keep hulls apart. A radius is therefore drawn again until the ring that its hull sweeps
+    is free of the rings before it.
+    """
+    least, greatest = radius_m
+    rings: list[tuple[float, float]] = []
+    radii = []
+    for vessel in vessels:
+        uniforms = streams.uniforms(Purpose.CIRCLE_RADIUS, vessel.name, first=0, count=MAX_DRAWS)
+        for radius in (least + (greatest - least) * uniforms[:, 0]).tolist():
+            inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
+            if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
+                break
+        else:
+            problem = (
+                f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
+                f"{least} and {greatest} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
+            )
+            raise InputError("poses.circular", [problem])
+        rings.append((inner, outer))
+        radii.append(radius)
+    return np.array(radii)

@@ -1,7 +1,7 @@
 """Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3); no heave.
 
-The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch the
-bow, positive yaw turns to port.
+The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
+lowers the bow, positive yaw turns to port.
 """
 
 from __future__ import annotations
