@@ -19,24 +19,24 @@ from modsim3d.lens import Distortion
 
 DEFAULT_NEAR_CLIP_M = 0.1
 BORDER_POINTS = 64
-"""Points on each side of an image that tell what a lens shows of the world."""
+"""Points on each side of the image at which a lens's field of view is measured."""
 BEND_PX = 1 / 256
-"""What is drawn in straight pieces is off the curve that a lens makes of it by no more."""
+"""Greatest distance between a curve that a lens makes of a straight edge and the chords that are drawn for it."""
 MOST_WINDOW = 10
-"""Times its own size that a distorted image may reach in a pinhole's."""
+"""Greatest size of the pinhole image of a distorted one, in sizes of the latter."""
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What maps camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
+    """The map from camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
 
     Attributes:
         focal_px: f1 = f / Δp1 and f2 = f / Δp2.
-        principal_point_px: (a1, a2).
+        principal_point_px: (a1, a2), from the top-left corner of the image.
         image_size_px: Width and height.
         skew: s, in pixels.
-        near_clip_m: Nothing nearer than this along c3 is drawn or projected.
-        distortion: Of the lens; None for a pinhole.
+        near_clip_m: Distance of the near plane along c3; nothing nearer is drawn or projected.
+        distortion: Distortion of the lens; None for a pinhole.
     """
 
     focal_px: tuple[float, float]
@@ -57,7 +57,7 @@ class Intrinsics:
         near_clip_m: float = DEFAULT_NEAR_CLIP_M,
         distortion: Distortion | None = None,
     ) -> Intrinsics:
-        """Intrinsics from a lens and a sensor, as a data sheet gives them (eq. 4.8, 4.9)."""
+        """Intrinsics from the focal length and the pixel size of a data sheet (eq. 4.8, 4.9)."""
         focal_px = (focal_length_m / pixel_size_m[0], focal_length_m / pixel_size_m[1])
         return cls(focal_px, principal_point_px, image_size_px, skew, near_clip_m, distortion)
 
@@ -105,9 +105,9 @@ class Intrinsics:
 
     @cached_property
     def pinhole(self) -> Intrinsics:
-        """The camera without its distortion: its image is a window that holds all that the lens shows of the world.
+        """The camera without distortion, with an image so large that it contains the field of view of the lens.
 
-        In it straight lines stay straight. Itself for a camera without distortion.
+        Straight lines stay straight in its image. A camera without distortion is its own pinhole.
         """
         if self.distortion is None:
             return self
@@ -121,7 +121,14 @@ class Intrinsics:
         )
 
     def through_lens(self, pinhole_px: ArrayLike) -> Array:
-        """Where the lens puts pixels of the pinhole's image, shape (..., 2)."""
+        """Pixels of the distorted image.
+
+        Args:
+            pinhole_px: Pixels of the pinhole's image, shape (..., 2).
+
+        Returns:
+            Pixels, shape (..., 2).
+        """
         pixels = np.asarray(pinhole_px, dtype=np.float64)
         if self.distortion is None:
             return pixels
@@ -131,8 +138,8 @@ class Intrinsics:
     def chord_px(self) -> float:
         """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`.
 
-        A chord of length s is off a curve of curvature κ by κ s² / 8; κ is taken where the lens bends most, at the
-        edge of the image.
+        A chord of length s is at most κ s² / 8 from a curve of curvature κ. κ is measured at the edge of the image,
+        where the lens bends most.
         """
         if self.distortion is None:
             return math.inf
@@ -145,7 +152,7 @@ class Intrinsics:
         return min(max(math.sqrt(8 * BEND_PX / (max(bends) / step**2 + 1e-12)), 1.0), 256.0)
 
     def image_border(self) -> Array:
-        """Points around the edge of the image, shape (n, 2)."""
+        """Points around the edge of the image in pixels, shape (n, 2)."""
         along = np.arange(BORDER_POINTS) / BORDER_POINTS
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
         sides = corners[:, None] + along[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
@@ -153,37 +160,36 @@ class Intrinsics:
         return border
 
     def _window(self) -> tuple[Array, Array]:
-        """Least and greatest column and row, in whole pixels, of what the lens shows, as a pinhole would show it."""
+        """Least and greatest column and row, each of shape (2,), of the field of view in a pinhole's image."""
         seen = self.unproject(self.image_border(), np.ones(4 * BORDER_POINTS))
         pixels = replace(self, distortion=None, near_clip_m=0.5).project(seen)
         return np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 1
 
     def lens_problem(self) -> str | None:
-        """Why the lens cannot make this image, or None if it can."""
+        """Reason why no lens with these coefficients can make this image; None if one can."""
         if self.distortion is None:
             return None
         low, high = self._window()
         size = float(np.max(high - low))
         if not size <= MOST_WINDOW * max(self.image_size_px):
-            return "at some edge of the image nothing can be seen: no lens with these coefficients has such an image"
+            return "the lens reaches only a part of the image: reduce the coefficients or the image size"
         window = self.pinhole.unproject(self.pinhole.image_border(), np.ones(4 * BORDER_POINTS))[:, :2]
         if not self.distortion.one_to_one(window):
-            return "folds the image over: within it, two directions are seen at the same pixel"
+            return "folds the image over itself: some pixels show two directions; reduce the coefficients"
         return None
 
     def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:
-        """The side of the horizon on which the sea lies, for any roll and pitch; the sea is flat, and so is the line:
-        distortion, which would bend it, is left out.
+        """The half-plane of the image that shows the sea, for any roll and pitch.
 
-        A pixel's ray is K⁻¹ (x, y, 1); it meets the sea, or is parallel to a ray that does, where it points
-        below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
+        The sea is flat, and the horizon is a straight line: distortion is left out. A pixel's ray K⁻¹ (x, y, 1) meets
+        the sea where it points below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
 
         Args:
             camera_R_world: Rotations WCF to CCF, shape (..., 3, 3).
 
         Returns:
             (a, b, c) with a·x + b·y + c >= 0 on the sea, shape (..., 3), scaled so that the value is the distance
-            from the horizon in pixels; (0, 0, ±1) if the camera looks straight down or up.
+            from the horizon in pixels. (0, 0, ±1) if the camera looks straight down or up.
         """
         up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
         line = (-up[..., None, :] @ np.linalg.inv(self.matrix))[..., 0, :]  # one by one: many at once round otherwise
@@ -199,11 +205,11 @@ class Camera:
     """A virtual camera.
 
     Attributes:
-        name: Its ID.
-        intrinsics: What maps camera coordinates to pixels.
-        mount: Where it is fixed.
+        name: ID of the camera.
+        intrinsics: Map from camera coordinates to pixels.
+        mount: Place in the world or on a vessel.
         frame_rate_hz: Frames a second; None for one at every step of the scene.
-        start_offset_s: When the first is due, from the scene's first step.
+        start_offset_s: Time from the scene's first step to the first frame.
     """
 
     name: str

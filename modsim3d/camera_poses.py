@@ -12,14 +12,14 @@ from modsim3d.rotations import camera_R_parent, vehicle_R_nominal, world_R_vehic
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a camera is fixed: in the world (`vessel` None) or in a vessel's VCF.
+    """A camera's place in the world (`vessel` None) or in the VCF of a vessel.
 
     Attributes:
-        position_m: In the frame that carries it.
-        roll_rad: About c3.
-        pitch_rad: About c1.
-        yaw_rad: About c2.
-        vessel: ID of the vessel that carries it.
+        position_m: Camera centre in that frame.
+        roll_rad: Angle about c3.
+        pitch_rad: Angle about c1.
+        yaw_rad: Angle about c2.
+        vessel: ID of the vessel that carries the camera.
     """
 
     position_m: tuple[float, float, float]
@@ -31,7 +31,7 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class CameraPoses:
-    """Where a camera is at S time steps.
+    """Poses of a camera at S steps.
 
     Attributes:
         camera_R_world: Rotations WCF to CCF, shape (S, 3, 3).
@@ -45,7 +45,7 @@ class CameraPoses:
         """World points in camera coordinates, R · (p − s) (Jessen & Mohr (2023), eq. 7.16).
 
         Args:
-            points_world: Shape (S, ..., 3).
+            points_world: Metres in WCF, shape (S, ..., 3).
 
         Returns:
             Metres in CCF, shape (S, ..., 3).
@@ -59,7 +59,7 @@ def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
     """The same pose at every step (Jessen & Mohr (2023), eq. 7.15, 7.16).
 
     Args:
-        mount: Pose in the world.
+        mount: Place in the world.
         steps: Number of steps S.
 
     Returns:
@@ -73,15 +73,15 @@ def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
 def poses_on_board(
     mount: Mount, positions_m: Array, headings_rad: Array, waves_rad: Array, composition: str = "rigid"
 ) -> CameraPoses:
-    """Poses of a camera fixed to a vessel that waves turn, lever arm included.
+    """Poses of a camera on board a vessel in waves.
 
-    Rigid: camera = mount ∘ wave ∘ heading. The source adds the wave's angles to the camera's own (`additive`, eq.
-    7.32–7.34), which is right only for a camera that looks forward, and leaves out what turning does to its place; a
-    camera that looks abeam sees its vessel's roll as pitch.
+    `rigid`: camera = mount ∘ wave ∘ heading, lever arm included, so that a camera that looks abeam sees its vessel's
+    roll as pitch. `additive` is the source's rule (eq. 7.32–7.34): it adds the wave's angles to the camera's own and
+    leaves out the lever arm, which is right only for a camera that looks forward.
 
     Args:
-        mount: Pose in VCF.
-        positions_m: Of the vessel's origin in WCF, shape (S, 3).
+        mount: Place in VCF.
+        positions_m: Origins of the vessel in WCF, shape (S, 3).
         headings_rad: Counter-clockwise from w1, shape (S,).
         waves_rad: Roll, pitch and yaw of the vessel in waves, shape (S, 3).
         composition: `rigid` or `additive`.

@@ -14,9 +14,16 @@ def near_plane(intrinsics: Intrinsics) -> Array:
 
 
 def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
-    """The half-spaces that project to the image and a band around it, shape (4, 4); see `near_plane`.
+    """The half-spaces that project to the image and a band around it.
 
-    The left one, x >= −guard, reads (f1, s, a1 + guard) · p >= 0 in camera coordinates, and so on.
+    The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera coordinates; the others follow alike.
+
+    Args:
+        intrinsics: Intrinsics of the camera.
+        guard_px: Width of the band.
+
+    Returns:
+        Rows (n, d) with n · p >= d, shape (4, 4).
     """
     matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
     depth = matrix[2]
@@ -30,14 +37,14 @@ def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
 
 
 def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
-    """The parts of triangles inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
+    """The parts of triangles that lie inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
 
     Args:
         triangles_camera: Corners in CCF, shape (T, 3, 3).
         half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
 
     Returns:
-        Triangles in CCF, shape (T', 3, 3); order and orientation kept.
+        Triangles in CCF, shape (T', 3, 3), in the same order and orientation.
     """
     kept = triangles_camera
     for plane in half_spaces:
@@ -46,7 +53,15 @@ def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
 
 
 def _clip_by(triangles: Array, height: Array) -> Array:
-    """The parts of triangles where a linear function of their corners, shape (T, 3), is not negative."""
+    """The parts of triangles where a linear function is not negative.
+
+    Args:
+        triangles: Shape (T, 3, 3).
+        height: The function at their corners, shape (T, 3).
+
+    Returns:
+        Triangles, shape (T', 3, 3).
+    """
     inside = height >= 0
     if inside.all():
         return triangles
@@ -70,9 +85,9 @@ def _clip_by(triangles: Array, height: Array) -> Array:
 
 
 def _crossing(corners: Array, heights: Array, rows: Indices, inner: int, outer: int) -> Array:
-    """Where edges leave the half-space, shape (k, 3).
+    """Points where edges leave the half-space, shape (k, 3).
 
-    From the corner inside, so that two triangles with this edge get the very same point.
+    Computed from the inner corner, so that two triangles with a common edge get exactly the same point.
     """
     a, b = corners[rows, inner], corners[rows, outer]
     height_a, height_b = heights[rows, inner, None], heights[rows, outer, None]

@@ -1,8 +1,8 @@
-"""What a flat sea leaves out: on the round Earth, what is far away lies lower.
+"""The curved sea: distant things lie lower than on a flat one.
 
-A point of the sea at a horizontal distance d lies d² / (2 R) below the plane that touches the sea under the camera:
-the first term of R − √(R² − d²); the next, d⁴ / (8 R³), is below a millimetre at 30 km. Light is taken to be straight,
-though refraction lifts far things by about a seventh of this.
+A point of the sea at a horizontal distance d lies d² / (2 R) below the plane that touches the sea under the camera.
+This is the first term of R − √(R² − d²); the next, d⁴ / (8 R³), is below a millimetre at 30 km. Light travels straight
+here; refraction would lift distant things by about a seventh of the drop.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ RADIUS_M = 6_371_000.0
 
 
 def drop_m(places_m: Array, camera_m: Array) -> Array:
-    """How far the sea at some places lies below the plane that touches it under a camera.
+    """Drop of the sea at some places below the plane that touches it under a camera.
 
     Args:
-        places_m: In WCF, the last axis w1, w2 and perhaps w3, shape (..., 2) or (..., 3).
-        camera_m: Of the same kind; broadcasts against the places.
+        places_m: Places in WCF, w1, w2 and optionally w3, shape (..., 2) or (..., 3).
+        camera_m: Camera centres in WCF, the same shapes; they broadcast against the places.
 
     Returns:
         Metres, shape (...).
@@ -31,17 +31,25 @@ def drop_m(places_m: Array, camera_m: Array) -> Array:
 
 
 def lowered(places_m: Array, camera_m: Array) -> Array:
-    """Places as a camera sees them over a curved sea, shape (..., 3); see `drop_m`."""
+    """Places as a camera sees them over a curved sea.
+
+    Args:
+        places_m: Places in WCF, shape (..., 3).
+        camera_m: Camera centres in WCF, shape (..., 3).
+
+    Returns:
+        Metres in WCF, shape (..., 3).
+    """
     places: Array = np.array(places_m, dtype=np.float64)
     places[..., 2] -= drop_m(places_m, camera_m)
     return places
 
 
 def shift_px(depth_m: Array, focal_px: tuple[float, float]) -> Array:
-    """How far down the image that drop moves what is at a depth, f d / (2 R), shape (n,).
+    """Shift of things at a depth d down the image by the drop, f d / (2 R), in pixels, shape (n,).
 
     Args:
         depth_m: Distance along the viewing direction, shape (n,).
-        focal_px: Of the camera; the larger counts, whichever way up it is held.
+        focal_px: Focal lengths of the camera; the larger counts, as the camera may be rolled.
     """
     return max(focal_px) * depth_m / (2 * RADIUS_M)

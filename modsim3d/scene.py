@@ -30,24 +30,24 @@ class Scene:
     """A validated scene.
 
     Attributes:
-        name: The file's name without its ending.
+        name: File name without its ending.
         path: The scene file.
-        sha256: Of what is in `copy`.
-        seed: Everything random comes from it.
-        detector_seed: What is random in the detector comes from it; the same unless the scene file says otherwise.
+        sha256: Checksum of `copy`.
+        seed: Seed of all random numbers but the detector's.
+        detector_seed: Seed of the detector; the same unless the scene file says otherwise.
         truth_has_seed: Whether what the cameras see depends on the seed.
         steps: Number of time steps; of a live scene the most that are taken.
-        vessels: In the order of the vessels file.
-        poses: Where they are.
-        cameras: In the order of the scene file.
+        vessels: Vessels in the order of the vessels file.
+        poses: Source of the vessels' poses.
+        cameras: Cameras in the order of the scene file.
         annotation: Mode, source and filters.
-        detector: The statistical detector's parameters.
-        copy: What it was read from.
-        waves: How vessels move in waves, if they do.
-        sea: `flat`, or `curved` as the Earth is.
-        obstacles: What stands still and hides vessels.
-        imu: The inertial unit on board of each vessel that carries a camera.
-        plugins: What other packages brought to it.
+        detector: Parameters of the statistical detector.
+        copy: The files that the scene was read from.
+        waves: How waves move the vessels; None for calm water.
+        sea: `flat` or `curved`.
+        obstacles: Obstacles in the order of the scene file.
+        imu: Inertial unit on board each vessel that carries a camera.
+        plugins: Plug-ins that the scene uses.
     """
 
     name: str
@@ -71,21 +71,21 @@ class Scene:
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
-        """IDs of the vessels."""
+        """IDs of the vessels, in order."""
         return tuple(vessel.name for vessel in self.vessels)
 
     @property
     def occluder_names(self) -> tuple[str, ...]:
-        """Names of what can hide a vessel: the vessels, then the obstacles."""
+        """Names of all that can hide a vessel: the vessels, then the obstacles."""
         return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
 
     @property
     def live(self) -> bool:
-        """Whether its steps come in while it runs."""
+        """Whether its steps arrive while it runs."""
         return isinstance(self.poses, LivePoses)
 
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
-        """The text of the times of steps first to stop − 1."""
+        """Texts of the times of steps first to stop − 1."""
         return tuple(self.poses.timestamps[first:stop])
 
     def times_s(self, first: int, stop: int) -> Array:
@@ -100,7 +100,7 @@ class Scene:
 
     @property
     def motion(self) -> VesselMotion:
-        """How its vessels move."""
+        """The motion of its vessels."""
         moved = self.own_ships
         if self.waves is not None and self.waves.apply_to == "all":
             moved = tuple(range(len(self.vessels)))

@@ -12,7 +12,7 @@ from modsim3d.validation import join_path
 
 
 class _Pairs(list[tuple[str, Any]]):
-    """A JSON object with its repeated keys still in it."""
+    """A JSON object that keeps its repeated keys."""
 
 
 def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
@@ -46,10 +46,10 @@ def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file")
     """The value of a JSON text; repeated keys, which parsers drop silently, are refused.
 
     Args:
-        text: The text.
-        source: What to call it in an error.
+        text: JSON.
+        source: Name of the source in errors.
         first_line: Number of its first line.
-        whole: What ends where the text ends.
+        whole: What the text is, `file` or `line`, for errors.
 
     Raises:
         InputError: It is not valid JSON; the message names line and column.

@@ -14,10 +14,10 @@ from modsim3d.validation import shown
 
 
 class _Yaml12Loader(yaml.SafeLoader):
-    """PyYAML with the numbers and booleans of YAML 1.2, and with repeated keys refused."""
+    """PyYAML with the numbers and booleans of YAML 1.2; it refuses repeated keys."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """The value of a node; PyYAML's own constructors raise errors without a place, such as KeyError."""
+        """The value of a node. Some of PyYAML's constructors raise errors without a place, such as KeyError."""
         try:
             return super().construct_object(node, deep)
         except (yaml.YAMLError, RecursionError):
@@ -28,8 +28,8 @@ class _Yaml12Loader(yaml.SafeLoader):
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
 
 
-# PyYAML follows YAML 1.1: `1e-6` is a string, `no` is false, `1:30` is 90, and it makes dates of keys.
-# Its other resolvers are kept.
+# PyYAML follows YAML 1.1, where `1e-6` is a string, `no` is false, `1:30` is 90 and some keys are dates.
+# These resolvers are replaced; the others stay.
 _Yaml12Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":bool", ":int", ":float", ":timestamp"))]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -56,7 +56,7 @@ def _construct_mapping(loader: _Yaml12Loader, node: yaml.MappingNode) -> dict[An
     seen: set[Any] = set()
     for key_node, _ in node.value:
         if key_node.tag == "tag:yaml.org,2002:merge":
-            continue  # `<<: *base` is no key but brings keys, which flatten_mapping puts in
+            continue  # `<<: *base` is no key; flatten_mapping inserts its keys
         key = loader.construct_object(key_node, deep=True)
         if not isinstance(key, str | int | float | bool):
             raise yaml.constructor.ConstructorError(None, None, "a key must be plain text", key_node.start_mark)
@@ -87,13 +87,13 @@ def load_yaml(path: Path, what: str) -> Any:
         raise InputError(f"{what} {path}", [f"{where}{problem}"]) from None
     except yaml.reader.ReaderError as error:
         line, column = _line_and_column(text, error.position)
-        problem = f"character {chr(error.character)!r} may not stand in YAML"
+        problem = f"character {chr(error.character)!r} is not allowed in YAML"
         raise InputError(f"{what} {path}", [f"line {line}, column {column}: {problem}"]) from None
     except RecursionError:
         raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
 
 
 def _line_and_column(text: str, position: int) -> tuple[int, int]:
-    """Both from one."""
+    """Line and column of a character, counted from one."""
     before = text[:position]
     return before.count("\n") + 1, position - before.rfind("\n")

@@ -16,11 +16,11 @@ _PIECE_BYTES = 1 << 20
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of an input file, unpacked if it is gzipped, whatever its name.
+    """The text of an input file, unpacked if it is gzipped; its name does not matter.
 
     Raises:
-        InputError: There is no such file, it is a folder, it cannot be read or unpacked, it is not UTF-8, or more than
-            any input can be.
+        InputError: There is no such file, it is a folder, it cannot be read or unpacked, it is not UTF-8, or it is too
+            large.
     """
     try:
         with path.open("rb") as file:
@@ -41,12 +41,12 @@ def read_text(path: Path, what: str) -> str:
     except UnicodeDecodeError as error:
         problem = f"is not UTF-8 text (byte {error.start})"
     except ValueError:
-        problem = "this cannot be a file's name"  # it holds a null character
+        problem = "is no valid file name"  # it holds a null character
     raise InputError(f"{what} {path}", [problem])
 
 
 def _at_most(count: int, stream: BinaryIO | gzip.GzipFile) -> bytearray:
-    """So many bytes or all there are, piece by piece: a single read would set aside room for the whole count."""
+    """At most `count` bytes, read in pieces: a single read would reserve memory for all of them."""
     content = bytearray()
     while len(content) < count and (piece := stream.read(min(_PIECE_BYTES, count - len(content)))):
         content += piece

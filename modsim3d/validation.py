@@ -13,7 +13,7 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 Probability = Annotated[float, Field(strict=True, ge=0, le=1)]
 Count = Annotated[int, Field(strict=True, ge=0)]
-# Far beyond any scene, and near enough that no square or product of them overflows.
+# Far beyond any scene; squares and products do not overflow.
 MAX_COORDINATE_M = 1e9
 Metres = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)]
@@ -34,7 +34,7 @@ def join_path(*parts: object) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint that names what was probably meant, or all valid names if there are few."""
+    """A hint with the name that was probably meant, or with valid names."""
     names = [str(candidate) for candidate in known]
     close = difflib.get_close_matches(str(name), names, n=1)
     if close:
@@ -43,7 +43,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys that the section at a location accepts, for the hint beside an unknown key."""
+    """Valid keys of the section at a location, for the hint at an unknown key."""
     current: Any = model
     for part in location:
         if get_origin(current) is dict:
@@ -58,7 +58,7 @@ def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[st
     return list(getattr(current, "model_fields", ()))
 
 
-_IN_OUR_WORDS = {
+_PLAIN_WORDS = {
     "dict_type": "a mapping of keys is needed",
     "model_type": "a mapping of keys is needed",
     "invalid_key": "a key must be text",
@@ -67,7 +67,7 @@ _IN_OUR_WORDS = {
     "too_long": "a list of {max_length} is needed",
     "finite_number": "a finite number is needed",
 }
-"""What pydantic says in the words of Python, said for the reader of a YAML file."""
+"""Messages for readers of YAML in place of pydantic's, which use the words of Python."""
 
 _brief = reprlib.Repr()
 _brief.maxstring = _brief.maxother = _brief.maxlong = 60
@@ -75,17 +75,17 @@ _brief.maxlevel, _brief.maxlist, _brief.maxdict = 3, 4, 4
 
 
 def shown(value: object) -> str:
-    """A value for a message, short however large it is: YAML's aliases can make a few lines enormous."""
+    """A short text of a value for a message; YAML's aliases can make a few lines enormous."""
     return _brief.repr(value)
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
-    """One line for each problem that pydantic found: path, what is wrong, the value.
+    """One line for each problem that pydantic found: path, problem, value.
 
     Args:
-        error: What the model's validation raised.
+        error: The error of the model's validation.
         model: The model, for the names of its keys.
-        *prefix: Where the model stands in the file.
+        *prefix: Keys that lead to the model in the file.
 
     Returns:
         Lines such as `cameras.C0.skew: Input should be a valid number (got 'x')`.
@@ -105,7 +105,7 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
         elif item["type"] in ("value_error", "assertion_error"):
             lines.append(f"{path}: {item['msg'].removeprefix('Value error, ')}")
         else:
-            ours = _IN_OUR_WORDS.get(item["type"])
-            message = ours.format(**item.get("ctx", {})) if ours else item["msg"]
+            plain = _PLAIN_WORDS.get(item["type"])
+            message = plain.format(**item.get("ctx", {})) if plain else item["msg"]
             lines.append(f"{path}: {message} (got {shown(item['input'])})")
     return lines

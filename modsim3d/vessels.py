@@ -1,4 +1,4 @@
-"""Vessels: dimensions, label, and the solid that stands for each."""
+"""Vessels: dimensions, label and shape."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Solid:
     Attributes:
         vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
         faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
-        convex: Whether it is its own convex hull.
-        closed: Whether the faces enclose a volume and all are wound outward, so that those turned away are hidden.
+        convex: Whether the mesh is its own convex hull.
+        closed: Whether the faces enclose a volume and all point outward, so that back faces are hidden.
     """
 
     vertices: Array
@@ -40,7 +40,7 @@ class Solid:
 def shoebox() -> Solid:
     """The unit shoebox: eight corners, twelve triangles; the origin is the centre of its bottom.
 
-    It is `trimesh.creation.box`, written out: importing trimesh takes longer than a hundred frames.
+    It equals `trimesh.creation.box`. Importing trimesh takes longer than simulating a hundred frames.
     """
     vertices = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
     # Counter-clockwise seen from outside; corner 4 i + 2 j + k is at the i-th x, j-th y, k-th z.
@@ -56,12 +56,12 @@ class Vessel:
     """A vessel as the scene describes it.
 
     Attributes:
-        name: Its ID.
-        label: Its true class.
-        length_m: Along v1.
-        beam_m: Along v2.
+        name: ID.
+        label: True class.
+        length_m: Extent along v1.
+        beam_m: Extent along v2.
         air_draft_m: Height above the waterline, along v3.
-        solid: Its shape, in units of these three.
+        solid: Shape in units of these three.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Vessel:
 
     @property
     def extents_m(self) -> Array:
-        """Length, beam and air draft, shape (3,)."""
+        """Length, beam and air draft in metres, shape (3,)."""
         return np.array([self.length_m, self.beam_m, self.air_draft_m])
 
     def to_trimesh(self) -> trimesh.Trimesh:
@@ -84,7 +84,7 @@ class Vessel:
 
     @property
     def has_mesh(self) -> bool:
-        """Whether its shape is another than the shoebox."""
+        """Whether its shape is not the shoebox."""
         return self.solid is not shoebox()
 
 
@@ -94,7 +94,7 @@ Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_
 
 
 class VesselEntry(Strict):
-    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2); `mesh` is ours, and read elsewhere."""
+    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2). `mesh` is ours; `SceneMeshes` reads it."""
 
     length_m: Extent
     beam_m: Extent
@@ -111,7 +111,7 @@ class VesselEntry(Strict):
 
 
 def name_problem(name: str) -> str | None:
-    """Why a text cannot be a vessel's ID, or None if it can."""
+    """Reason why a text cannot be a vessel's ID; None if it can."""
     if not name:
         return "a vessel's ID must not be empty"
     if not name.isprintable():
@@ -130,8 +130,8 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
 
     Args:
         data: The mapping.
-        source: What to call it in an error.
-        *prefix: Where the mapping stands in its file.
+        source: Name of the file in errors.
+        *prefix: Keys that lead to the mapping in the file.
 
     Raises:
         InputError: With every problem found.
@@ -155,7 +155,7 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a vessels file, whatever its vessels are like.
+    """The mapping in a vessels file; its vessels are not checked.
 
     Raises:
         InputError: The file cannot be read or holds no mapping.
@@ -164,12 +164,3 @@ def load_mapping(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {shown(data)})"])
     return data
-
-
-def load_vessels(path: Path) -> tuple[Vessel, ...]:
-    """Vessels from a JSON file as in Figure 7.2.
-
-    Raises:
-        InputError: With every problem found.
-    """
-    return parse_vessels(load_mapping(path), f"vessels file {path}")

@@ -1,4 +1,4 @@
-"""Wave levels by the name that they have in a scene file, plug-ins included."""
+"""Wave levels by name, plug-ins included."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ Axes = tuple[Axis, Axis, Axis]
 
 
 def find_level(name: str) -> tuple[Axes, Plugin | None]:
-    """The axes of a wave level, and the plug-in that brought it, if it is none of ours.
+    """The axes of a wave level, and the plug-in that it comes from; None if it is built in.
 
     A plug-in of the group `modsim3d.wave_levels` is a tuple of three `Axis`: roll, pitch and yaw.
 
     Raises:
-        InputError: There is no such level, or the plug-in is something else.
+        InputError: There is no such level, or the plug-in is no three axes.
     """
     if name in LEVELS:
         return level_axes(name), None

@@ -202,7 +202,7 @@ def test_analytic_source_takes_vessels_for_their_shoeboxes_and_refuses_obstacles
     scene["obstacles"] = {"wreck": {"mesh": "ferry", "size_m": [90, 15, 22], "position_m": [300, 0, 0]}}
     path.write_text(json.dumps(scene))
     load_scene(path)
-    with pytest.raises(InputError, match=r"obstacles\.wreck\.mesh: the analytic source knows no meshes: use"):
+    with pytest.raises(InputError, match=r"obstacles\.wreck\.mesh: the analytic source cannot use meshes: use"):
         load_scene(path, source="analytic")
 
 

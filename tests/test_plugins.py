@@ -315,7 +315,7 @@ def spoilt(change):
         (lambda v, f: (v * [1, 1, 0.5], f), "it must fill the box"),
         (lambda v, f: (v, f[1:]), "its surface is not closed"),
         (lambda v, f: (v, np.concatenate([f, f[:1]])), "its surface is not closed"),
-        (lambda v, f: (v, f[:, ::-1]), "its faces are turned inwards"),
+        (lambda v, f: (v, f[:, ::-1]), "its faces point inwards"),
     ],
 )
 def test_what_is_no_shape_of_a_vessel_is_told(change, part):

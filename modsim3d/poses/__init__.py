@@ -1,4 +1,4 @@
-"""Where vessels are: a pose source gives, for a run of steps, which vessels are there, where, and their headings."""
+"""Pose sources: which vessels are present at each step, where they are, and their headings."""
 
 from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps, times_s
 from modsim3d.poses.circular import CircularMotion, circular_motion

@@ -36,7 +36,7 @@ class CircularKeys(SourceKeys, Strict):
         return self
 
     def build(self, request: PoseRequest) -> CircularMotion:
-        """Circles drawn from the seed."""
+        """Random circles from the seed."""
         return circular_motion(
             request.vessels,
             request.steps or 0,
@@ -53,11 +53,11 @@ class CircularMotion:
     """Each vessel on a circle of its own, heading along it, counter-clockwise at positive rates.
 
     Attributes:
-        timestamps: Text of each step's time.
+        timestamps: Texts of the steps' times.
         centre_m: Common centre, w1 and w2.
-        radii_m: Shape (V,).
-        rates_rad_s: Shape (V,).
-        phases_rad: At step 0, shape (V,).
+        radii_m: Radius of each vessel's circle, shape (V,).
+        rates_rad_s: Angular velocity on the circle, shape (V,).
+        phases_rad: Angle on the circle at step 0, shape (V,).
     """
 
     timestamps: Sequence[str]
@@ -85,16 +85,16 @@ class CircularMotion:
 def swept_ring(radius_m: float, length_m: float, beam_m: float) -> tuple[float, float]:
     """Inner and outer radius of the ring that a hull sweeps on a circle.
 
-    Its sides lie half a beam inside and outside the circle, and its corners half a length further along the
-    tangent; a hull whose inner side passes the centre sweeps a full disc.
+    The sides lie half a beam inside and outside the circle of the hull's centre, and the corners half a length further
+    along the tangent. A hull whose inner side passes the centre sweeps a full disc.
 
     Args:
-        radius_m: Of the circle of the hull's centre.
-        length_m: Along the circle.
-        beam_m: Across it.
+        radius_m: Radius of the circle of the hull's centre.
+        length_m: Length of the hull.
+        beam_m: Beam of the hull.
 
     Returns:
-        Nearest and farthest distance from the circle's centre.
+        Least and greatest distance from the circle's centre.
     """
     return max(0.0, radius_m - beam_m / 2), math.hypot(radius_m + beam_m / 2, length_m / 2)
 

@@ -1,4 +1,4 @@
-"""How vessels move in waves: an interface, and one file for each way of moving."""
+"""How vessels move in waves: an interface, and a module for each model."""
 
 from modsim3d.waves.base import GRAVITY_M_S2, Motion, Passage, WaveMotion
 from modsim3d.waves.floating import FloatingVessels
