@@ -19,14 +19,13 @@ _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 who
 
 @unique
 class Purpose(Enum):
-    """Everything that modsim3d draws random numbers for: text in the key, numbers a step, and what they are for.
+    """Everything that modsim3d draws random numbers for: text in the key, numbers a step, meaning.
 
-    The text is part of the key, so changing it changes the output. Those without a number of numbers a step draw from
-    a generator of their own for each step.
+    A changed text changes the output. A purpose without a fixed number of numbers has a generator for each step.
 
     Attributes:
         width: Uniform numbers a step; None for a generator.
-        meaning: What the numbers are for, and in brackets the names that key them.
+        meaning: Use of the numbers, with the names in their key in brackets.
     """
 
     width: int | None

@@ -43,7 +43,7 @@ class Scene:
         annotation: Mode, source and filters.
         detector: Parameters of the statistical detector.
         copy: The files that the scene was read from.
-        waves: How waves move the vessels; None for calm water.
+        waves: Waves; None for calm water.
         sea: `flat` or `curved`.
         obstacles: Obstacles in the order of the scene file.
         imu: Inertial unit on board each vessel that carries a camera.

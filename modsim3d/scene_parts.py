@@ -50,7 +50,7 @@ class SceneParts:
 
     Attributes:
         path: The scene file.
-        data: Its content, with what the caller set in its place.
+        data: Content of the scene file, with what the caller set in place of it.
         problems: One line each.
         keys: The content, validated.
         vessel_entries: The mapping of vessels as it stands in its file.

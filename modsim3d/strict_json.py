@@ -49,7 +49,7 @@ def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file")
         text: JSON.
         source: Name of the source in errors.
         first_line: Number of its first line.
-        whole: What the text is, `file` or `line`, for errors.
+        whole: Kind of text in errors, `file` or `line`.
 
     Raises:
         InputError: It is not valid JSON; the message names line and column.

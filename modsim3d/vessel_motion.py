@@ -62,7 +62,7 @@ class VesselMotion:
     Attributes:
         source: Poses on calm water.
         names: IDs of the vessels.
-        waves: What moves them beside that; None for calm water.
+        waves: Waves; None for calm water.
         moved: Indices of the vessels that waves move, ascending.
         steps: Number of the scene's steps; of a live scene the most that are taken.
     """

@@ -188,7 +188,10 @@ BROKEN = {
         "  def look(self): return self.nothing",
         "'drift' of drift 0.1 failed: AttributeError",
     ),
-    "builds_nothing": (HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass", "must return a pose"),
+    "builds_nothing": (
+        HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass",
+        "must return a pose",
+    ),
     "raises": (HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 1 / 0", "ZeroDivisionError: division"),
     "not_a_mapping": (
         HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 5",

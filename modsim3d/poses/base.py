@@ -29,7 +29,7 @@ class Poses:
     headings_rad: Array
 
     def rows(self, rows: Indices | slice) -> Poses:
-        """Poses at some of the steps, by index."""
+        """Poses at some of the S steps, by index, shape (n,), or slice."""
         return Poses(self.present[rows], self.positions_m[rows], self.headings_rad[rows])
 
 

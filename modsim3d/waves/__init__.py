@@ -12,9 +12,7 @@ from modsim3d.waves.second_order import (
     Axis,
     SecondOrderWaves,
     level_axes,
-    long_run_deviation,
     second_order,
-    second_order_variance,
 )
 
 __all__ = [
@@ -35,7 +33,5 @@ __all__ = [
     "WaveMotion",
     "jonswap_sea",
     "level_axes",
-    "long_run_deviation",
     "second_order",
-    "second_order_variance",
 ]

@@ -6,7 +6,6 @@ lowers the bow, positive yaw turns to port.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -132,22 +131,3 @@ class SecondOrderWaves:
             angles, track.states[i] = second_order(axis.sigma_rad * noise[:, i], axis, track.states[i])
             columns.append(angles)
         track.angles = np.concatenate([track.angles, np.stack(columns, axis=1)])
-
-
-def second_order_variance(axis: Axis, steps: int) -> float:
-    """Variance of x'(t) from a zero start, for a = b: σ² Σ_{k=0}^{t−1} ((k + 1) aᵏ)².
-
-    Each e reaches x' through the convolution of the two processes' impulse responses, Σ aʲ bᵏ⁻ʲ = (k + 1) aᵏ.
-
-    Args:
-        axis: Coefficients with a = b.
-        steps: t.
-    """
-    k = np.arange(steps)
-    return float(axis.sigma_rad**2 * np.sum(((k + 1) * axis.a**k) ** 2))
-
-
-def long_run_deviation(axis: Axis) -> float:
-    """Standard deviation of x' in the long run, for a = b: σ √((1 + a²) / (1 − a²)³)."""
-    a2 = axis.a**2
-    return axis.sigma_rad * math.sqrt((1 + a2) / (1 - a2) ** 3)
