@@ -241,7 +241,7 @@ class OurPass:
         from modsim3d.simulate import occlusion_by
 
         scene, intrinsics = self._scene, self._scene.cameras[0].intrinsics
-        outlines = sight.outlines(intrinsics, scene.vessels)
+        outlines = sight.outlines()
         return outlines.vessel, occlusion_by(outlines, intrinsics, scene.annotation, self._renderer)
 
 
@@ -304,7 +304,7 @@ class PyrenderPass:
 
     def _matrices(self, frame: int) -> list[np.ndarray]:
         """Of the camera and the vessels."""
-        from modsim3d.frames import world_R_vehicle
+        from modsim3d.rotations import world_R_vehicle
 
         loaded = self._loaded
         sight = loaded.sight(loaded.cameras[0], np.array([frame]))

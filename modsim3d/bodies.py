@@ -1,4 +1,4 @@
-"""What a camera may have before it: solids that move, by the mesh that they share."""
+"""Bodies that a camera may see: solids that move, grouped by the mesh that they share."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class Bodies:
     """B bodies with the same faces, at S steps.
 
     Attributes:
-        solid: Their faces; its vertices are not used.
+        solid: The faces; its vertices are not used.
         occluder: Index into the scene's occluder names, shape (B,).
-        boxed: Whether they are vessels, which get a box; what only hides has none.
-        vertices_m: In the frame of each body, shape (B, K, 3).
-        centres_m: Of their bounding boxes, in the same frames, shape (B, 3).
-        present: Which are to be looked at, shape (S, B).
-        positions_m: Origins of their frames in WCF, shape (S, B, 3).
+        boxed: Whether the bodies get a box: vessels do, obstacles and own ship do not.
+        vertices_m: Vertices in the frame of each body, shape (B, K, 3).
+        centres_m: Centres of the bounding boxes in the same frames, shape (B, 3).
+        present: Which bodies are used at each step, shape (S, B).
+        positions_m: Origins of the frames in WCF, shape (S, B, 3).
         world_R_body: Rotations to WCF, shape (S, B, 3, 3).
     """
 
@@ -36,13 +36,13 @@ class Bodies:
     world_R_body: Array
 
     def vertices_world(self) -> Array:
-        """Vertices in the world (Jessen & Mohr (2023), eq. 7.1), shape (S, B, K, 3)."""
+        """Vertices in WCF in metres (Jessen & Mohr (2023), eq. 7.1), shape (S, B, K, 3)."""
         turned = self.vertices_m @ np.swapaxes(self.world_R_body, -1, -2)
         vertices: Array = turned + self.positions_m[:, :, None, :]
         return vertices
 
     def centres_world(self) -> Array:
-        """Centres in the world, shape (S, B, 3)."""
+        """Centres of the bounding boxes in WCF in metres, shape (S, B, 3)."""
         centres: Array = (self.world_R_body @ self.centres_m[:, :, None])[..., 0] + self.positions_m
         return centres
 
@@ -56,15 +56,15 @@ def vessel_bodies(
     as_shoeboxes: bool = False,
     boxed: bool = True,
 ) -> list[Bodies]:
-    """The vessels that are there at any step, those with the same mesh together.
+    """The vessels that are present at any of S steps, grouped by mesh.
 
     Args:
-        vessels: V of them.
-        present: Which are to be looked at, shape (S, V).
-        positions_m: Shape (S, V, 3).
+        vessels: The V vessels of the scene.
+        present: Which vessels to take at each step, shape (S, V).
+        positions_m: Origins of the vessels in WCF, shape (S, V, 3).
         world_R_vessel: Rotations VCF to WCF, shape (S, V, 3, 3).
-        as_shoeboxes: Whether each is to be taken for its shoebox.
-        boxed: Whether they get a box.
+        as_shoeboxes: Whether shoeboxes stand for meshes.
+        boxed: Whether the bodies get a box.
     """
     there: Mask = np.any(present, axis=0)
     solids: dict[int, tuple[Solid, list[int]]] = {}

@@ -1,4 +1,4 @@
-"""A pinhole camera: intrinsics with skew and non-square pixels, pose, projection, near plane, horizon.
+"""A camera: intrinsics with skew and non-square pixels, projection, lens distortion, horizon.
 
 Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left
 pixel, so the image is [0, width] × [0, height].
@@ -13,30 +13,30 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.frames import camera_R_parent, vehicle_R_nominal, world_R_vehicle
+from modsim3d.arrays import Array
+from modsim3d.camera_poses import Mount
 from modsim3d.lens import Distortion
 
 DEFAULT_NEAR_CLIP_M = 0.1
 BORDER_POINTS = 64
-"""Points on each side of an image that tell what a lens shows of the world."""
+"""Points on each side of the image at which a lens's field of view is measured."""
 BEND_PX = 1 / 256
-"""What is drawn in straight pieces is off the curve that a lens makes of it by no more."""
+"""Greatest distance between a curve that a lens makes of a straight edge and the chords that are drawn for it."""
 MOST_WINDOW = 10
-"""Times its own size that a distorted image may reach in a pinhole's."""
+"""Greatest size of the pinhole image of a distorted one, in sizes of the latter."""
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What maps camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
+    """The map from camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
 
     Attributes:
         focal_px: f1 = f / Δp1 and f2 = f / Δp2.
-        principal_point_px: (a1, a2).
+        principal_point_px: (a1, a2), from the top-left corner of the image.
         image_size_px: Width and height.
         skew: s, in pixels.
-        near_clip_m: Nothing nearer than this along c3 is drawn or projected.
-        distortion: Of the lens; None for a pinhole.
+        near_clip_m: Distance of the near plane along c3; nothing nearer is drawn or projected.
+        distortion: Distortion of the lens; None for a pinhole.
     """
 
     focal_px: tuple[float, float]
@@ -57,7 +57,7 @@ class Intrinsics:
         near_clip_m: float = DEFAULT_NEAR_CLIP_M,
         distortion: Distortion | None = None,
     ) -> Intrinsics:
-        """Intrinsics from a lens and a sensor, as a data sheet gives them (eq. 4.8, 4.9)."""
+        """Intrinsics from the focal length and the pixel size of a data sheet (eq. 4.8, 4.9)."""
         focal_px = (focal_length_m / pixel_size_m[0], focal_length_m / pixel_size_m[1])
         return cls(focal_px, principal_point_px, image_size_px, skew, near_clip_m, distortion)
 
@@ -105,9 +105,9 @@ class Intrinsics:
 
     @cached_property
     def pinhole(self) -> Intrinsics:
-        """The camera without its distortion: its image is a window that holds all that the lens shows of the world.
+        """The camera without distortion, with an image so large that it contains the field of view of the lens.
 
-        In it straight lines stay straight. Itself for a camera without distortion.
+        Straight lines stay straight in its image. A camera without distortion is its own pinhole.
         """
         if self.distortion is None:
             return self
@@ -121,7 +121,14 @@ class Intrinsics:
         )
 
     def through_lens(self, pinhole_px: ArrayLike) -> Array:
-        """Where the lens puts pixels of the pinhole's image, shape (..., 2)."""
+        """Pixels of the distorted image.
+
+        Args:
+            pinhole_px: Pixels of the pinhole's image, shape (..., 2).
+
+        Returns:
+            Pixels, shape (..., 2).
+        """
         pixels = np.asarray(pinhole_px, dtype=np.float64)
         if self.distortion is None:
             return pixels
@@ -131,8 +138,8 @@ class Intrinsics:
     def chord_px(self) -> float:
         """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`.
 
-        A chord of length s is off a curve of curvature κ by κ s² / 8; κ is taken where the lens bends most, at the
-        edge of the image.
+        A chord of length s is at most κ s² / 8 from a curve of curvature κ. κ is measured at the edge of the image,
+        where the lens bends most.
         """
         if self.distortion is None:
             return math.inf
@@ -145,7 +152,7 @@ class Intrinsics:
         return min(max(math.sqrt(8 * BEND_PX / (max(bends) / step**2 + 1e-12)), 1.0), 256.0)
 
     def image_border(self) -> Array:
-        """Points around the edge of the image, shape (n, 2)."""
+        """Points around the edge of the image in pixels, shape (n, 2)."""
         along = np.arange(BORDER_POINTS) / BORDER_POINTS
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
         sides = corners[:, None] + along[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
@@ -153,37 +160,36 @@ class Intrinsics:
         return border
 
     def _window(self) -> tuple[Array, Array]:
-        """Least and greatest column and row, in whole pixels, of what the lens shows, as a pinhole would show it."""
+        """Least and greatest column and row, each of shape (2,), of the field of view in a pinhole's image."""
         seen = self.unproject(self.image_border(), np.ones(4 * BORDER_POINTS))
         pixels = replace(self, distortion=None, near_clip_m=0.5).project(seen)
         return np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 1
 
     def lens_problem(self) -> str | None:
-        """Why the lens cannot make this image, or None if it can."""
+        """Reason why no lens with these coefficients can make this image; None if one can."""
         if self.distortion is None:
             return None
         low, high = self._window()
         size = float(np.max(high - low))
         if not size <= MOST_WINDOW * max(self.image_size_px):
-            return "at some edge of the image nothing can be seen: no lens with these coefficients has such an image"
+            return "the lens reaches only a part of the image: reduce the coefficients or the image size"
         window = self.pinhole.unproject(self.pinhole.image_border(), np.ones(4 * BORDER_POINTS))[:, :2]
         if not self.distortion.one_to_one(window):
-            return "folds the image over: within it, two directions are seen at the same pixel"
+            return "folds the image over itself: some pixels show two directions; reduce the coefficients"
         return None
 
     def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:
-        """The side of the horizon on which the sea lies, for any roll and pitch; the sea is flat, and so is the line:
-        distortion, which would bend it, is left out.
+        """The half-plane of the image that shows the sea, for any roll and pitch.
 
-        A pixel's ray is K⁻¹ (x, y, 1); it meets the sea, or is parallel to a ray that does, where it points
-        below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
+        The sea is flat, and the horizon is a straight line: distortion is left out. A pixel's ray K⁻¹ (x, y, 1) meets
+        the sea where it points below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
 
         Args:
             camera_R_world: Rotations WCF to CCF, shape (..., 3, 3).
 
         Returns:
             (a, b, c) with a·x + b·y + c >= 0 on the sea, shape (..., 3), scaled so that the value is the distance
-            from the horizon in pixels; (0, 0, ±1) if the camera looks straight down or up.
+            from the horizon in pixels. (0, 0, ±1) if the camera looks straight down or up.
         """
         up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
         line = (-up[..., None, :] @ np.linalg.inv(self.matrix))[..., 0, :]  # one by one: many at once round otherwise
@@ -195,34 +201,15 @@ class Intrinsics:
 
 
 @dataclass(frozen=True)
-class Mount:
-    """Where a camera is fixed: in the world (`vessel` None) or in a vessel's VCF.
-
-    Attributes:
-        position_m: In the frame that carries it.
-        roll_rad: About c3.
-        pitch_rad: About c1.
-        yaw_rad: About c2.
-        vessel: ID of the vessel that carries it.
-    """
-
-    position_m: tuple[float, float, float]
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    yaw_rad: float = 0.0
-    vessel: str | None = None
-
-
-@dataclass(frozen=True)
 class Camera:
     """A virtual camera.
 
     Attributes:
-        name: Its ID.
-        intrinsics: What maps camera coordinates to pixels.
-        mount: Where it is fixed.
+        name: ID of the camera.
+        intrinsics: Map from camera coordinates to pixels.
+        mount: Place in the world or on a vessel.
         frame_rate_hz: Frames a second; None for one at every step of the scene.
-        start_offset_s: When the first is due, from the scene's first step.
+        start_offset_s: Time from the scene's first step to the first frame.
     """
 
     name: str
@@ -230,146 +217,3 @@ class Camera:
     mount: Mount
     frame_rate_hz: float | None = None
     start_offset_s: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class CameraPoses:
-    """Where a camera is at S time steps.
-
-    Attributes:
-        camera_R_world: Rotations WCF to CCF, shape (S, 3, 3).
-        positions_m: Camera centres in WCF, shape (S, 3).
-    """
-
-    camera_R_world: Array
-    positions_m: Array
-
-    def to_camera(self, points_world: Array) -> Array:
-        """World points in camera coordinates, R · (p − s) (Jessen & Mohr (2023), eq. 7.16).
-
-        Args:
-            points_world: Shape (S, ..., 3).
-
-        Returns:
-            Metres in CCF, shape (S, ..., 3).
-        """
-        steps = len(self.positions_m)
-        offsets = points_world.reshape(steps, -1, 3) - self.positions_m[:, None, :]
-        return (offsets @ np.swapaxes(self.camera_R_world, 1, 2)).reshape(points_world.shape)
-
-
-def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
-    """The same pose at every step (Jessen & Mohr (2023), eq. 7.15, 7.16).
-
-    Args:
-        mount: Pose in the world.
-        steps: Number of steps S.
-
-    Returns:
-        Poses of shapes (S, 3, 3) and (S, 3).
-    """
-    rotation = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
-    position = np.array(mount.position_m, dtype=np.float64)
-    return CameraPoses(np.broadcast_to(rotation, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
-
-
-def poses_on_board(
-    mount: Mount, positions_m: Array, headings_rad: Array, waves_rad: Array, composition: str = "rigid"
-) -> CameraPoses:
-    """Poses of a camera fixed to a vessel that waves turn, lever arm included.
-
-    Rigid: camera = mount ∘ wave ∘ heading. The source adds the wave's angles to the camera's own (`additive`, eq.
-    7.32–7.34), which is right only for a camera that looks forward, and leaves out what turning does to its place; a
-    camera that looks abeam sees its vessel's roll as pitch.
-
-    Args:
-        mount: Pose in VCF.
-        positions_m: Of the vessel's origin in WCF, shape (S, 3).
-        headings_rad: Counter-clockwise from w1, shape (S,).
-        waves_rad: Roll, pitch and yaw of the vessel in waves, shape (S, 3).
-        composition: `rigid` or `additive`.
-
-    Returns:
-        Poses of shapes (S, 3, 3) and (S, 3).
-    """
-    place = np.array(mount.position_m, dtype=np.float64)
-    nominal = world_R_vehicle(headings_rad)
-    if composition == "additive":
-        roll, pitch, yaw = waves_rad.T
-        turned = camera_R_parent(mount.roll_rad + roll, mount.pitch_rad + pitch, mount.yaw_rad + headings_rad + yaw)
-        return CameraPoses(turned, positions_m + nominal @ place)
-    vcf_R_world = vehicle_R_nominal(waves_rad) @ np.swapaxes(nominal, -1, -2)
-    camera_R_vcf = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
-    return CameraPoses(camera_R_vcf @ vcf_R_world, positions_m + np.swapaxes(vcf_R_world, -1, -2) @ place)
-
-
-def near_plane(intrinsics: Intrinsics) -> Array:
-    """The half-space c3 >= near_clip_m as rows (n, d) with n · p >= d, shape (1, 4)."""
-    return np.array([[0.0, 0.0, 1.0, intrinsics.near_clip_m]])
-
-
-def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
-    """The half-spaces that project to the image and a band around it, shape (4, 4); see `near_plane`.
-
-    The left one, x >= −guard, reads (f1, s, a1 + guard) · p >= 0 in camera coordinates, and so on.
-    """
-    matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
-    depth = matrix[2]
-    normals = [
-        matrix[0] + guard_px * depth,
-        (width + guard_px) * depth - matrix[0],
-        matrix[1] + guard_px * depth,
-        (height + guard_px) * depth - matrix[1],
-    ]
-    return np.column_stack([np.array(normals), np.zeros(4)])
-
-
-def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
-    """The parts of triangles inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
-
-    Args:
-        triangles_camera: Corners in CCF, shape (T, 3, 3).
-        half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
-
-    Returns:
-        Triangles in CCF, shape (T', 3, 3); order and orientation kept.
-    """
-    kept = triangles_camera
-    for plane in half_spaces:
-        kept = _clip_by(kept, kept @ plane[:3] - plane[3])
-    return kept
-
-
-def _clip_by(triangles: Array, height: Array) -> Array:
-    """The parts of triangles where a linear function of their corners, shape (T, 3), is not negative."""
-    inside = height >= 0
-    if inside.all():
-        return triangles
-    count = inside.sum(axis=1)
-    # Turn each triangle so that its odd corner, the one inside or the one outside, comes first.
-    odd = np.where(count == 1, inside.argmax(axis=1), inside.argmin(axis=1))
-    turn = (odd[:, None] + np.arange(3)) % 3
-    corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
-    heights = np.take_along_axis(height, turn, axis=1)
-    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
-    tip = np.stack(
-        [corners[one, 0], _crossing(corners, heights, one, 0, 1), _crossing(corners, heights, one, 0, 2)], axis=1
-    )
-    first, last = _crossing(corners, heights, two, 1, 0), _crossing(corners, heights, two, 2, 0)
-    near = np.stack([first, corners[two, 1], corners[two, 2]], axis=1)
-    far = np.stack([first, corners[two, 2], last], axis=1)
-    whole = np.flatnonzero(count == 3)
-    source = np.concatenate([whole, one, two, two])
-    parts = np.concatenate([triangles[whole], tip, near, far])
-    return parts[np.argsort(source, kind="stable")]
-
-
-def _crossing(corners: Array, heights: Array, rows: Indices, inner: int, outer: int) -> Array:
-    """Where edges leave the half-space, shape (k, 3).
-
-    From the corner inside, so that two triangles with this edge get the very same point.
-    """
-    a, b = corners[rows, inner], corners[rows, outer]
-    height_a, height_b = heights[rows, inner, None], heights[rows, outer, None]
-    crossing: Array = a + height_a / (height_a - height_b) * (b - a)
-    return crossing

@@ -223,7 +223,7 @@ def _compare_camera(
 ) -> None:
     started = time.perf_counter()
     sight = scene.sight(camera, steps)
-    everything = sight.outlines(camera.intrinsics, scene.vessels)
+    everything = sight.outlines()
     shared = time.perf_counter() - started
     scale = scene.annotation.supersample
     draw = full_frame_occlusion if scene.annotation.render == "full" else rendered_occlusion
@@ -259,7 +259,7 @@ def _compare_camera(
     _add_worst(report, found, place)
     _add_rule(report.rule, place)
     if len(known) < len(everything):
-        shoeboxes = sight.outlines(camera.intrinsics, scene.vessels, as_shoeboxes=True)
+        shoeboxes = sight.outlines(as_shoeboxes=True)
         add_looseness(report.looseness, scene.vessels, outlines, shoeboxes)
 
 

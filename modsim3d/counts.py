@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.block import Block, CameraBlock
 from modsim3d.boxes import iou, sizes
-from modsim3d.earth import shift_px
+from modsim3d.curved_sea import shift_px
 from modsim3d.scene import Scene
 
 WORTH_A_WARNING_PX = 1.0

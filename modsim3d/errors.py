@@ -6,25 +6,25 @@ from collections.abc import Iterable
 
 
 class ModsimError(Exception):
-    """Base of every error a user can cause: the command line prints it and exits with status 2."""
+    """Base of every error that a user can cause; the command line prints it and exits with status 2."""
 
 
 class InputError(ModsimError):
-    """Everything that is wrong with an input, found in one pass.
+    """All problems of an input, found in one pass.
 
     Attributes:
-        source: The file or object the problems are in.
-        problems: One line each: where, what was found, what would be right.
+        source: The file or object with the problems.
+        problems: One line each: the place, what was found, what would be right.
     """
 
     def __init__(self, source: str, problems: Iterable[str]) -> None:
-        """Keep the problems and write the message, one line a problem."""
+        """Build the message, with one line a problem."""
         self.source = source
         self.problems = tuple(problems)
         super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self.problems)]))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, tuple[str, ...]]]:
-        """From what it is made again in another process."""
+        """Arguments to rebuild it from in another process."""
         return InputError, (self.source, self.problems)
 
 
@@ -33,4 +33,4 @@ class RendererError(ModsimError):
 
 
 class RunDirectoryError(ModsimError):
-    """A run directory cannot be made, read or continued."""
+    """A run directory cannot be created, read or resumed."""

@@ -1,4 +1,4 @@
-"""When a camera takes its frames: at its own rate, each at the first of the scene's steps that is not too early."""
+"""When a camera takes its frames: at its own rate, each at the first step of the scene at or after its due time."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ _EARLY = 1e-6  # of an interval: 0.3 / 0.1 is a hair below 3, and the frame at 0
 
 
 def frames_due(times_s: Array, rate_hz: float, offset_s: float) -> Indices:
-    """How many frames a camera should have taken by each time, shape (n,).
+    """Number of frames due by each time, shape (n,).
 
     Frame k is due at offset + k / rate.
 
     Args:
-        times_s: Since the scene's first step, shape (n,).
+        times_s: Times since the scene's first step, shape (n,).
         rate_hz: Frames a second.
-        offset_s: When the first is due.
+        offset_s: Due time of the first frame.
     """
     due = np.floor((times_s - offset_s) * rate_hz + _EARLY).astype(np.int64) + 1
     return np.maximum(due, 0)
 
 
 def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> Mask:
-    """At which of consecutive steps a camera takes a frame: where one has fallen due since the step before.
+    """Whether a camera takes a frame at each of consecutive steps: one has become due since the step before.
 
-    A step gives one frame at most; where several fall due between two steps, the later ones are lost.
+    A step has one frame at most. Where several become due between two steps, the later ones are lost.
 
     Args:
-        times_s: Of the steps, as if there were none before the first, shape (n,).
+        times_s: Times of the steps since the scene's first step, shape (n,); the first is taken to have none before it.
         rate_hz: Frames a second; None for one at every step from the offset on.
-        offset_s: When the first frame is due.
+        offset_s: Due time of the first frame.
 
     Returns:
         Shape (n,).

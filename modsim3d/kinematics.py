@@ -1,8 +1,8 @@
-"""Velocities, accelerations and angular rates from poses at a row of times, by central differences.
+"""Velocities, accelerations and angular rates from poses at a sequence of times, by central differences.
 
-Between neighbouring times a motion has a slope. In the middle of a row, the slopes on both sides are weighted so that a
-parabola through three points gets its exact derivative, whatever the intervals. At an end there is one slope, and it is
-taken as it is; the acceleration there is that of the neighbour.
+A motion has a slope between neighbouring times. In the middle of the sequence the two slopes are weighted so that a
+parabola through three points gets its exact derivative, for any intervals. At an end the derivative is the one slope,
+and the acceleration is that of the neighbouring time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.frames import rotation_vector
+from modsim3d.rotations import rotation_vector
 
 
 def slopes(times_s: Array, values: Array) -> Array:
@@ -18,10 +18,10 @@ def slopes(times_s: Array, values: Array) -> Array:
 
     Args:
         times_s: Ascending, shape (n,).
-        values: Shape (n, ...).
+        values: Any quantity, shape (n, ...).
 
     Returns:
-        Shape (n − 1, ...).
+        Units a second, shape (n − 1, ...).
     """
     return np.diff(values, axis=0) / _along(np.diff(times_s), values.ndim)
 
@@ -34,7 +34,7 @@ def first_derivative(times_s: Array, between: Array) -> Array:
         between: Slopes, shape (n − 1, ...).
 
     Returns:
-        Shape (n, ...); zero if there is only one time.
+        The unit of the slopes, shape (n, ...); zero if there is only one time.
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between):
@@ -52,7 +52,7 @@ def second_derivative(times_s: Array, between: Array) -> Array:
         between: Slopes, shape (n − 1, ...).
 
     Returns:
-        Shape (n, ...); zero if there are fewer than three times.
+        The unit of the slopes a second, shape (n, ...); zero if there are fewer than three times.
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between) < 2:
@@ -64,15 +64,15 @@ def second_derivative(times_s: Array, between: Array) -> Array:
 
 
 def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
-    """Velocities of vessels that come and go; one that has just come, or is about to leave, is at an end of its row.
+    """Velocities of V vessels that come and go. A vessel that appears or leaves is at an end of its sequence.
 
     Args:
         times_s: Ascending, shape (n,).
-        positions_m: Of V vessels, shape (n, V, 3).
-        present: Whether each is there, shape (n, V).
+        positions_m: Positions, shape (n, V, 3).
+        present: Whether each vessel is present, shape (n, V).
 
     Returns:
-        Shape (n, V, 3); zero where a vessel is absent, or there at one time only.
+        Metres per second, shape (n, V, 3); zero where a vessel is absent, or present at one time only.
     """
     between = slopes(times_s, positions_m)
     known = present[:-1] & present[1:]
@@ -86,21 +86,21 @@ def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
 
 
 def turning(times_s: Array, world_R_body: Array) -> Array:
-    """Angular velocity from each time to the next, right-handed, in body axes: that of the least turn between them.
+    """Angular velocity of the smallest turn from each time to the next, right-handed, in body axes.
 
     Args:
         times_s: Ascending, shape (n,).
-        world_R_body: Shape (n, ..., 3, 3).
+        world_R_body: Rotations to WCF, shape (n, ..., 3, 3).
 
     Returns:
-        Shape (n − 1, ..., 3).
+        Radians per second, shape (n − 1, ..., 3).
     """
     vectors = rotation_vector(np.swapaxes(world_R_body[:-1], -1, -2) @ world_R_body[1:])
     return vectors / _along(np.diff(times_s), vectors.ndim)
 
 
 def _intervals(times_s: Array, dimensions: int) -> tuple[Array, Array]:
-    """Intervals before and after each time but the first and the last."""
+    """Intervals before and after each inner time, with extra axes to broadcast."""
     intervals = np.diff(times_s)
     return _along(intervals[:-1], dimensions), _along(intervals[1:], dimensions)
 

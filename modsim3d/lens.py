@@ -1,7 +1,7 @@
 """Lens distortion by the model of Brown (1971) and Conrady (1919), with OpenCV's names for the coefficients.
 
-It maps the ideal picture plane of a pinhole (c1 / c3, c2 / c3) to the one that the lens makes. The mapping is one to
-one only up to some distance from the axis; a lens whose image reaches further is refused when a scene is read.
+It maps the ideal picture plane of a pinhole, (c1 / c3, c2 / c3), to that of the lens. The map is one to one only up to
+some distance from the axis; a scene with a lens whose image reaches further is refused.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class Distortion:
     """x' = x · (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms (Brown, 1971).
 
     Attributes:
-        k1: Radial.
-        k2: Radial.
-        p1: Tangential.
-        p2: Tangential.
-        k3: Radial.
+        k1: Radial coefficient of r².
+        k2: Radial coefficient of r⁴.
+        p1: Tangential coefficient.
+        p2: Tangential coefficient.
+        k3: Radial coefficient of r⁶.
     """
 
     k1: float = 0.0
@@ -34,7 +34,7 @@ class Distortion:
     k3: float = 0.0
 
     def distort(self, ideal: Array) -> Array:
-        """Where the lens puts points of the ideal plane, shape (..., 2)."""
+        """Distorted places of points of the ideal plane, both of shape (..., 2) and without unit."""
         x, y = np.moveaxis(ideal, -1, 0)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -47,21 +47,24 @@ class Distortion:
         )
 
     def jacobian(self, ideal: Array) -> Array:
-        """Derivatives of `distort`, shape (..., 2, 2)."""
+        """Derivatives of `distort` at points of the ideal plane, shape (..., 2) to (..., 2, 2)."""
         x, y = np.moveaxis(ideal, -1, 0)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)  # of the radial factor, by r²
+        slope = self.k1 + r2 * (2 * self.k2 + 3 * r2 * self.k3)  # derivative of the radial factor by r²
         cross = 2 * x * y * slope + 2 * self.p1 * x + 2 * self.p2 * y
         xx = radial + 2 * x * x * slope + 2 * self.p1 * y + 6 * self.p2 * x
         yy = radial + 2 * y * y * slope + 6 * self.p1 * y + 2 * self.p2 * x
         return np.stack([np.stack([xx, cross], axis=-1), np.stack([cross, yy], axis=-1)], axis=-2)
 
     def undistort(self, distorted: Array) -> Array:
-        """The points of the ideal plane that the lens puts there, by Newton's method; NaN where none is found.
+        """The inverse of `distort`, by Newton's method.
 
         Args:
-            distorted: Shape (..., 2).
+            distorted: Distorted places, shape (..., 2).
+
+        Returns:
+            Points of the ideal plane, shape (..., 2); NaN where none is found.
         """
         ideal = np.array(distorted, dtype=np.float64)
         with np.errstate(all="ignore"):
@@ -76,10 +79,10 @@ class Distortion:
         return np.where(found, ideal, np.nan)
 
     def one_to_one(self, ideal: Array) -> bool:
-        """Whether nothing is turned over on the way from the axis to points of the ideal plane, shape (n, 2)."""
+        """Whether the map is one to one between the axis and these points of the ideal plane, shape (n, 2)."""
         along = np.linspace(0.0, 1.0, 257)[:, None, None] * ideal
         jacobian = self.jacobian(along)
         determinant = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
-        # Two positive eigenvalues: neither folded along one axis nor turned through by both.
+        # A positive determinant and trace: mirrored along no axis, neither along one nor along both.
         trace = jacobian[..., 0, 0] + jacobian[..., 1, 1]
         return bool(np.all(np.isfinite(ideal)) and np.all(determinant > 0) and np.all(trace > 0))

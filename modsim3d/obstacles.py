@@ -1,19 +1,23 @@
-"""What stands still and hides vessels: islands, breakwaters, bridges, quays. They have no box of their own."""
+"""Obstacles stand still and hide vessels: islands, breakwaters, bridges, quays. They have no box of their own."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.bodies import Bodies
-from modsim3d.earth import drop_m
-from modsim3d.frames import world_R_vehicle
+from modsim3d.curved_sea import drop_m
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.vessels import Solid
+
+if TYPE_CHECKING:
+    import trimesh
 
 PREFIX = "obstacle:"
 
@@ -23,8 +27,8 @@ class Obstacle:
     """An obstacle as the scene describes it.
 
     Attributes:
-        name: Its ID; truth names it with `PREFIX` before it.
-        solids: What it is made of, with the vertices in the world, each of shape (K, 3).
+        name: ID; the truth writes it after `PREFIX`.
+        solids: Its parts, each with vertices in WCF in metres, shape (K, 3).
     """
 
     name: str
@@ -32,19 +36,29 @@ class Obstacle:
 
     @property
     def centre_m(self) -> Array:
-        """Of its bounding box in WCF, shape (3,)."""
+        """Centre of its bounding box in WCF, in metres, shape (3,)."""
         vertices = np.concatenate([vertices for _, vertices in self.solids])
         centre: Array = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         return centre
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The obstacle's solids in WCF, in metres."""
+        import trimesh  # takes 0.4 s
+
+        parts = [trimesh.Trimesh(vertices, solid.faces, process=False) for solid, vertices in self.solids]
+        return trimesh.util.concatenate(parts)
 
 
 def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
     """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex.
 
     Args:
-        polygon_m: Corners on the sea in WCF, either way round, shape (k, 2).
-        base_m: Height of its lower face above the sea.
-        height_m: From its lower face to its upper one.
+        polygon_m: Corners on the sea in WCF, in either direction, shape (k, 2).
+        base_m: Height of the lower face above the sea.
+        height_m: Distance between the lower and the upper face.
+
+    Returns:
+        Solids, each with vertices in WCF in metres, shape (K, 3).
     """
     outline = shapely.Polygon(polygon_m)
     hull = shapely.convex_hull(outline)
@@ -56,21 +70,24 @@ def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[So
 
 
 def placed(solid: Solid, size_m: Array, position_m: Array, heading_rad: float) -> tuple[Solid, Array]:
-    """A mesh at its place.
+    """A mesh in WCF.
 
     Args:
-        solid: In the unit box.
+        solid: The mesh in the unit box.
         size_m: Length, beam and height to scale it to, shape (3,).
-        position_m: Of the centre of its bottom in WCF, shape (3,).
+        position_m: Centre of its bottom in WCF, shape (3,).
         heading_rad: Counter-clockwise from w1.
+
+    Returns:
+        The solid, and its vertices in WCF in metres, shape (K, 3).
     """
     return solid, (solid.vertices * size_m) @ world_R_vehicle(heading_rad).T + position_m
 
 
 def _prism(ring: Array, base_m: float, height_m: float) -> tuple[Solid, Array]:
-    """The prism over a convex ring that runs counter-clockwise."""
+    """The prism over a convex, counter-clockwise ring, shape (k, 2)."""
     vertices = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (base_m, base_m + height_m)])
-    # No two sides of a triangle are parallel: all triangles can share one solid, and be looked at together.
+    # No two sides of a triangle are parallel, so all triangles can share one solid and be handled together.
     return (_triangular_prism() if len(ring) == 3 else Solid(vertices, _prism_faces(len(ring)))), vertices
 
 
@@ -81,7 +98,7 @@ def _triangular_prism() -> Solid:
 
 
 def _prism_faces(sides: int) -> Indices:
-    """Triangles of a prism: its lower corners counter-clockwise seen from above, and then its upper ones."""
+    """Triangles of a prism whose vertices are the lower corners, counter-clockwise from above, then the upper ones."""
     walls = []
     for low in range(sides):
         after = (low + 1) % sides
@@ -94,14 +111,14 @@ def _prism_faces(sides: int) -> Indices:
 def obstacle_bodies(
     obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
 ) -> list[Bodies]:
-    """The obstacles at S steps, those with the same faces together.
+    """The obstacles at S steps, grouped by their faces.
 
     Args:
-        obstacles: In the order in which they follow the vessels among the scene's occluder names.
-        first_occluder: Index of the first of them there.
-        steps: S.
-        cameras_m: Places of the camera in WCF, shape (S, 3), from which each obstacle is to lie as much lower as the
-            curved sea at its centre does; None for a flat sea.
+        obstacles: All obstacles, in the order of the scene's occluder names.
+        first_occluder: Index of the first obstacle in the occluder names.
+        steps: Number of steps S.
+        cameras_m: Camera centres in WCF on a curved sea, shape (S, 3); each obstacle is lowered by the drop at its
+            centre. None for a flat sea.
     """
     solids: dict[int, tuple[Solid, list[int], list[Array]]] = {}
     for index, obstacle in enumerate(obstacles):

@@ -1,4 +1,4 @@
-"""How the vessels that carry cameras move, and what an inertial unit on board measures of it."""
+"""Motion of the vessels that carry cameras, and what an inertial unit on board measures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from modsim3d.scene import Scene
 from modsim3d.waves import GRAVITY_M_S2
 
 NEIGHBOURS = 2
-"""The acceleration at the scene's first step is that of the second, which needs the third."""
+"""The acceleration at the scene's first step equals that of the second, which needs the third."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,14 +22,14 @@ class OwnShips:
 
     Attributes:
         vessels: Indices into the scene's vessels, shape (K,).
-        positions_m: Of the vessel's origin in WCF, heave included, shape (S, K, 3).
+        positions_m: Origins of the vessels in WCF, heave included, shape (S, K, 3).
         headings_rad: Without waves, counter-clockwise from w1, shape (S, K).
         angles_rad: Roll, pitch and yaw in waves: port side down, bow down, to port, shape (S, K, 3).
         rates_rad_s: Angular velocity against the world in body axes, shape (S, K, 3).
-        forces_m_s2: Specific force at the unit in body axes: acceleration less gravity, so that a level vessel at rest
-            has +g along v3, shape (S, K, 3).
-        measured_rates_rad_s: With the unit's errors, shape (S, K, 3).
-        measured_forces_m_s2: With the unit's errors, shape (S, K, 3).
+        forces_m_s2: Specific force at the unit in body axes, shape (S, K, 3): acceleration less gravity. A level vessel
+            at rest has +g along v3.
+        measured_rates_rad_s: Angular velocity with the unit's errors, shape (S, K, 3).
+        measured_forces_m_s2: Specific force with the unit's errors, shape (S, K, 3).
     """
 
     vessels: Indices
@@ -43,16 +43,18 @@ class OwnShips:
 
 
 def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
-    """The vessels that carry cameras at steps first to stop − 1; where the run is split changes nothing.
+    """The vessels that carry cameras at steps first to stop − 1.
+
+    The result does not depend on where a run is split.
 
     Args:
-        scene: With at least one such vessel.
+        scene: A scene with at least one such vessel.
         first: First step.
         stop: The step after the last.
     """
-    begin, end = scene.with_neighbours(np.arange(first, stop), NEIGHBOURS)
+    begin, end = scene.motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
     own, times_s = list(scene.own_ships), scene.times_s(begin, end)
-    sea = scene.at_sea(np.arange(begin, end))
+    sea = scene.motion.at(np.arange(begin, end))
     attitude = sea.world_R_vessel[:, own]
     positions = sea.poses.positions_m[:, own]
     unit = positions + attitude @ np.array(scene.imu.position_m)
@@ -73,14 +75,14 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
 
 
 def specific_force(world_R_body: Array, accelerations_m_s2: Array) -> Array:
-    """What accelerometers measure, f = Rᵀ (a − g), with g pointing down.
+    """Specific force that accelerometers measure, f = Rᵀ (a − g), with g pointing down.
 
     Args:
-        world_R_body: Shape (..., 3, 3).
-        accelerations_m_s2: In WCF, shape (..., 3).
+        world_R_body: Rotations to WCF, shape (..., 3, 3).
+        accelerations_m_s2: Accelerations in WCF, shape (..., 3).
 
     Returns:
-        In body axes, shape (..., 3).
+        Metres per second squared in body axes, shape (..., 3).
     """
     against_gravity = accelerations_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
     force: Array = (np.swapaxes(world_R_body, -1, -2) @ against_gravity[..., None])[..., 0]

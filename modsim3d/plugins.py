@@ -1,4 +1,4 @@
-"""Parts that other packages bring, found by entry point: by the group of their kind and by name."""
+"""Plug-ins: parts from other packages, found by the group and name of their entry point."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ SHAPES = "modsim3d.shapes"
 
 @dataclass(frozen=True)
 class Plugin:
-    """Where a part came from.
+    """The origin of a part.
 
     Attributes:
-        group: Its kind.
-        name: As scene files call it.
-        package: Name and version of the package that brought it.
+        group: Entry point group.
+        name: Name in scene files.
+        package: Name and version of the package.
     """
 
     group: str
@@ -31,26 +31,26 @@ class Plugin:
     package: str
 
     def __str__(self) -> str:
-        """For messages."""
+        """Text for messages."""
         return f"the plug-in '{self.name}' of {self.package}"
 
 
 def plugin_names(group: str) -> tuple[str, ...]:
-    """Names of the installed plug-ins of a kind, in order."""
+    """Names of the installed plug-ins of a group, sorted."""
     return tuple(sorted({point.name for point in entry_points(group=group)}))
 
 
 def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) -> tuple[object, Plugin]:
-    """The object that an entry point names, and where it came from.
+    """The object that an entry point names, and its origin.
 
     Args:
-        group: The kind.
-        name: As the scene file calls it.
-        path: Where the scene file does, for errors.
-        built_in: Names that need no plug-in, for the hint beside an unknown one.
+        group: Entry point group.
+        name: Name in the scene file.
+        path: Path of the key with this name, for errors.
+        built_in: Names that need no plug-in, for the hint at an unknown name.
 
     Raises:
-        InputError: There is none, more than one, or it cannot be imported.
+        InputError: There is no such plug-in, more than one, or it cannot be imported.
     """
     found = list(entry_points(group=group, name=name))
     if not found:
@@ -63,20 +63,22 @@ def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) 
     plugin = Plugin(group, name, _package(point))
     try:
         return point.load(), plugin
-    except Exception as error:  # whatever another's module does when it is imported
-        raise InputError(path, [f"{plugin} cannot be loaded from {point.value}: {_told(error)}"]) from error
+    except Exception as error:  # a foreign module may raise anything
+        raise InputError(path, [f"{plugin} cannot be loaded from {point.value}: {_summary(error)}"]) from error
 
 
 def failed(plugin: Plugin, error: Exception) -> ModsimError:
-    """The error of a plug-in, in one line that names it and the place."""
-    return ModsimError(f"{plugin}: {error}" if isinstance(error, ModsimError) else f"{plugin} failed: {_told(error)}")
+    """The error of a plug-in in one line, with its name and the line that failed."""
+    return ModsimError(
+        f"{plugin}: {error}" if isinstance(error, ModsimError) else f"{plugin} failed: {_summary(error)}"
+    )
 
 
 def _package(point: EntryPoint) -> str:
     return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown package"
 
 
-def _told(error: Exception) -> str:
+def _summary(error: Exception) -> str:
     text = " ".join(str(error).split())
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {text} ({Path(last.filename).name}, line {last.lineno})"

@@ -1,35 +1,82 @@
-"""Random numbers that belong to a purpose, names and a step, not to the order they are asked for in."""
+"""Random numbers that are keyed by purpose, names and step, so that they do not depend on the order of calls."""
 
 from __future__ import annotations
 
 import hashlib
+from enum import Enum, unique
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from modsim3d.arrays import Array
 
 _NUMBERS_PER_BLOCK = 4  # one value of Philox4x64's counter gives four 64-bit numbers
-_UNIFORMS, _GENERATOR = 0, 1  # apart in the key: the two ways of counting steps would run into each other
+_UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
+_LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
 
 
-def _words(text: str) -> tuple[int, int]:
-    """Two 32-bit words that are the same for this text in every process, unlike `hash`."""
-    digest = hashlib.blake2b(text.encode("utf-8"), digest_size=8).digest()
-    return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
+@unique
+class Purpose(Enum):
+    """Everything that modsim3d draws random numbers for: text in the key, numbers a step, meaning.
+
+    A changed text changes the output. A purpose without a fixed number of numbers has a generator for each step.
+
+    Attributes:
+        width: Uniform numbers a step; None for a generator.
+        meaning: Use of the numbers, with the names in their key in brackets.
+    """
+
+    width: int | None
+    meaning: str
+
+    AGENTS = "agents", None, "start, goals and speeds of reactive agents"
+    CIRCLE_RADIUS = "circular_radius", 1, "candidates for the radius of a vessel's circle (vessel)"
+    CIRCLE_START = "circular_start", 2, "rate and start phase of a vessel on a circle (vessel)"
+    SEA = "sea", 2, "frequency and phase of each harmonic wave of a sea"
+    WAVE_ANGLES = "waves", 3, "noise of roll, pitch and yaw in waves without a spectrum (vessel)"
+    IMU_NOISE = "imu_noise", 6, "noise of an inertial unit's rates and specific force (vessel)"
+    IMU_BIAS = "imu_bias", 6, "offset of an inertial unit's rates and specific force (vessel)"
+    PLUGIN = "plug-in", None, "whatever a plug-in draws (name of the plug-in, names of its choice)"
+
+    STATE = "detector.state", 1, "transitions of the performance state (camera, if each has its own chain)"
+    CLASS = "detector.class", 1, "class or miss of a vessel (camera, vessel)"
+    CLASS_KEPT = "detector.class_kept", 1, "whether a vessel keeps its last number for class or miss (camera, vessel)"
+    BOX_ERROR = "detector.box_error", 4, "error of a box (camera, vessel)"
+    BOX_ERROR_REDRAW = "detector.box_error_redraw", None, "errors in place of a rejected one (camera, vessel)"
+    MERGE = "detector.merge", 1, "whether two overlapping vessels share a box (camera, both vessels)"
+    DOUBLE = "detector.double", 2, "whether a vessel gets a second box or is split, and where (camera, vessel)"
+    DUPLICATE = "detector.duplicate", 4, "error of a second box (camera, vessel)"
+    DUPLICATE_REDRAW = "detector.duplicate_redraw", None, "second box's errors in place of a rejected one"
+    CLUTTER_TRIAL = "detector.clutter_trial", 1, "success of each of the thesis's trials (camera, ordinal)"
+    CLUTTER_COUNT = "detector.clutter_count", 1, "number of transient false positives (camera)"
+    CLUTTER = "detector.clutter", 5, "place, size and label of a transient false positive (camera, ordinal)"
+    PERSISTENT_BIRTHS = "detector.wanderer_births", 1, "number of births of persistent false positives (camera, layer)"
+    PERSISTENT = "detector.wanderer", 8, "life of a persistent false positive (camera, layer, ordinal)"
+    CONFIDENCE = "detector.confidence", 2, "confidence and order of a vessel's detection (camera, vessel)"
+    DUPLICATE_CONFIDENCE = "detector.duplicate_confidence", 2, "the same of a second box (camera, vessel)"
+    FRAGMENT_CONFIDENCE = "detector.fragment_confidence", 2, "the same of the smaller part of a split box"
+    CLUTTER_CONFIDENCE = "detector.clutter_confidence", 2, "the same of a transient false positive (camera, ordinal)"
+    PERSISTENT_CONFIDENCE = "detector.persistent_confidence", 2, "the same of a persistent one (camera, ordinal)"
+
+    def __new__(cls, text: str, width: int | None, meaning: str) -> Purpose:
+        """Make the text the member's value, so that no two members may share it."""
+        member = object.__new__(cls)
+        member._value_, member.width, member.meaning = text, width, meaning
+        return member
 
 
 class Streams:
     """All random numbers of a run, made from one seed.
 
-    A stream is keyed by a purpose and by names (a camera, a vessel); within it a step has its own range of
-    the counter of Philox (Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3"). So the noise
-    of a vessel at a step does not depend on which others are seen, on how the steps are split, or on who
-    asks first. Not to be shared between threads.
+    A stream is keyed by a purpose and by names, such as those of a camera and a vessel. Within it each step has its own
+    range of the counter of Philox (Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3"). The noise of a
+    vessel at a step therefore does not depend on the other vessels, on how a run is split, or on the order of calls.
+    An instance must not be shared between threads.
 
     Attributes:
-        seed: What everything follows from.
+        seed: Seed of all streams.
     """
 
     def __init__(self, seed: int) -> None:
@@ -40,35 +87,51 @@ class Streams:
         """
         self.seed = seed
         self._root = np.random.SeedSequence(seed)
-        self._keys: dict[tuple[int, str, tuple[str, ...]], NDArray[np.uint64]] = {}
+        self._keys: dict[tuple[int, Purpose, tuple[str, ...]], NDArray[np.uint64]] = {}
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
 
-    def uniforms(self, purpose: str, *names: str, first: int, count: int, width: int = 1) -> Array:
-        """Uniform numbers for consecutive steps; ask for one width only under one purpose.
+    def uniforms(self, purpose: Purpose, *names: str, first: int, count: int, width: int = 1) -> Array:
+        """Uniform numbers for consecutive steps.
 
         Args:
-            purpose: What they are for.
-            *names: Whose they are.
+            purpose: Use of the numbers; it fixes the width.
+            *names: Rest of the key.
             first: First step.
             count: Number of steps.
             width: Numbers a step.
 
         Returns:
-            Numbers in [0, 1), shape (count, width); row k is for step `first + k` however steps are split.
+            Numbers in [0, 1), shape (count, width). The row of a step is the same however steps are split into calls.
+
+        Raises:
+            ValueError: The purpose has another width.
         """
+        if width != purpose.width:
+            raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step, not {width}")
         blocks = -(-width // _NUMBERS_PER_BLOCK)
         self._scratch.state = self._state(_UNIFORMS, purpose, names, counter=first * blocks)
         return self._scratch_generator.random((count, blocks * _NUMBERS_PER_BLOCK))[:, :width]
 
-    def generator(self, purpose: str, *names: str, step: int) -> np.random.Generator:
-        """A generator of its own for one step, for draws whose number is not known beforehand."""
+    def generator(self, purpose: Purpose, *names: str, step: int) -> np.random.Generator:
+        """A separate generator for one step, for an unknown number of draws.
+
+        Args:
+            purpose: Use of the numbers.
+            *names: Rest of the key.
+            step: Step that the numbers belong to.
+
+        Raises:
+            ValueError: The purpose has a fixed number of uniform numbers a step.
+        """
+        if purpose.width is not None:
+            raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step and no generator")
         bits = np.random.Philox(self._root)
         bits.state = self._state(_GENERATOR, purpose, names, counter=step << 192)
         return np.random.Generator(bits)
 
-    def _state(self, kind: int, purpose: str, names: tuple[str, ...], counter: int) -> Any:
-        """Philox at a counter. `Philox(key=..., counter=...)` does the same, but gathers entropy first."""
+    def _state(self, kind: int, purpose: Purpose, names: tuple[str, ...], counter: int) -> Any:
+        """Philox at a counter. `Philox(key=..., counter=...)` does the same but gathers entropy first."""
         words = [(counter >> shift) & 0xFFFF_FFFF_FFFF_FFFF for shift in (0, 64, 128, 192)]
         return {
             "bit_generator": "Philox",
@@ -79,10 +142,22 @@ class Streams:
             "uinteger": 0,
         }
 
-    def _key(self, kind: int, purpose: str, names: tuple[str, ...]) -> NDArray[np.uint64]:
+    def _key(self, kind: int, purpose: Purpose, names: tuple[str, ...]) -> NDArray[np.uint64]:
         stream = (kind, purpose, names)
         if stream not in self._keys:
-            spawn_key = (kind, *_words(purpose), *(word for name in names for word in _words(name)))
+            spawn_key = (kind, *_words(purpose.value), *(word for name in names for word in _words(name)))
             sequence = np.random.SeedSequence(self.seed, spawn_key=spawn_key)
             self._keys[stream] = sequence.generate_state(2, np.uint64).astype(np.uint64)
         return self._keys[stream]
+
+
+def normals(uniforms: Array) -> Array:
+    """Standard normal numbers from uniform ones in [0, 1), of the same shape."""
+    result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
+    return result
+
+
+def _words(text: str) -> tuple[int, int]:
+    """Two 32-bit words that are the same for this text in every process, unlike `hash`."""
+    digest = hashlib.blake2b(text.encode("utf-8"), digest_size=8).digest()
+    return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")

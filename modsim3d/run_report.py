@@ -152,7 +152,7 @@ def _sights(rows: RunRows, taken: Indices, frames: Indices, quantum: float, prog
             sight = scene.sight(camera, looked_at)
             here = np.searchsorted(frames, looked_at * cameras + index)
             horizons[here] = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
-            before = sight.outlines(camera.intrinsics, scene.vessels)
+            before = sight.outlines()
             numbered = replace(before, frame=(looked_at * cameras + index)[before.frame])
             for shape in shapes(numbered, camera.intrinsics, quantum, owners, hides):
                 key = shape.count.tobytes(), shape.corners.tobytes()

@@ -13,8 +13,9 @@ from modsim3d.arrays import Indices
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.formats.columns import NOBODY, indices, numbers
 from modsim3d.report_rows import RunRows
-from modsim3d.scene import AtSea, Scene
+from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
+from modsim3d.vessel_motion import PosesInWaves
 from modsim3d.view import palette
 
 SIGHT_STEPS = 250
@@ -100,7 +101,7 @@ class _Recorder:
 
     def space(self, steps: Indices) -> None:
         """Where cameras and vessels are at some steps."""
-        sea = self.scene.at_sea(steps)
+        sea = self.scene.motion.at(steps)
         sights = [self.scene.sight(camera, steps) for camera in self.scene.cameras]
         for camera, sight in zip(self.scene.cameras, sights, strict=True):
             poses = sight.camera_poses
@@ -109,7 +110,7 @@ class _Recorder:
         for index in range(len(self.scene.vessels)):
             self._vessel(index, steps, sea)
 
-    def _vessel(self, index: int, steps: Indices, sea: AtSea) -> None:
+    def _vessel(self, index: int, steps: Indices, sea: PosesInWaves) -> None:
         vessel, present = self.scene.vessels[index], sea.poses.present[:, index]
         path = ["world", "vessels", vessel.name]
         self._move(path, steps[present], sea.poses.positions_m[present, index], sea.world_R_vessel[present, index])

@@ -1,123 +1,28 @@
-"""A scene: what is where at each step, and what each camera has before it."""
+"""A scene: what was configured, and what follows from it at each step."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from modsim3d.annotate.inside import first_body_around
 from modsim3d.annotate.modes import Annotation
-from modsim3d.annotate.outlines import Outlines, outline
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.bodies import Bodies, vessel_bodies
-from modsim3d.camera import Camera, CameraPoses, Intrinsics, poses_ashore, poses_on_board
+from modsim3d.arrays import Array, Indices
+from modsim3d.camera import Camera
+from modsim3d.camera_poses import CameraPoses, poses_ashore
 from modsim3d.detector.model import DetectorModel
-from modsim3d.earth import lowered
-from modsim3d.errors import InputError
+from modsim3d.errors import InputError, ModsimError
 from modsim3d.frame_timing import takes_frame
-from modsim3d.frames import vehicle_R_nominal, world_R_vehicle
 from modsim3d.imu import PERFECT_IMU, Imu
-from modsim3d.kinematics import velocities
-from modsim3d.obstacles import PREFIX, Obstacle, obstacle_bodies
+from modsim3d.obstacles import PREFIX, Obstacle
 from modsim3d.plugins import Plugin
-from modsim3d.poses import LivePoses, Poses, PoseSource
+from modsim3d.poses import LivePoses, PoseSource, times_s
 from modsim3d.scene_copy import SceneCopy
+from modsim3d.sight import Sight, line_of_sight
+from modsim3d.snapshot import Snapshot
+from modsim3d.vessel_motion import PosesInWaves, VesselMotion, Waves
 from modsim3d.vessels import Vessel
-from modsim3d.waves import Passage, WaveMotion
-
-
-@dataclass(frozen=True, eq=False)
-class Waves:
-    """How waves move the vessels of a scene.
-
-    Attributes:
-        motion: Gives heave and angles.
-        apply_to: `ownship`: only vessels that carry a camera are moved; `all`: every vessel.
-        composition: How a camera's own angles and its vessel's combine: `rigid` or `additive`.
-    """
-
-    motion: WaveMotion
-    apply_to: str = "ownship"
-    composition: str = "rigid"
-
-
-@dataclass(frozen=True, eq=False)
-class AtSea:
-    """How V vessels lie in the water at S steps.
-
-    Attributes:
-        poses: Positions with heave, and nominal headings.
-        angles_rad: Roll, pitch and yaw in waves, shape (S, V, 3); zero for vessels that no wave moves.
-        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
-    """
-
-    poses: Poses
-    angles_rad: Array
-    world_R_vessel: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What a camera has before it at S steps, and from where.
-
-    Attributes:
-        steps: Shape (S,).
-        poses: Of all V vessels, as the camera sees them: others lower where the sea is curved.
-        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
-        others: Vessels that are there and do not carry the camera, shape (S, V).
-        carriers: The vessel that carries the camera, shape (S, V).
-        camera_poses: Of the camera.
-        obstacles: Of the scene.
-        curved: Whether the sea is.
-    """
-
-    steps: Indices
-    poses: Poses
-    world_R_vessel: Array
-    others: Mask
-    carriers: Mask
-    camera_poses: CameraPoses
-    obstacles: tuple[Obstacle, ...] = ()
-    curved: bool = False
-
-    def outlines(self, intrinsics: Intrinsics, vessels: Sequence[Vessel], *, as_shoeboxes: bool = False) -> Outlines:
-        """What is before the camera: the other vessels, the obstacles, and the hull that carries it if that has a mesh.
-
-        Args:
-            intrinsics: Of the camera.
-            vessels: Of the scene.
-            as_shoeboxes: Whether vessels with a mesh are to be taken for their shoeboxes.
-        """
-        bodies = self._bodies(vessels, self.others, as_shoeboxes=as_shoeboxes)
-        if not as_shoeboxes:
-            bodies += self._own_hull(vessels)
-        bodies += self._obstacle_bodies(vessels)
-        return outline(intrinsics, self.camera_poses, bodies)
-
-    def _own_hull(self, vessels: Sequence[Vessel]) -> list[Bodies]:
-        """The vessel that carries the camera, if it has a mesh: it hides others, and has no box."""
-        with_mesh = np.array([vessel.has_mesh for vessel in vessels])
-        return self._bodies(vessels, self.carriers & with_mesh, boxed=False)
-
-    def _bodies(
-        self, vessels: Sequence[Vessel], present: Mask, *, as_shoeboxes: bool = False, boxed: bool = True
-    ) -> list[Bodies]:
-        return vessel_bodies(
-            vessels, present, self.poses.positions_m, self.world_R_vessel, as_shoeboxes=as_shoeboxes, boxed=boxed
-        )
-
-    def _obstacle_bodies(self, vessels: Sequence[Vessel]) -> list[Bodies]:
-        cameras_m = self.camera_poses.positions_m if self.curved else None
-        return obstacle_bodies(self.obstacles, len(vessels), len(self.steps), cameras_m)
-
-    def body_around(self, vessels: Sequence[Vessel]) -> tuple[int, int] | None:
-        """The first step (as an index) and occluder that the camera is inside of, or None."""
-        bodies = self._bodies(vessels, self.others) + self._own_hull(vessels)
-        bodies += self._obstacle_bodies(vessels)
-        return first_body_around(self.camera_poses.positions_m, bodies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,24 +30,24 @@ class Scene:
     """A validated scene.
 
     Attributes:
-        name: The file's name without its ending.
+        name: File name without its ending.
         path: The scene file.
-        sha256: Of what is in `copy`.
-        seed: Everything random comes from it.
-        detector_seed: What is random in the detector comes from it; the same unless the scene file says otherwise.
+        sha256: Checksum of `copy`.
+        seed: Seed of all random numbers but the detector's.
+        detector_seed: Seed of the detector; the same unless the scene file says otherwise.
         truth_has_seed: Whether what the cameras see depends on the seed.
         steps: Number of time steps; of a live scene the most that are taken.
-        vessels: In the order of the vessels file.
-        poses: Where they are.
-        cameras: In the order of the scene file.
+        vessels: Vessels in the order of the vessels file.
+        poses: Source of the vessels' poses.
+        cameras: Cameras in the order of the scene file.
         annotation: Mode, source and filters.
-        detector: The statistical detector's parameters.
-        copy: What it was read from.
-        waves: How vessels move in waves, if they do.
-        sea: `flat`, or `curved` as the Earth is.
-        obstacles: What stands still and hides vessels.
-        imu: The inertial unit on board of each vessel that carries a camera.
-        plugins: What other packages brought to it.
+        detector: Parameters of the statistical detector.
+        copy: The files that the scene was read from.
+        waves: Waves; None for calm water.
+        sea: `flat` or `curved`.
+        obstacles: Obstacles in the order of the scene file.
+        imu: Inertial unit on board each vessel that carries a camera.
+        plugins: Plug-ins that the scene uses.
     """
 
     name: str
@@ -166,33 +71,105 @@ class Scene:
 
     @property
     def vessel_names(self) -> tuple[str, ...]:
-        """IDs of the vessels."""
+        """IDs of the vessels, in order."""
         return tuple(vessel.name for vessel in self.vessels)
 
     @property
     def occluder_names(self) -> tuple[str, ...]:
-        """Names of what can hide a vessel: the vessels, then the obstacles."""
+        """Names of all that can hide a vessel: the vessels, then the obstacles."""
         return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
 
     @property
     def live(self) -> bool:
-        """Whether its steps come in while it runs."""
+        """Whether its steps arrive while it runs."""
         return isinstance(self.poses, LivePoses)
 
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
-        """The text of the times of steps first to stop − 1."""
+        """Texts of the times of steps first to stop − 1."""
         return tuple(self.poses.timestamps[first:stop])
 
     def times_s(self, first: int, stop: int) -> Array:
-        """Times since the first step, shape (stop − first,)."""
-        start = float(self.poses.timestamps[0])
-        return np.array([float(text) for text in self.timestamps(first, stop)]) - start
+        """Times of steps first to stop − 1 since the first step, in seconds, shape (stop − first,)."""
+        return times_s(self.poses.timestamps, first, stop)
 
-    def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
-        """The steps first to stop − 1 at which a camera takes a frame, ascending; where a run is split changes nothing.
+    @property
+    def own_ships(self) -> tuple[int, ...]:
+        """Indices of the vessels that carry a camera, ascending."""
+        carriers = {camera.mount.vessel for camera in self.cameras}
+        return tuple(i for i, name in enumerate(self.vessel_names) if name in carriers)
+
+    @property
+    def motion(self) -> VesselMotion:
+        """The motion of its vessels."""
+        moved = self.own_ships
+        if self.waves is not None and self.waves.apply_to == "all":
+            moved = tuple(range(len(self.vessels)))
+        return VesselMotion(self.poses, self.vessel_names, self.waves, moved, self.steps)
+
+    def sight(self, camera: Camera, steps: Indices) -> Sight:
+        """What a camera has in front of it at some steps, and from where it looks.
 
         Args:
-            camera: One of the scene's.
+            camera: One of the scene's cameras.
+            steps: Ascending, shape (S,).
+
+        Raises:
+            InputError: The vessel that carries the camera has no pose at a step.
+        """
+        vessel_poses = self.motion.at(steps)
+        camera_poses = self._camera_poses(camera, vessel_poses, steps)
+        curved = self.sea == "curved"
+        return line_of_sight(camera, camera_poses, steps, self.vessels, vessel_poses, self.obstacles, curved)
+
+    def at(self, step: int) -> Snapshot:
+        """The scene at one step: where all vessels, obstacles and cameras are.
+
+        Raises:
+            InputError: The vessel that carries a camera has no pose at this step.
+            ModsimError: The scene has no such step.
+        """
+        if not 0 <= step < self.steps:
+            raise ModsimError(f"scene {self.path}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
+        steps = np.array([step])
+        vessel_poses = self.motion.at(steps)
+        camera_poses = tuple(self._camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
+        return Snapshot(self.vessels, vessel_poses, self.obstacles, self.cameras, camera_poses)
+
+    def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
+        """The sea's side of the horizon in a camera's images; see `Intrinsics.sea_half_plane`.
+
+        Args:
+            camera: One of the scene's cameras.
+            steps: Ascending, shape (S,).
+
+        Returns:
+            Coefficients (a, b, c), shape (S, 3).
+        """
+        if not len(steps):
+            return np.empty((0, 3))
+        poses = self._camera_poses(camera, self.motion.at(steps), steps)
+        return camera.intrinsics.sea_half_plane(poses.camera_R_world)
+
+    def _camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:
+        carrier = camera.mount.vessel
+        if carrier is None:
+            return poses_ashore(camera.mount, len(steps))
+        column = self.vessel_names.index(carrier)
+        absent = np.flatnonzero(~vessel_poses.poses.present[:, column])
+        if len(absent):
+            when = self.poses.timestamps[int(steps[absent[0]])]
+            problem = f"cameras.{camera.name}.mount.vessel: '{carrier}' has no pose at time {when} s"
+            raise InputError(f"scene {self.path}", [problem])
+        composition = self.waves.composition if self.waves else "rigid"
+        return vessel_poses.of_camera(camera.mount, column, composition)
+
+    def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
+        """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,).
+
+        The result does not depend on where a run is split.
+
+        Args:
+            camera: One of the scene's cameras.
             first: First step.
             stop: The step after the last.
         """
@@ -211,117 +188,3 @@ class Scene:
                 return int(steps[-1])
             stop, looked_at = first, 4 * looked_at
         return None
-
-    def sight(self, camera: Camera, steps: Indices) -> Sight:
-        """What a camera has before it at some steps, and from where.
-
-        Args:
-            camera: One of the scene's.
-            steps: Ascending, shape (S,).
-
-        Raises:
-            InputError: The vessel that carries the camera is not there at a step.
-        """
-        sea = self.at_sea(steps)
-        camera_poses, poses = self._camera_poses(camera, sea, steps), sea.poses
-        carrier = np.array(self.vessel_names) == camera.mount.vessel
-        if self.sea == "curved":
-            lower = lowered(poses.positions_m, camera_poses.positions_m[:, None])
-            poses = replace(poses, positions_m=np.where(carrier[:, None], poses.positions_m, lower))
-        return Sight(
-            steps,
-            poses,
-            sea.world_R_vessel,
-            others=poses.present & ~carrier,
-            carriers=poses.present & carrier,
-            camera_poses=camera_poses,
-            obstacles=self.obstacles,
-            curved=self.sea == "curved",
-        )
-
-    def at_sea(self, steps: Indices) -> AtSea:
-        """How the vessels lie in the water, each moved as everybody sees it.
-
-        Args:
-            steps: Ascending, shape (S,).
-        """
-        if self.waves is None:
-            poses = self._poses_at(steps)
-            return AtSea(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
-        poses, angles = self._in_waves(self.waves.motion, steps)
-        rotations = world_R_vehicle(poses.headings_rad)
-        moved = self._moved
-        in_waves = np.swapaxes(vehicle_R_nominal(angles[:, moved]), -1, -2)
-        rotations[:, moved] = rotations[:, moved] @ in_waves
-        return AtSea(poses, angles, rotations)
-
-    @property
-    def own_ships(self) -> tuple[int, ...]:
-        """Indices of the vessels that carry a camera, ascending."""
-        carriers = {camera.mount.vessel for camera in self.cameras}
-        return tuple(i for i, name in enumerate(self.vessel_names) if name in carriers)
-
-    @property
-    def _moved(self) -> list[int]:
-        """Indices of the vessels that waves move."""
-        everybody = self.waves is not None and self.waves.apply_to == "all"
-        return list(range(len(self.vessels)) if everybody else self.own_ships)
-
-    def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
-        """First step and the step after the last of a range that holds the steps and those beside them.
-
-        A velocity needs the neighbouring steps, wherever a block ends; beyond its own ends the scene has none.
-        """
-        first, stop = int(steps[0]), int(steps[-1]) + 1
-        known = len(self.poses.timestamps) if self.live else self.steps
-        return max(first - margin, 0), max(min(stop + margin, known), stop)
-
-    def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
-        """The side of the horizon on which the sea lies in a camera's images at some steps, shape (S, 3)."""
-        if not len(steps):
-            return np.empty((0, 3))
-        return camera.intrinsics.sea_half_plane(self.sight(camera, steps).camera_poses.camera_R_world)
-
-    def _poses_at(self, steps: Indices) -> Poses:
-        first, stop = int(steps[0]), int(steps[-1]) + 1
-        return _chosen(self.poses.poses(first, stop), steps - first)
-
-    def _in_waves(self, motion: WaveMotion, steps: Indices) -> tuple[Poses, Array]:
-        """Poses with heave, and roll, pitch and yaw, shape (S, V, 3)."""
-        first, stop = self.with_neighbours(steps, 1 if motion.needs_velocity else 0)
-        around, times_s, chosen = self.poses.poses(first, stop), self.times_s(first, stop), steps - first
-        velocity = velocities(times_s, around.positions_m, around.present)[chosen]
-        calm, times_s = _chosen(around, chosen), times_s[chosen]
-        positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
-        for column in self._moved:
-            place, heading = calm.positions_m[:, column], calm.headings_rad[:, column]
-            passage = Passage(times_s, steps, place, heading, velocity[:, column])
-            moved, there = motion.motion(self.vessel_names[column], passage), calm.present[:, column]
-            positions[there, column, 2] += moved.heave_m[there]
-            angles[there, column] = moved.angles_rad[there]
-        return Poses(calm.present, positions, calm.headings_rad), angles
-
-    def _camera_poses(self, camera: Camera, sea: AtSea, steps: Indices) -> CameraPoses:
-        mount, poses = camera.mount, sea.poses
-        if mount.vessel is None:
-            return poses_ashore(mount, len(steps))
-        column = self.vessel_names.index(mount.vessel)
-        absent = np.flatnonzero(~poses.present[:, column])
-        if len(absent):
-            when = self.poses.timestamps[int(steps[absent[0]])]
-            raise InputError(
-                f"scene {self.path}",
-                [f"cameras.{camera.name}.mount.vessel: '{mount.vessel}' has no pose at time {when} s"],
-            )
-        composition = self.waves.composition if self.waves else "rigid"
-        return poses_on_board(
-            mount,
-            poses.positions_m[:, column],
-            poses.headings_rad[:, column],
-            sea.angles_rad[:, column],
-            composition,
-        )
-
-
-def _chosen(poses: Poses, rows: Indices) -> Poses:
-    return Poses(poses.present[rows], poses.positions_m[rows], poses.headings_rad[rows])

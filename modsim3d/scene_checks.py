@@ -1,4 +1,4 @@
-"""What can be wrong with a scene whose parts are right each by itself."""
+"""Checks of a scene as a whole, whose parts are valid by themselves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from modsim3d.scene import Scene
 from modsim3d.scene_places import place_problems
 
 CHECKED_STEPS = 1000
-"""Steps whose camera positions are looked at together; it bounds the memory."""
+"""Steps whose camera positions are checked together; it bounds the memory."""
 
 
 def scene_problems(scene: Scene) -> list[str]:
@@ -26,16 +26,16 @@ def scene_problems(scene: Scene) -> list[str]:
 
 
 def _live_problems(scene: Scene) -> list[str]:
-    """What needs to know steps that have not come."""
+    """Parts that need steps which a live scene does not know yet."""
     problems = []
     if scene.waves is not None and scene.waves.motion.needs_velocity:
         problems.append(
-            "waves.spectrum: the sea needs to know how fast vessels are, which a stream tells too late: use "
-            "a level or coefficients"
+            "waves.spectrum: the sea needs the velocities of vessels, which a stream gives too late: use a level or "
+            "coefficients"
         )
     if scene.detector.dropout.anchored:
         problems.append(
-            "detector: holds rates over the whole scene (anchor: state_rate), which a stream does not show beforehand: "
+            "detector: holds rates over the whole scene (anchor: state_rate), which a stream does not know beforehand: "
             "use anchor: none"
         )
     if scene.detector.clutter.needs_census:
@@ -47,7 +47,10 @@ def _live_problems(scene: Scene) -> list[str]:
 
 
 def _frame_problem(scene: Scene, camera: Camera) -> str | None:
-    """Whether the scene's steps give a camera its frames. Most of its steps count: a log may have gaps."""
+    """Problem of a camera that asks for more frames than there are steps, or for none.
+
+    The median interval counts, since a log may have gaps.
+    """
     if camera.frame_rate_hz is None and not camera.start_offset_s:
         return None
     times_s = scene.times_s(0, scene.steps)
@@ -67,7 +70,7 @@ def _frame_problem(scene: Scene, camera: Camera) -> str | None:
 
 
 def _place_problems(scene: Scene) -> list[str]:
-    """Whether each camera has a place at each step, and no vessel around it."""
+    """Problems of the cameras' places at all steps."""
     found: dict[str, tuple[str, ...]] = {}
     for first in range(0, scene.steps, CHECKED_STEPS):
         steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))

@@ -1,4 +1,4 @@
-"""What a scene was read from, kept beside what came out of it: a run can be looked at and repeated from its folder."""
+"""Copies of a scene and its files in a run, so that the run can be looked at and repeated from its folder."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from modsim3d.scene_file import AnnotationKeys, SceneKeys
 
 @dataclass(frozen=True, eq=False)
 class SceneCopy:
-    """A scene's file and the files that it names.
+    """A scene file and the files that it names.
 
     Attributes:
-        name: Of the scene.
-        document: The scene file's content, with what the caller set in its place, and with paths as in `files`.
-        files: Path in the copy → where the file is.
+        name: Name of the scene.
+        document: Content of the scene file with what the caller set, and with the paths of `files`.
+        files: Path in the copy → original file.
     """
 
     name: str
@@ -30,7 +30,7 @@ class SceneCopy:
     files: Mapping[str, Path]
 
     def write(self, folder: Path) -> Path:
-        """Write the copy into a folder, which is made.
+        """Write the copy into a folder; create the folder.
 
         Returns:
             The scene file, which `load_scene` reads.
@@ -44,7 +44,7 @@ class SceneCopy:
         return path
 
     def sha256(self) -> str:
-        """Of the scene and of every file in the copy: the same for a scene and for the copy that a run holds of it."""
+        """Checksum of the scene and every file in the copy, equal for a scene and for its copy in a run."""
         digest = hashlib.sha256(hashlib.sha256(self._scene_file()).digest())
         for name, source in sorted(self.files.items()):
             digest.update(hashlib.sha256(name.encode()).digest())
@@ -65,16 +65,16 @@ def copy_scene(
     mesh_files: Mapping[str, Path],
     pose_files: Sequence[str] | None,
 ) -> SceneCopy:
-    """The scene with every file that it names under a plain name beside it; the copy of a copy is the same.
+    """A copy with every file that the scene names beside it under a plain name; the copy of a copy is the same.
 
     Args:
         path: The scene file.
-        data: Its content, with what the caller set in its place.
+        data: Its content with what the caller set.
         keys: The same, validated.
-        vessels: Entries with meshes as in `mesh_files`.
-        obstacles: The same for obstacles.
-        mesh_files: Path in the copy → where the file is.
-        pose_files: Those that the pose source reads, as the scene file names them; None if its poses come in live.
+        vessels: Mapping of vessels with the mesh paths of `mesh_files`.
+        obstacles: Mapping of obstacles with the mesh paths of `mesh_files`.
+        mesh_files: Path in the copy → original file.
+        pose_files: Files of the pose source as the scene file names them; None for live poses.
     """
     folder = path.resolve().parent
     detector = f"detector{Path(keys.detector).suffix}"
@@ -83,15 +83,15 @@ def copy_scene(
     if "obstacles" in data:
         document["obstacles"] = obstacles
     if pose_files is None:
-        document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps what came in
+        document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in
         document.pop("steps", None)
     else:
         names = {file: _pose_file(number, file) for number, file in enumerate(dict.fromkeys(pose_files))}
         files |= {name: folder / file for file, name in names.items()}
         document["poses"] = _renamed(document["poses"], names)
     if document.get("detector_seed") == keys.seed:
-        del document["detector_seed"]  # says nothing
-    # In one order, whether the caller or the file set a key; vessels and cameras keep theirs, which has a meaning.
+        del document["detector_seed"]  # the default
+    # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
     if isinstance(document.get("annotation"), dict):
         document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
     return SceneCopy(path.stem, _ordered(document, SceneKeys), files)
@@ -102,7 +102,7 @@ def _pose_file(number: int, file: str) -> str:
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """A pose source's section, with the files in it under other names."""
+    """The section of a pose source with its files renamed."""
     if isinstance(value, dict):
         return {key: _renamed(inner, names) for key, inner in value.items()}
     if isinstance(value, list):
@@ -111,5 +111,5 @@ def _renamed(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
-    """A section with its keys in the order of its model."""
+    """The section with its keys in the order of its model."""
     return {name: keys[name] for name in model.model_fields if name in keys}

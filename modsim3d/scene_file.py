@@ -12,8 +12,8 @@ from modsim3d.validation import MAX_COORDINATE_M, Metres, Number, Probability, S
 from modsim3d.waves import GRAVITY_M_S2, STEEPEST
 
 SEEDLESS_POSES = {"file", "tracks", "stream"}
-"""Sources in which nothing is drawn; of a plug-in's it is not known."""
-MAX_PX = 1e9  # far beyond any scene, and near enough that no square or product of them overflows
+"""Pose sources without random numbers; a plug-in may have some."""
+MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
 
@@ -30,7 +30,7 @@ TURN_RAD = 6.3
 
 
 def _radians(angle: float) -> float:
-    """An angle that may be one; most of those in degrees are larger."""
+    """Refuse angles of more than a turn, which are probably in degrees."""
     if abs(angle) > TURN_RAD:
         raise ValueError(f"{angle:g} is more than a whole turn: angles are in radians (180° is 3.14159)")
     return angle
@@ -81,7 +81,7 @@ class CameraKeys(Strict):
     pose: PoseKeys | None = None
     mount: MountKeys | None = Field(default=None, validate_default=True)
 
-    # On a field and not on the whole, which pydantic looks at only when all fields are right.
+    # A validator of the field, since pydantic calls those of the model only if all fields are valid.
     @field_validator("mount")
     @classmethod
     def _one_place(cls, mount: MountKeys | None, info: ValidationInfo) -> MountKeys | None:
@@ -113,7 +113,7 @@ class AxisKeys(Strict):
 
 
 class WavesKeys(Strict):
-    """How waves move vessels: a named level, the coefficients of each axis, or a spectrum."""
+    """Waves: a named level, the coefficients of each axis, or a spectrum."""
 
     level: str | None = None
     roll: AxisKeys | None = None
@@ -138,11 +138,11 @@ class WavesKeys(Strict):
         if problems:
             raise ValueError("; ".join(problems))
         if self.composition == "additive" and self.apply_to == "all":
-            raise ValueError("composition: additive knows no attitude of other vessels: it goes with apply_to: ownship")
+            raise ValueError("composition: additive cannot turn other vessels: it goes with apply_to: ownship only")
         return self
 
     def _sea_problems(self) -> list[str]:
-        """What is wrong with the keys of a spectrum."""
+        """Problems of the keys of a spectrum."""
         needed = ("significant_height_m", "peak_period_s", "direction_rad")
         if self.spectrum is None:
             stray = [key for key in (*needed, "peakedness") if getattr(self, key) is not None]
@@ -171,7 +171,7 @@ class ImuKeys(Strict):
 
 
 class ObstacleKeys(Strict):
-    """What stands still and hides vessels: a prism over a polygon, or a mesh."""
+    """An obstacle: a prism over a polygon, or a mesh."""
 
     polygon_m: list[tuple[Metres, Metres]] | None = None
     height_m: Size | None = None
@@ -208,7 +208,7 @@ class ObstacleKeys(Strict):
 
 
 class SceneKeys(Strict):
-    """A scene file. `vessels`, which may be a file, and the source in `poses` are looked at apart from this."""
+    """A scene file. The content of `vessels` and `poses` is validated elsewhere."""
 
     steps: Steps | None = None
     time_step_s: Interval | None = None
@@ -226,7 +226,7 @@ class SceneKeys(Strict):
 
     @property
     def truth_has_seed(self) -> bool:
-        """Whether what the cameras see depends on the seed: poses that are drawn, and waves."""
+        """Whether what the cameras see depends on the seed: through random poses or waves."""
         drawn = not SEEDLESS_POSES & self.poses.keys()
         return drawn or (self.waves is not None and self.waves.level != "none")
 

@@ -1,4 +1,4 @@
-"""The meshes that a scene names, for vessels and obstacles: each is read once, and copied with the scene."""
+"""Meshes of the vessels and obstacles of a scene: each is read once and copied with the scene."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from modsim3d.validation import join_path
 from modsim3d.vessels import Solid
 
 MOST_FACES_OF_CONVEX = 64
-"""A convex mesh with more is treated like any other mesh: putting it in order by planes would take too many of them."""
+"""A convex mesh with more faces is treated as not convex, since ordering it by planes would take too many of them."""
 
 
 class SceneMeshes:
-    """Meshes by their entries; equal entries of one folder are one solid, so that they are looked at together."""
+    """Meshes by their entries. Equal entries of one folder share a solid, so that they are handled together."""
 
     def __init__(self) -> None:
-        """Nothing is read yet."""
+        """Start without meshes."""
         self._solids: dict[bytes, Solid] = {}
         self.files: dict[str, Path] = {}
-        """Path in a copy of the scene → the mesh file."""
+        """Path in a copy of the scene → original mesh file."""
         self.plugins: list[Plugin] = []
-        """Those that shapes came from."""
+        """Plug-ins that shapes came from."""
 
     def solid(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
         """The solid of an entry; see `load_mesh`.
 
         Raises:
-            InputError: With what is wrong with the entry or with the file.
+            InputError: The entry or the file is wrong.
         """
         key = orjson.dumps([str(folder), entry], default=str)
         if key not in self._solids:
@@ -59,26 +59,26 @@ class SceneMeshes:
         return replace(solid, convex=False, closed=is_closed(solid.faces))
 
     def copied(self, entry: object, folder: Path) -> object:
-        """The entry as it stands in a copy of the scene, where the file lies in a folder of its own."""
+        """The entry in a copy of the scene, where meshes lie in a folder of their own."""
         file = entry.get("file") if isinstance(entry, dict) else entry
         if not isinstance(file, str):
             return entry
         if isinstance(entry, str) and entry in shipped_meshes():
             return self._name_of(shipped_meshes()[entry])
         if not Path(file).suffix:
-            return entry  # a plug-in's
+            return entry  # a shape from a plug-in
         name = self._name_of(folder / file)
         return {**entry, "file": name} if isinstance(entry, dict) else name
 
     def copied_all(self, entries: Mapping[Any, Any], folder: Path) -> dict[Any, Any]:
-        """Vessels or obstacles with their meshes under the names that these have in a copy of the scene."""
+        """Vessels or obstacles with the mesh names of a copy of the scene."""
         return {
             name: {**entry, "mesh": self.copied(entry["mesh"], folder)} if entry.get("mesh") else entry
             for name, entry in entries.items()
         }
 
     def _name_of(self, source: Path) -> str:
-        """The name of a mesh file in the copy: its own unless that is taken, so that a copy of the copy has it too."""
+        """Name of a mesh file in the copy: its own unless that is taken, so that a copy of the copy has the same."""
         name, number = f"meshes/{source.name}", 0
         while self.files.setdefault(name, source) != source:
             number += 1
@@ -90,14 +90,14 @@ def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, scene: Pat
     """An obstacle of a scene file.
 
     Args:
-        name: Its ID.
-        keys: Its entry.
-        meshes: Those of the scene.
+        name: ID.
+        keys: Entry in the scene file.
+        meshes: All meshes of the scene.
         scene: The scene file.
-        truth_source: The annotation's.
+        truth_source: The annotation source.
 
     Raises:
-        InputError: Its name cannot be one, its mesh cannot be read, or the source knows no meshes.
+        InputError: The name is not printable, the mesh cannot be read, or the source cannot use meshes.
     """
     where = join_path("obstacles", name)
     if not name or not name.isprintable():
@@ -107,5 +107,5 @@ def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, scene: Pat
     solid = meshes.solid(keys.mesh, scene.resolve().parent, f"scene {scene}", "obstacles", name, "mesh")
     if truth_source == "analytic" and not solid.convex:
         hint = "use annotation.source: rendered, or give a polygon_m with height_m"
-        raise InputError(f"scene {scene}", [f"{where}.mesh: the analytic source knows no meshes: {hint}"])
+        raise InputError(f"scene {scene}", [f"{where}.mesh: the analytic source cannot use meshes: {hint}"])
     return Obstacle(name, (placed(solid, np.array(keys.size_m), np.array(keys.position_m), keys.heading_rad),))

@@ -1,4 +1,4 @@
-"""Whether the cameras of a scene have a place at each step, and nothing around them."""
+"""Checks that each camera of a scene has a pose at each step and is not inside a body."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from modsim3d.scene import Scene
 
 
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
-    """What is wrong with the place of each camera at some steps: none, or inside a vessel.
+    """Problems of each camera's place at some steps: it has no pose, or is inside a body.
 
     Args:
         scene: The scene.
-        steps: Ascending.
-        leave_out: Names of cameras that are not looked at.
+        steps: Ascending, shape (S,).
+        leave_out: Names of cameras that are not checked.
+
+    Returns:
+        Camera → problems; only cameras that have one.
     """
     found = {}
     for camera in scene.cameras:
@@ -31,7 +34,7 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
 
 def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
     sight = scene.sight(camera, steps)
-    inside = None if scene.annotation.allow_camera_inside else sight.body_around(scene.vessels)
+    inside = None if scene.annotation.allow_camera_inside else sight.body_around()
     if inside is None:
         return
     frame, body = inside

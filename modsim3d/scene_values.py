@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from modsim3d.camera import Camera, Intrinsics, Mount
+from modsim3d.camera import Camera, Intrinsics
+from modsim3d.camera_poses import Mount
 from modsim3d.lens import Distortion
-from modsim3d.scene import Waves
 from modsim3d.scene_file import CameraKeys, WavesKeys
+from modsim3d.vessel_motion import Waves
 from modsim3d.vessels import Vessel
+from modsim3d.wave_levels import Axes
 from modsim3d.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
-
-Axes = tuple[Axis, Axis, Axis]
 
 
 def camera_of(name: str, keys: CameraKeys) -> Camera:
-    """A camera ashore or on board."""
+    """The camera that a scene file describes."""
     intrinsics = Intrinsics.from_lens(
         keys.focal_length_m,
         keys.pixel_size_m,
@@ -32,20 +32,20 @@ def camera_of(name: str, keys: CameraKeys) -> Camera:
 
 
 def _distortion(keys: CameraKeys) -> Distortion | None:
-    """The lens's distortion, if there is any: with coefficients of zero it is a pinhole."""
+    """The lens distortion; None for a pinhole, whose coefficients are all zero."""
     if keys.distortion is None or not any(keys.distortion.model_dump().values()):
         return None
     return Distortion(**keys.distortion.model_dump())
 
 
 def waves_of(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:
-    """How waves move the vessels.
+    """The waves that a scene file describes; None for calm water.
 
     Args:
-        keys: What the scene file says.
-        seed: Of the scene.
-        vessels: Of the scene.
-        level: Of the level that it names, roll, pitch and yaw.
+        keys: The section of the scene file.
+        seed: Seed of the scene.
+        vessels: Vessels of the scene.
+        level: Roll, pitch and yaw of the wave level that it names.
     """
     if keys is None or keys.level == "none":
         return None

@@ -1,4 +1,4 @@
-"""Vessel shapes that other packages bring, by name."""
+"""Vessel shapes from plug-ins."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from modsim3d.plugins import SHAPES, Plugin, failed, load_plugin
 from modsim3d.vessels import Solid
 
 LOW, HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 1.0])
-"""The box that a shape fills: `Solid`'s units of length, beam and air draft."""
+"""Corners of the box that a shape fills, in units of length, beam and air draft, each of shape (3,)."""
 SLACK = 1e-6
 
 
 def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[Solid, Plugin]:
     """A vessel shape of the group `modsim3d.shapes`.
 
-    The plug-in is a function without arguments that gives vertices, shape (K, 3), and faces, shape (F, 3), of a closed
-    triangle mesh: v1 forward and v2 to port from −1/2 to 1/2, v3 up from 0 to 1, in units of length, beam and air
-    draft; faces are counter-clockwise seen from outside.
+    The plug-in is a function without arguments that returns vertices, shape (K, 3), and faces, shape (F, 3), of a
+    closed triangle mesh: v1 forward and v2 to port from −1/2 to 1/2, v3 up from 0 to 1, in units of length, beam and
+    air draft; faces are counter-clockwise seen from outside.
 
     Args:
-        name: As the vessels file calls it.
-        path: Where it does, for errors.
-        built_in: Names of shapes that need no plug-in, for the hint beside an unknown one.
+        name: Name in the vessels file.
+        path: Path of the key with this name, for errors.
+        built_in: Names of shapes that need no plug-in, for the hint at an unknown name.
 
     Raises:
-        InputError: There is none of this name, it fails, or it gives something else.
+        InputError: There is no such plug-in, it fails, or it returns something else.
     """
     found, plugin = load_plugin(SHAPES, name, path, built_in)
     if not callable(found):
-        raise InputError(path, [f"{plugin} must be a function that gives vertices and faces, not {found!r}"])
+        raise InputError(path, [f"{plugin} must be a function that returns vertices and faces, not {found!r}"])
     try:
         vertices, faces = found()
         vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces)
@@ -46,13 +46,13 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
 
 
 def shape_problem(vertices: Array, faces: np.ndarray) -> str | None:
-    """Why a mesh cannot be a vessel's shape, or None if it can.
+    """Reason why a mesh cannot be a vessel's shape; None if it can.
 
-    A closed surface passes each edge as often one way as the other; turned outwards, it encloses a positive volume,
-    Σ a · (b × c) / 6 over its triangles.
+    The triangles of a closed surface traverse each edge equally often in both directions. If they face outward, the
+    enclosed volume, Σ a · (b × c) / 6, is positive.
 
     Args:
-        vertices: Shape (K, 3).
+        vertices: In units of length, beam and air draft, shape (K, 3).
         faces: Vertex indices, shape (F, 3).
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices) or not np.isfinite(vertices).all():
@@ -73,5 +73,5 @@ def shape_problem(vertices: Array, faces: np.ndarray) -> str | None:
         return "its surface is not closed: each edge must belong to two faces, once in each direction"
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     if np.einsum("ij,ij->", a, np.cross(b, c)) <= 0:
-        return "its faces are turned inwards: they must be counter-clockwise seen from outside"
+        return "its faces point inwards: they must be counter-clockwise seen from outside"
     return None

@@ -1,4 +1,4 @@
-"""Where what comes with the package is."""
+"""The data files that come with the package."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None
 
 def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, renderer: IdRenderer | None) -> Truth:
     sight = scene.sight(camera, steps)
-    outlines = sight.outlines(camera.intrinsics, scene.vessels, as_shoeboxes=scene.annotation.source != "rendered")
+    outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
     occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
     truth = occlusion.truth(steps[outlines.frame], index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m)
     truth = truth.take(outlines.boxed)

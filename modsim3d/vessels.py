@@ -1,18 +1,22 @@
-"""Vessels: dimensions, label, and the solid that stands for each."""
+"""Vessels: dimensions, label and shape."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
-from modsim3d.validation import Strict, describe, join_path, load_json, shown
+from modsim3d.strict_json import load_json
+from modsim3d.validation import Strict, describe, join_path, shown
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +26,8 @@ class Solid:
     Attributes:
         vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
         faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
-        convex: Whether it is its own convex hull.
-        closed: Whether the faces enclose a volume and all are wound outward, so that those turned away are hidden.
+        convex: Whether the mesh is its own convex hull.
+        closed: Whether the faces enclose a volume and all point outward, so that back faces are hidden.
     """
 
     vertices: Array
@@ -36,7 +40,7 @@ class Solid:
 def shoebox() -> Solid:
     """The unit shoebox: eight corners, twelve triangles; the origin is the centre of its bottom.
 
-    It is `trimesh.creation.box`, written out: importing trimesh takes longer than a hundred frames.
+    It equals `trimesh.creation.box`. Importing trimesh takes longer than simulating a hundred frames.
     """
     vertices = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
     # Counter-clockwise seen from outside; corner 4 i + 2 j + k is at the i-th x, j-th y, k-th z.
@@ -52,12 +56,12 @@ class Vessel:
     """A vessel as the scene describes it.
 
     Attributes:
-        name: Its ID.
-        label: Its true class.
-        length_m: Along v1.
-        beam_m: Along v2.
+        name: ID.
+        label: True class.
+        length_m: Extent along v1.
+        beam_m: Extent along v2.
         air_draft_m: Height above the waterline, along v3.
-        solid: Its shape, in units of these three.
+        solid: Shape in units of these three.
     """
 
     name: str
@@ -69,12 +73,18 @@ class Vessel:
 
     @property
     def extents_m(self) -> Array:
-        """Length, beam and air draft, shape (3,)."""
+        """Length, beam and air draft in metres, shape (3,)."""
         return np.array([self.length_m, self.beam_m, self.air_draft_m])
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The vessel's solid in VCF, scaled to length × beam × air draft, in metres."""
+        import trimesh  # takes 0.4 s
+
+        return trimesh.Trimesh(self.solid.vertices * self.extents_m, self.solid.faces.copy(), process=False)
 
     @property
     def has_mesh(self) -> bool:
-        """Whether its shape is another than the shoebox."""
+        """Whether its shape is not the shoebox."""
         return self.solid is not shoebox()
 
 
@@ -84,7 +94,7 @@ Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_
 
 
 class VesselEntry(Strict):
-    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2); `mesh` is ours, and read elsewhere."""
+    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2). `mesh` is ours; `SceneMeshes` reads it."""
 
     length_m: Extent
     beam_m: Extent
@@ -101,7 +111,7 @@ class VesselEntry(Strict):
 
 
 def name_problem(name: str) -> str | None:
-    """Why a text cannot be a vessel's ID, or None if it can."""
+    """Reason why a text cannot be a vessel's ID; None if it can."""
     if not name:
         return "a vessel's ID must not be empty"
     if not name.isprintable():
@@ -120,8 +130,8 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
 
     Args:
         data: The mapping.
-        source: What to call it in an error.
-        *prefix: Where the mapping stands in its file.
+        source: Name of the file in errors.
+        *prefix: Keys that lead to the mapping in the file.
 
     Raises:
         InputError: With every problem found.
@@ -145,7 +155,7 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a vessels file, whatever its vessels are like.
+    """The mapping in a vessels file; its vessels are not checked.
 
     Raises:
         InputError: The file cannot be read or holds no mapping.

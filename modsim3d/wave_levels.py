@@ -1,4 +1,4 @@
-"""Wave levels by the name that they have in a scene file, plug-ins included."""
+"""Wave levels by name, plug-ins included."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from modsim3d.errors import InputError
 from modsim3d.plugins import WAVE_LEVELS, Plugin, load_plugin
 from modsim3d.waves import AXES, LEVELS, Axis, level_axes
 
+Axes = tuple[Axis, Axis, Axis]
+"""Roll, pitch and yaw."""
 
-def find_level(name: str) -> tuple[tuple[Axis, Axis, Axis], Plugin | None]:
-    """The axes of a wave level, and the plug-in that brought it, if it is none of ours.
+
+def find_level(name: str) -> tuple[Axes, Plugin | None]:
+    """The axes of a wave level, and the plug-in that it comes from; None if it is built in.
 
     A plug-in of the group `modsim3d.wave_levels` is a tuple of three `Axis`: roll, pitch and yaw.
 
     Raises:
-        InputError: There is no such level, or the plug-in is something else.
+        InputError: There is no such level, or the plug-in is no three axes.
     """
     if name in LEVELS:
         return level_axes(name), None

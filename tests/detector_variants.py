@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from modsim3d.scene_reader import data_folder
-from modsim3d.validation import load_yaml
+from modsim3d.strict_yaml import load_yaml
 
 Data = dict[str, Any]
 

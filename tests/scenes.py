@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.bodies import vessel_bodies
-from modsim3d.camera import Intrinsics, Mount, poses_ashore
-from modsim3d.frames import world_R_vehicle
+from modsim3d.camera import Intrinsics
+from modsim3d.camera_poses import Mount, poses_ashore
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import data_folder
 from modsim3d.vessels import Vessel
 

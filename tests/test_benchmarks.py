@@ -10,7 +10,7 @@ import pytest
 from shapely import affinity, box, intersects
 
 from benchmarks import bench, child, scenes
-from modsim3d.frames import world_R_vehicle
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import load_scene
 
 HERE = scenes.HERE

@@ -6,7 +6,7 @@ import pytest
 from modsim3d.annotate.record import COLUMNS, concatenate
 from modsim3d.camera import Intrinsics
 from modsim3d.detector import TargetCensus
-from modsim3d.frames import camera_R_parent
+from modsim3d.rotations import camera_R_parent
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import Simulation, block_ranges, truth_block
 from tests.scenes import outlines_of, vessel

@@ -8,7 +8,7 @@ import pytest
 
 from modsim3d import cli, simulate
 from modsim3d.compare import compare_sources
-from modsim3d.earth import RADIUS_M, drop_m, shift_px
+from modsim3d.curved_sea import RADIUS_M, drop_m, shift_px
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import simulate_frames
@@ -78,7 +78,7 @@ def test_obstacles_are_lowered_by_their_centre_and_own_ship_is_not(tmp_path):
     assert (own == 0).all()
     places = before.poses.positions_m[:, 1]
     np.testing.assert_allclose(other, drop_m(places, before.camera_poses.positions_m), rtol=1e-12)
-    (rock,) = after._obstacle_bodies(curved.vessels)
+    (rock,) = after._obstacle_bodies()
     expected = drop_m(np.array([6000.0, 0.0]), before.camera_poses.positions_m)
     np.testing.assert_allclose(rock.positions_m[:, 0, 2], -expected)
     assert np.all(rock.positions_m[:, 0, :2] == 0)

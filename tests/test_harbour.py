@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.frames import world_R_vehicle
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import data_folder, load_scene
 from modsim3d.simulate import truth_block
 

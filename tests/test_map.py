@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d import cli
-from modsim3d.camera import Camera, Mount
+from modsim3d.camera import Camera
+from modsim3d.camera_poses import Mount
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.view import palette
@@ -90,7 +91,7 @@ def test_what_the_camera_sees_is_in_its_field_of_view(birds_eye):
     scene = birds_eye.scene
     at, looks = view_of(scene, scene.cameras[0], 5)
     wedge = shapely.Polygon([at, *(at + 1e4 * looks)])
-    outlines = scene.sight(scene.cameras[0], np.array([5])).outlines(scene.cameras[0].intrinsics, scene.vessels)
+    outlines = scene.sight(scene.cameras[0], np.array([5])).outlines()
     seen = {scene.occluder_names[index] for index in outlines.vessel.tolist()}
     for vessel, place in zip(scene.vessels, scene.poses.poses(5, 6).positions_m[0], strict=True):
         if wedge.contains(shapely.Point(place[:2])):
@@ -157,7 +158,7 @@ def test_a_name_lies_on_no_other_vessel_and_inside_the_map(step):
     figure = map_figure(birds_eye, step, 1280)
     figure.draw_without_rendering()
     axes = figure.axes[0]
-    rotations = scene.at_sea(np.array([step])).world_R_vessel[0]
+    rotations = scene.motion.at(np.array([step])).world_R_vessel[0]
     places = scene.poses.poses(step, step + 1).positions_m[0, :, :2]
     hulls = {
         vessel.name: shapely.Polygon(axes.transData.transform(hull_m(vessel, rotations[i]) + places[i]))

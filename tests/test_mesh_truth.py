@@ -159,10 +159,10 @@ def test_own_ships_hull_hides_others_in_its_own_camera_and_has_no_box(tmp_path):
 def test_hull_turns_with_its_ship_so_that_waves_do_not_move_it_in_its_own_image(tmp_path):
     scene = load_scene(own_ship_scene(tmp_path, waves={"level": "huge", "interval_s": 0.01}))
     (camera,) = scene.cameras
-    outlines = scene.sight(camera, np.arange(6)).outlines(camera.intrinsics, scene.vessels)
+    outlines = scene.sight(camera, np.arange(6)).outlines()
     (hull,) = [part for part in outlines.parts if not outlines.boxed[part.rows].any()]
     np.testing.assert_allclose(hull.vertices_camera - hull.vertices_camera[:1], 0, atol=1e-9)
-    assert np.abs(np.diff(scene.at_sea(np.arange(6)).angles_rad[:, 0], axis=0)).max() > 1e-3
+    assert np.abs(np.diff(scene.motion.at(np.arange(6)).angles_rad[:, 0], axis=0)).max() > 1e-3
 
 
 def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
@@ -202,7 +202,7 @@ def test_analytic_source_takes_vessels_for_their_shoeboxes_and_refuses_obstacles
     scene["obstacles"] = {"wreck": {"mesh": "ferry", "size_m": [90, 15, 22], "position_m": [300, 0, 0]}}
     path.write_text(json.dumps(scene))
     load_scene(path)
-    with pytest.raises(InputError, match=r"obstacles\.wreck\.mesh: the analytic source knows no meshes: use"):
+    with pytest.raises(InputError, match=r"obstacles\.wreck\.mesh: the analytic source cannot use meshes: use"):
         load_scene(path, source="analytic")
 
 

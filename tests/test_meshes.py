@@ -399,7 +399,7 @@ REFUSED = {
     "huge.ply": (ply([*BOX_ROWS[:3], "1e300 0 0", *BOX_ROWS[4:]]), "beyond 1e+09"),
     "flat.ply": (ply([f"{row.rsplit(' ', 1)[0]} 4" for row in BOX_ROWS]), "has no height: a solid is needed"),
     "line.ply": (ply([f"{row.split()[0]} 7 4" for row in BOX_ROWS]), "has no beam and no height"),
-    "cut.ply": (ply(BOX_ROWS[:5]), "has 17 rows of the 20 that its header tells"),
+    "cut.ply": (ply(BOX_ROWS[:5]), "has 17 rows of the 20 that its header announces"),
     "index.ply": (ply(BOX_ROWS, ["3 0 1 900", *BOX_FACES[1:]]), "cannot be read as PLY|that use vertex 900"),
     "index.obj": (obj() + b"f 1 2 900\n", "has the corner '900' in line 21: there is no such vertex, of 8"),
     "words.ply": (ply(["a b c", *BOX_ROWS[1:]]), "cannot be read as PLY"),

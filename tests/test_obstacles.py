@@ -15,10 +15,11 @@ from modsim3d.annotate.outlines import outline
 from modsim3d.annotate.record import COLUMNS, concatenate
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.bodies import vessel_bodies
-from modsim3d.camera import Intrinsics, Mount, poses_ashore
+from modsim3d.camera import Intrinsics
+from modsim3d.camera_poses import Mount, poses_ashore
 from modsim3d.errors import InputError
-from modsim3d.frames import world_R_vehicle
 from modsim3d.obstacles import Obstacle, extruded, obstacle_bodies
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import open_renderer, simulate_frames, truth_block
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, random_scene, vessel, write_scene

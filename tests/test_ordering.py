@@ -12,7 +12,7 @@ from modsim3d.annotate.comparison import compare_with_analytic
 from modsim3d.annotate.ordering import order_of
 from modsim3d.annotate.rectangles import rectangle_occlusion
 from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
-from modsim3d.frames import rotation, world_R_vehicle
+from modsim3d.rotations import rotation, world_R_vehicle
 from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
 
 SHIP, BOAT = 0, 1

@@ -13,14 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import rotation_vector, world_R_vehicle
 from modsim3d.imu import Imu
 from modsim3d.ownship import own_ships_at
 from modsim3d.poses.base import generated_timestamps
 from modsim3d.poses.circular import CircularMotion
+from modsim3d.rotations import rotation_vector, world_R_vehicle
 from modsim3d.run import run_scene
-from modsim3d.scene import Waves
 from modsim3d.scene_reader import load_scene
+from modsim3d.vessel_motion import Waves
 from modsim3d.waves import GRAVITY_M_S2, Motion
 from tests.scenes import write_scene
 
@@ -151,7 +151,7 @@ def test_rates_carry_the_attitude_from_step_to_step(scene):
     waves = Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05))
     rough = replace(on_a_circle(scene), waves=waves)
     rates, steps = own_ship(rough).rates_rad_s[:, 0], np.arange(STEPS)
-    attitude: Array = rough.at_sea(steps).world_R_vessel[:, 0]
+    attitude: Array = rough.motion.at(steps).world_R_vessel[:, 0]
     turn = Rotation.from_matrix(attitude[1])
     for step in range(1, STEPS - 2):
         turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)

@@ -188,7 +188,10 @@ BROKEN = {
         "  def look(self): return self.nothing",
         "'drift' of drift 0.1 failed: AttributeError",
     ),
-    "builds_nothing": (HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass", "must give a pose"),
+    "builds_nothing": (
+        HEAD + "class Drift(SourceKeys, Strict):\n  def build(self, request): pass",
+        "must return a pose",
+    ),
     "raises": (HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 1 / 0", "ZeroDivisionError: division"),
     "not_a_mapping": (
         HEAD + "class Drift(PosesByTime):\n  def at(self, t, r): return 5",
@@ -315,7 +318,7 @@ def spoilt(change):
         (lambda v, f: (v * [1, 1, 0.5], f), "it must fill the box"),
         (lambda v, f: (v, f[1:]), "its surface is not closed"),
         (lambda v, f: (v, np.concatenate([f, f[:1]])), "its surface is not closed"),
-        (lambda v, f: (v, f[:, ::-1]), "its faces are turned inwards"),
+        (lambda v, f: (v, f[:, ::-1]), "its faces point inwards"),
     ],
 )
 def test_what_is_no_shape_of_a_vessel_is_told(change, part):

@@ -61,7 +61,7 @@ def test_sources_without_times_of_their_own_need_the_scenes(tmp_path, name):
     data = json.loads(path.read_text())
     del data["time_step_s"]
     path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=f"poses: {name} makes its own times: time_step_s must be given beside it"):
+    with pytest.raises(InputError, match=f"poses: {name} has no times of its own: give time_step_s beside it"):
         load_scene(path)
 
 

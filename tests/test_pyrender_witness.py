@@ -20,9 +20,9 @@ import shapely
 from modsim3d.annotate.analytic import image_silhouettes
 from modsim3d.annotate.comparison import ROUNDING_PX
 from modsim3d.annotate.triangles import triangles_of
-from modsim3d.camera import Mount, poses_ashore
-from modsim3d.frames import world_R_vehicle
+from modsim3d.camera_poses import Mount, poses_ashore
 from modsim3d.render.id_pass import Region
+from modsim3d.rotations import world_R_vehicle
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, cyclic_beams, outlines_at, random_places, vessel
 
 WHOLE = Region(0, 0, *INTRINSICS.image_size_px)

@@ -54,7 +54,7 @@ def test_several_frames_at_once_give_the_truth_of_each(renderer):
     camera = scene.cameras[0]
 
     def occlusion(first, stop):
-        outlines = scene.sight(camera, np.arange(first, stop)).outlines(camera.intrinsics, scene.vessels)
+        outlines = scene.sight(camera, np.arange(first, stop)).outlines()
         return rendered_occlusion(outlines, camera.intrinsics, renderer)
 
     together = occlusion(100, 112)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.camera import Mount
+from modsim3d.camera_poses import Mount
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from modsim3d.errors import InputError
-from modsim3d.frames import vehicle_R_nominal, world_R_vehicle
+from modsim3d.rotations import vehicle_R_nominal, world_R_vehicle
 from modsim3d.scene_reader import load_scene
 from modsim3d.waves import GRAVITY_M_S2, FloatingVessels, Hull, Passage, Sea, jonswap_sea
 from modsim3d.waves.hull import ROLL_DAMPING, response

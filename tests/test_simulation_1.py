@@ -41,7 +41,7 @@ def test_rendered_and_projected_full_boxes_agree_within_a_pixel_over_the_whole_s
     camera = scene.cameras[0]
     worst, compared = 0.0, 0
     for first in range(0, scene.steps, 250):
-        outlines = scene.sight(camera, np.arange(first, first + 250)).outlines(camera.intrinsics, scene.vessels)
+        outlines = scene.sight(camera, np.arange(first, first + 250)).outlines()
         seen = rendered_occlusion(outlines, camera.intrinsics, renderer)
         difference = np.abs(seen.full_boxes_px - outlines.boxes_px)
         worst, compared = max(worst, float(difference.max())), compared + len(outlines)

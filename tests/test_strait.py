@@ -8,7 +8,7 @@ import shapely
 import yaml
 
 from modsim3d.compare import compare_sources
-from modsim3d.frames import world_R_vehicle
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import data_folder, load_scene
 from modsim3d.simulate import truth_block
 
@@ -57,7 +57,7 @@ def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, rend
         hiders |= {scene.occluder_names[index] for index in truth.occluder}
     assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
     bow = scene.cameras[0]
-    outlines = scene.sight(bow, np.arange(3)).outlines(bow.intrinsics, scene.vessels)
+    outlines = scene.sight(bow, np.arange(3)).outlines()
     own = outlines.vessel == scene.vessel_names.index("own")
     assert own.sum() == 3  # its own foredeck, in each frame
     assert not outlines.boxed[own].any()

@@ -348,7 +348,7 @@ def test_a_stream_without_a_line_is_an_error(tmp_path, stdin):
 @pytest.mark.parametrize(
     ("poses", "part"),
     [
-        ({"stream": "nothing.jsonl"}, "nothing.jsonl: no such file: it must be there before the run begins"),
+        ({"stream": "nothing.jsonl"}, "nothing.jsonl: no such file: it must exist before the run begins"),
         ({"stream": "."}, "this is a folder"),
         ({"stream": "a\0b"}, "no such file"),
         ({"stream": 5}, "poses.stream: a file, '-' for standard input, or a mapping of keys is needed"),
@@ -372,7 +372,7 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
     detector.write_text(json.dumps(anchored))
     with pytest.raises(InputError) as caught:
         live_scene(tmp_path, waves=sea, detector=str(detector))
-    assert "waves.spectrum: the sea needs to know how fast vessels are" in str(caught.value)
+    assert "waves.spectrum: the sea needs the velocities of vessels" in str(caught.value)
     assert "detector: holds rates over the whole scene (anchor: state_rate)" in str(caught.value)
     assert "give false_positives a size" in str(caught.value)
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.camera import Mount, poses_on_board
-from modsim3d.frames import camera_R_parent, vehicle_R_nominal
+from modsim3d.camera_poses import Mount, poses_on_board
+from modsim3d.rotations import camera_R_parent, vehicle_R_nominal
 from modsim3d.scene_reader import load_scene
 from modsim3d.waves import (
     LEVELS,
@@ -16,13 +16,26 @@ from modsim3d.waves import (
     Axis,
     SecondOrderWaves,
     level_axes,
-    long_run_deviation,
     second_order,
-    second_order_variance,
 )
 from tests.scenes import write_scene
 
 FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
+
+
+def second_order_variance(axis, steps):
+    """Variance of x'(t) from a zero start, for a = b: σ² Σ_{k=0}^{t−1} ((k + 1) aᵏ)².
+
+    Each e reaches x' through the convolution of the two processes' impulse responses, Σ aʲ bᵏ⁻ʲ = (k + 1) aᵏ.
+    """
+    k = np.arange(steps)
+    return float(axis.sigma_rad**2 * np.sum(((k + 1) * axis.a**k) ** 2))
+
+
+def long_run_deviation(axis):
+    """Standard deviation of x' in the long run, for a = b: σ √((1 + a²) / (1 − a²)³)."""
+    a2 = axis.a**2
+    return axis.sigma_rad * np.sqrt((1 + a2) / (1 - a2) ** 3)
 
 
 def waves(axis=FIGURE_7_13, seed=0, interval_s=None):

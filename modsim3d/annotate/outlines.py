@@ -15,7 +15,9 @@ import shapely
 from modsim3d.annotate.silhouettes import cut_near, in_image, share_in_image, silhouette_polygons
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.bodies import Bodies
-from modsim3d.camera import CameraPoses, Intrinsics, clip_triangles, guard_planes
+from modsim3d.camera import Intrinsics
+from modsim3d.camera_poses import CameraPoses
+from modsim3d.clipping import clip_triangles, guard_planes
 from modsim3d.vessels import Solid
 
 

@@ -7,7 +7,8 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.camera import Intrinsics, clip_triangles, near_plane
+from modsim3d.camera import Intrinsics
+from modsim3d.clipping import clip_triangles, near_plane
 from modsim3d.vessels import Solid
 
 NO_AREA_PX2 = 1e-9

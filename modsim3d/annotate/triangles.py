@@ -10,7 +10,8 @@ from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.silhouettes import cut_near
 from modsim3d.annotate.subdivision import subdivided
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.camera import Intrinsics, clip_triangles, guard_planes
+from modsim3d.camera import Intrinsics
+from modsim3d.clipping import clip_triangles, guard_planes
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are cut there, in double precision, before they are drawn. Counted in

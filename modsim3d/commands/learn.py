@@ -78,7 +78,7 @@ def learn_command(
     from modsim3d.learn_detector import Asked, learn_detector
     from modsim3d.learn_page import write_page
     from modsim3d.learn_report import NEVER_LEARNED, lead, tables
-    from modsim3d.validation import read_text
+    from modsim3d.text_files import read_text
 
     page = out.with_suffix(".html") if page is None else page
     if page == out:

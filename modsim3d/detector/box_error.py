@@ -11,7 +11,7 @@ from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 MOST_DRAWS = 10_000
 """Redraws of one box before its state is called impossible for it."""
@@ -89,7 +89,7 @@ class NormalBoxError:
         states: Indices,
         targets: Targets,
         standard: Array,
-        purpose: str = "detector.box_error",
+        purpose: Purpose = Purpose.BOX_ERROR_REDRAW,
     ) -> Misplaced:
         """Boxes with an error each.
 
@@ -99,7 +99,7 @@ class NormalBoxError:
             states: Of each frame, shape (S,).
             targets: Whose boxes; n of them.
             standard: The standard normal numbers that their errors are made from, shape (n, 4).
-            purpose: What the errors are for.
+            purpose: Use of the numbers that are drawn anew.
 
         Raises:
             ModsimError: A box stays degenerate in `MOST_DRAWS` draws.
@@ -187,8 +187,8 @@ class NormalBoxError:
         )
 
 
-def _generator(streams: Streams, purpose: str, frames: Frames, targets: Targets, row: int) -> np.random.Generator:
+def _generator(streams: Streams, purpose: Purpose, frames: Frames, targets: Targets, row: int) -> np.random.Generator:
     """The redraws of one row: a stream apart, so that the first draws of later steps stay as they were."""
     vessel = targets.vessel_ids[targets.vessel[row]]
     step = int(frames.steps[targets.frame[row]])
-    return streams.generator(f"{purpose}_redraw", frames.camera, vessel, step=step)
+    return streams.generator(purpose, frames.camera, vessel, step=step)

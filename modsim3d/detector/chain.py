@@ -15,7 +15,7 @@ from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
 from modsim3d.detector.confidence import Confidence
 from modsim3d.detector.doubles import Events, halves
-from modsim3d.detector.draws import normals, select, target_uniforms
+from modsim3d.detector.draws import select, target_uniforms
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
@@ -32,7 +32,7 @@ from modsim3d.detector.records import (
     Targets,
 )
 from modsim3d.detector.states import PerformanceStates
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams, normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,13 @@ class Detector:
         if np.any(kind != TRUE):
             errors = np.where((kind == TRUE)[:, None], errors, np.nan)
         return _of_vessels(
-            shown, slice(None), kind, boxes, errors, placed.redrawn, self._final(frames, shown.targets, "")
+            shown,
+            slice(None),
+            kind,
+            boxes,
+            errors,
+            placed.redrawn,
+            self._final(frames, shown.targets, Purpose.CONFIDENCE),
         )
 
     def _second_boxes(
@@ -158,9 +164,9 @@ class Detector:
         found = []
         if len(events.doubled):
             vessels = select(shown.targets, events.doubled)
-            standard = normals(target_uniforms(self._streams, "detector.duplicate", frames, vessels, width=4))
-            again = self._box_error.misplace(self._streams, frames, states, vessels, standard, "detector.duplicate")
-            final = self._final(frames, vessels, "duplicate_")
+            standard = normals(target_uniforms(self._streams, Purpose.DUPLICATE, frames, vessels, width=4))
+            again = self._box_error.misplace(self._streams, frames, states, vessels, standard, Purpose.DUPLICATE_REDRAW)
+            final = self._final(frames, vessels, Purpose.DUPLICATE_CONFIDENCE)
             kind = np.full(len(vessels), DUPLICATE)
             found.append(
                 _of_vessels(shown, events.doubled, kind, again.boxes_px, again.errors_px, again.redrawn, final)
@@ -168,7 +174,7 @@ class Detector:
         if len(events.split):
             _, smaller = halves(placed.boxes_px[events.split], events.cut)
             kind = np.full(len(smaller), FRAGMENT)
-            final = self._final(frames, select(shown.targets, events.split), "fragment_")
+            final = self._final(frames, select(shown.targets, events.split), Purpose.FRAGMENT_CONFIDENCE)
             nothing = np.full((len(smaller), 4), np.nan)
             redrawn = np.zeros(len(smaller), dtype=bool)
             found.append(_of_vessels(shown, events.split, kind, smaller, nothing, redrawn, final))
@@ -180,13 +186,13 @@ class Detector:
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         due = self.model.gates.due(frames)
         setting = Setting(self._streams, frames, states, due, vessels, n_true, events.expected)
-        found = [self._of_clutter(frames, self._clutter.draw(setting), FALSE_POSITIVE, "detector.clutter_confidence")]
+        found = [self._of_clutter(frames, self._clutter.draw(setting), FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
         if self.model.clutter.persistent_share:
             clutter = self._clutter.draw_persistent(setting)
-            found.append(self._of_clutter(frames, clutter, PERSISTENT, "detector.persistent_confidence"))
+            found.append(self._of_clutter(frames, clutter, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
         return found
 
-    def _of_clutter(self, frames: Frames, clutter: Clutter, kind: int, purpose: str) -> _Found:
+    def _of_clutter(self, frames: Frames, clutter: Clutter, kind: int, purpose: Purpose) -> _Found:
         count = len(clutter.frame)
         nobody, unknown = np.full(count, -1), np.full(count, np.nan)
         return _Found(
@@ -202,9 +208,9 @@ class Detector:
             uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
         )
 
-    def _final(self, frames: Frames, vessels: Targets, prefix: str) -> Array:
+    def _final(self, frames: Frames, vessels: Targets, purpose: Purpose) -> Array:
         """Numbers for confidence and order, shape (n, 2)."""
-        return target_uniforms(self._streams, f"detector.{prefix}confidence", frames, vessels, width=2)
+        return target_uniforms(self._streams, purpose, frames, vessels, width=2)
 
     def _scored(self, states: Indices, found: Sequence[_Found], passed: Mask) -> Detections:
         """All of them with their confidence; their order within a frame is random and tells nothing."""

@@ -17,7 +17,7 @@ from modsim3d.detector.persistent_clutter import wanderers
 from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 _DRAWS = DRAWS + 2  # a false positive: place, size, label
 _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
@@ -65,7 +65,7 @@ class Clutter:
     boxes_px: Array
     label: Indices
 
-    def uniforms(self, streams: Streams, purpose: str, frames: Frames, width: int) -> Array:
+    def uniforms(self, streams: Streams, purpose: Purpose, frames: Frames, width: int) -> Array:
         """Uniform numbers of each false positive, shape (m, width)."""
         return _ordinal_uniforms(streams, purpose, frames, self.frame, self.ordinal, width)
 
@@ -165,7 +165,7 @@ class Thesis:
         """Successes among the trials of each frame."""
         rate = rates.false_discovery[setting.states]
         frame, ordinal = _rows(self._trials(rates, setting))
-        uniforms = _ordinal_uniforms(setting.streams, "detector.clutter_trial", setting.frames, frame, ordinal, width=1)
+        uniforms = _ordinal_uniforms(setting.streams, Purpose.CLUTTER_TRIAL, setting.frames, frame, ordinal, width=1)
         successes = frame[uniforms[:, 0] < rate[frame]]
         return np.bincount(successes, minlength=len(rate)).astype(np.int64)
 
@@ -226,7 +226,7 @@ class ClutterSource:
         """
         model, frames = CLUTTER_MODELS[self.options.model], setting.frames
         frame, ordinal = _rows(model.counts(self.rates, setting, 1 - self.options.persistent_share))
-        uniforms = _ordinal_uniforms(setting.streams, "detector.clutter", frames, frame, ordinal, _DRAWS)
+        uniforms = _ordinal_uniforms(setting.streams, Purpose.CLUTTER, frames, frame, ordinal, _DRAWS)
         return self._clutter(setting, frame, ordinal, uniforms, None)
 
     def draw_persistent(self, setting: Setting) -> Clutter:
@@ -277,9 +277,7 @@ class ClutterSource:
 
 
 def _poisson(setting: Setting, means: Array) -> Indices:
-    uniforms = step_uniforms(
-        setting.streams, "detector.clutter_count", setting.frames.camera, steps=setting.frames.steps
-    )
+    uniforms = step_uniforms(setting.streams, Purpose.CLUTTER_COUNT, setting.frames.camera, steps=setting.frames.steps)
     return poisson_quantile(uniforms[:, 0], means)
 
 
@@ -290,7 +288,7 @@ def _rows(counts: Indices) -> tuple[Indices, Indices]:
 
 
 def _ordinal_uniforms(
-    streams: Streams, purpose: str, frames: Frames, frame: Indices, ordinal: Indices, width: int
+    streams: Streams, purpose: Purpose, frames: Frames, frame: Indices, ordinal: Indices, width: int
 ) -> Array:
     """Numbers of the first, second, ... false positive of a step: the same, however many there are."""
     names = [str(number) for number in range(int(ordinal.max(initial=-1)) + 1)]

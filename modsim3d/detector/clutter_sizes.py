@@ -11,7 +11,7 @@ from scipy import special
 
 from modsim3d.arrays import Array
 from modsim3d.detector.census import TargetCensus
-from modsim3d.detector.draws import normals
+from modsim3d.random_streams import normals
 
 _LN_2 = math.log(2)
 

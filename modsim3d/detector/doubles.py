@@ -10,7 +10,7 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes
 from modsim3d.detector.draws import keyed_uniforms, target_uniforms
 from modsim3d.detector.records import Frames, Targets
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 _LEAST_CUT, _MOST_CUT = 0.3, 0.7
 LEAST_SPLIT_PX = 4.0
@@ -73,7 +73,7 @@ class Doubles:
         if not self.duplicates and not self.splits:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
-        uniforms = target_uniforms(streams, "detector.double", frames, shown, width=2)
+        uniforms = target_uniforms(streams, Purpose.DOUBLE, frames, shown, width=2)
         long = single & self.looks_long(shown.boxes_px) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
         doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
         split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
@@ -137,4 +137,4 @@ def _pair_uniforms(streams: Streams, frames: Frames, kept: Targets, pairs: Indic
     ids = [kept.vessel_ids[vessel] for vessel in kept.vessel.tolist()]
     names = ["\n".join(sorted((ids[a], ids[b]))) for a, b in pairs.tolist()]
     owner = np.array([owners.setdefault(name, len(owners)) for name in names], dtype=np.int64)
-    return keyed_uniforms(streams, "detector.merge", frames, kept.frame[pairs[:, 0]], owner, list(owners), 1)[:, 0]
+    return keyed_uniforms(streams, Purpose.MERGE, frames, kept.frame[pairs[:, 0]], owner, list(owners), 1)[:, 0]

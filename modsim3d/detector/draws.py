@@ -15,15 +15,14 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.records import Frames, Targets
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 _LN_2 = math.log(2)
-_LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: stands for the 0 whose normal would be −∞
 
 
 def keyed_uniforms(
     streams: Streams,
-    purpose: str,
+    purpose: Purpose,
     frames: Frames,
     frame: Indices,
     owner: Indices,
@@ -54,7 +53,7 @@ def keyed_uniforms(
     return result
 
 
-def step_uniforms(streams: Streams, purpose: str, *names: str, steps: Indices, width: int = 1) -> Array:
+def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indices, width: int = 1) -> Array:
     """Uniform numbers that belong to names and a step.
 
     Args:
@@ -73,7 +72,7 @@ def step_uniforms(streams: Streams, purpose: str, *names: str, steps: Indices, w
     return streams.uniforms(purpose, *names, first=first, count=last - first + 1, width=width)[steps - first]
 
 
-def target_uniforms(streams: Streams, purpose: str, frames: Frames, targets: Targets, width: int) -> Array:
+def target_uniforms(streams: Streams, purpose: Purpose, frames: Frames, targets: Targets, width: int) -> Array:
     """Uniform numbers of each target's vessel at its step, shape (n, width)."""
     return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids, width)
 
@@ -82,12 +81,6 @@ def select(targets: Targets, rows: Indices) -> Targets:
     """Some rows of the targets."""
     columns = ("frame", "vessel", "label", "boxes_px", "visible_fraction", "depth_m")
     return replace(targets, **{name: getattr(targets, name)[rows] for name in columns})
-
-
-def normals(uniforms: Array) -> Array:
-    """Standard normal numbers from uniform ones in [0, 1)."""
-    result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
-    return result
 
 
 def log2(values: Array) -> Array:

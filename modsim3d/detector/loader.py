@@ -33,7 +33,8 @@ from modsim3d.detector.schema_models import (
 )
 from modsim3d.detector.scores import NormalScores, PrecisionRecall, QuantileScores, Scores
 from modsim3d.errors import InputError
-from modsim3d.validation import describe, load_yaml
+from modsim3d.strict_yaml import load_yaml
+from modsim3d.validation import describe
 
 
 def load_detector(path: Path | str) -> DetectorModel:

@@ -16,10 +16,10 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.draws import normals, target_uniforms
+from modsim3d.detector.draws import target_uniforms
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams, normals
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 since the scene's first."""
@@ -70,8 +70,8 @@ class KeptUniform:
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """A new number, and one that decides whether it is taken."""
-        new = streams.uniforms("detector.class", camera, vessel, first=first, count=count)
-        decides = streams.uniforms("detector.class_kept", camera, vessel, first=first, count=count)
+        new = streams.uniforms(Purpose.CLASS, camera, vessel, first=first, count=count)
+        decides = streams.uniforms(Purpose.CLASS_KEPT, camera, vessel, first=first, count=count)
         return np.concatenate([new, decides], axis=1)
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
@@ -92,7 +92,7 @@ class Autoregressive:
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """Independent standard normal numbers."""
-        return normals(streams.uniforms("detector.box_error", camera, vessel, first=first, count=count, width=4))
+        return normals(streams.uniforms(Purpose.BOX_ERROR, camera, vessel, first=first, count=count, width=4))
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """Mix old and new."""
@@ -164,13 +164,13 @@ class VesselNoise:
     def uniforms(self, frames: Frames, targets: Targets) -> Array:
         """What class and dropout are read from, shape (n,)."""
         if not self._persistence.class_s:
-            return target_uniforms(self._streams, "detector.class", frames, targets, width=1)[:, 0]
+            return target_uniforms(self._streams, Purpose.CLASS, frames, targets, width=1)[:, 0]
         return self._walked(KeptUniform(self._persistence.class_s), frames, targets)[:, 0]
 
     def normals(self, frames: Frames, targets: Targets) -> Array:
         """What box errors are made from, shape (n, 4)."""
         if not self._persistence.box_s:
-            return normals(target_uniforms(self._streams, "detector.box_error", frames, targets, width=4))
+            return normals(target_uniforms(self._streams, Purpose.BOX_ERROR, frames, targets, width=4))
         return self._walked(Autoregressive(self._persistence.box_s), frames, targets)
 
     def _walked(self, process: Process, frames: Frames, targets: Targets) -> Array:

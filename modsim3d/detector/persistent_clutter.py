@@ -16,7 +16,7 @@ from scipy import special
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import poisson_quantile
 from modsim3d.detector.records import Frames
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 _LOOK_BACK = 38
 """Lifetimes that the oldest can have lived: −ln of the least positive uniform number, 2⁻⁵³, is below 37."""
@@ -89,11 +89,11 @@ def _layer(
 def _births(streams: Streams, camera: str, layer: str, first: int, count: int) -> tuple[Indices, Array]:
     """Cell of time and draws of each birth in `count` cells; a cell is a mean lifetime long."""
     index = first + _LOOK_BACK  # the first cells lie before the scene's first step
-    numbers = streams.uniforms("detector.wanderer_births", camera, layer, first=index, count=count)[:, 0]
+    numbers = streams.uniforms(Purpose.PERSISTENT_BIRTHS, camera, layer, first=index, count=count)[:, 0]
     births = poisson_quantile(numbers, np.ones(count))
     cells, draws = [np.empty(0, dtype=np.int64)], [np.empty((0, _WIDTH))]
     for k in range(int(births.max(initial=0))):
-        some = streams.uniforms("detector.wanderer", camera, layer, str(k), first=index, count=count, width=_WIDTH)
+        some = streams.uniforms(Purpose.PERSISTENT, camera, layer, str(k), first=index, count=count, width=_WIDTH)
         ours = np.flatnonzero(births > k)
         cells.append(first + ours)
         draws.append(some[ours])

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.detector.draws import normals
+from modsim3d.random_streams import normals
 
 CURVE_POINTS = 2049
 

@@ -11,7 +11,7 @@ from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Frames
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 _BLOCK = 4096  # transitions drawn at a time
 _MOST_TRANSITIONS = 100_000_000
@@ -117,7 +117,7 @@ class StateSequence:
         known, state = len(self._states), int(self._states[-1])
         while known <= last:
             # Transition k, from step k − 1 to step k, uses row k.
-            uniforms = self._streams.uniforms("detector.state", *self._owner, first=known, count=_BLOCK)[:, 0].tolist()
+            uniforms = self._streams.uniforms(Purpose.STATE, *self._owner, first=known, count=_BLOCK)[:, 0].tolist()
             block = np.empty(_BLOCK, dtype=np.int16)
             for k, uniform in enumerate(uniforms):
                 state = bisect.bisect_right(self._columns[state], uniform)

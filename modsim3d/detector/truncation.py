@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel, inside_image, move, sizes
 from modsim3d.detector.box_error import NormalBoxError
-from modsim3d.detector.draws import normals
+from modsim3d.random_streams import normals
 
 POINTS = 4096
 """Points that each box is integrated over. For boxes that keep a third of their draws or more, means are off by less

@@ -26,7 +26,7 @@ DRAWN_ONLY = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")
 
 
 class _Part(BaseModel):
-    """What is read of an object of the description; the rest of it is left out."""
+    """The keys of an object of the description that are read; others are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, alias_generator=to_camel, populate_by_name=True)
 
@@ -97,7 +97,7 @@ class _Gltf(_Part):
 
 
 def read_glb(file: BinaryIO, size: int) -> bytes:
-    """A GLB file with nothing in it but the meshes of its scene.
+    """The content of a GLB file, reduced to the meshes of its scene.
 
     Raises:
         Refused: It is not GLB, contradicts itself, is too large, or refers to other files.
@@ -109,7 +109,7 @@ def read_glb(file: BinaryIO, size: int) -> bytes:
     if version != 2:
         raise Refused(f"is glTF version {version}; version 2 is needed")
     if length != size:
-        raise Refused(f"has {size} bytes where its header tells {length}: is it cut off?")
+        raise Refused(f"has {size} bytes where its header announces {length}: is it cut off?")
     if description_bytes > MAX_DESCRIPTION_BYTES:
         raise Refused(f"has a description of {description_bytes} bytes; {MAX_DESCRIPTION_BYTES} may be: simplify it")
     gltf = _parse(file.read(description_bytes))
@@ -134,7 +134,7 @@ def _parse(description: bytes) -> _Gltf:
 
 
 def _check_references(gltf: _Gltf) -> None:
-    """Nothing outside the file holds geometry, and nothing at all is remote or outside its folder."""
+    """Refuse geometry in other files, and references that are remote or lead out of the folder."""
     for image in gltf.images:
         if image.uri is not None and not image.uri.startswith("data:"):
             check_reference(image.uri, "image")
@@ -148,7 +148,7 @@ def _check_references(gltf: _Gltf) -> None:
 
 
 def _check_counts(gltf: _Gltf) -> None:
-    """Faces and vertices as the accessors tell them, each mesh as often as the scene shows it (section 3.7.2)."""
+    """Check faces and vertices of the accessors, each mesh as often as the scene shows it (section 3.7.2)."""
     shown = _times_shown(gltf)
     faces = vertices = 0
     for mesh, times in zip(gltf.meshes, shown, strict=True):
@@ -160,7 +160,7 @@ def _check_counts(gltf: _Gltf) -> None:
 
 
 def _times_shown(gltf: _Gltf) -> list[int]:
-    """How often the scene shows each mesh; its nodes must be trees (section 3.5.2)."""
+    """Number of times that the scene shows each mesh; its nodes must form trees (section 3.5.2)."""
     if gltf.scene >= len(gltf.scenes):
         raise Refused(f"has no scene {gltf.scene}, only {len(gltf.scenes)}: export it with a scene")
     shown = [0] * len(gltf.meshes)
@@ -183,7 +183,7 @@ def _times_shown(gltf: _Gltf) -> list[int]:
 
 
 def _accessor(gltf: _Gltf, index: int, kind: str) -> _Accessor:
-    """An accessor that must be there and hold geometry."""
+    """An accessor, which must exist and hold geometry."""
     if index >= len(gltf.accessors):
         raise Refused(f"has no accessor {index}, only {len(gltf.accessors)}: is it damaged?")
     accessor = gltf.accessors[index]
@@ -220,7 +220,7 @@ def _used(gltf: _Gltf) -> set[int]:
 
 
 def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
-    """No accessor reaches beyond its view, and no view beyond its buffer (section 3.6.2.4)."""
+    """Refuse accessors that reach beyond their view, and views beyond their buffer (section 3.6.2.4)."""
     for number, view in enumerate(gltf.buffer_views):
         buffer = gltf.buffers[view.buffer] if view.buffer < len(gltf.buffers) else None
         limit = 0 if buffer is None else buffer.byte_length if buffer.uri else min(buffer.byte_length, binary_bytes)
@@ -240,10 +240,10 @@ def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
 
 
 def _geometry_only(gltf: _Gltf) -> dict[str, object]:
-    """The description of the meshes; accessors of other things are emptied, so that the numbering holds.
+    """The description of the meshes; other accessors are emptied, which keeps the numbering.
 
-    Each primitive becomes a mesh and a node of its own: trimesh names the primitives of a mesh at random, and loses
-    those whose names coincide.
+    Each primitive becomes a mesh and a node of its own, since trimesh gives the primitives of a mesh random names and
+    loses those whose names coincide.
     """
     kept = gltf.model_dump(by_alias=True, exclude_none=True, exclude={"images", "extensions_required"})
     used = _used(gltf)

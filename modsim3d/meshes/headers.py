@@ -1,7 +1,7 @@
-"""What a mesh file says of its size, read before any of it is parsed: STL, PLY and OBJ.
+"""Checks of STL, PLY and OBJ files before they are parsed.
 
-Each function takes an open file of a known size and returns what the parser may have: all of it, within the limits.
-A hostile file is refused here by counts, so that neither time nor memory grows beyond what the limits allow.
+Each function takes an open file of a known size and returns the content for the parser. It counts faces and vertices
+and refuses a hostile file, so that neither time nor memory grows beyond the limits.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from modsim3d.meshes.limits import (
 CHUNK_BYTES = 2**20
 MAX_PARTS = 1000
 MAX_LINE_BYTES = 2**16
-"""Of a header, and of a face with many corners."""
+"""Greatest length of a header, and of a line with many corners."""
 
 
 def _count(file: BinaryIO, word: bytes) -> int:
-    """How often a word stands in a file, in lower case, from where it is."""
+    """Number of times that a lower-case word occurs in the rest of a file."""
     found, tail = 0, b""
     while chunk := file.read(CHUNK_BYTES):
         joined = tail + chunk.lower()
         found += joined.count(word)
-        tail = joined[-(len(word) - 1) :]  # too short to hold the word again
+        tail = joined[-(len(word) - 1) :]  # shorter than the word
     return found
 
 
 def _scan(file: BinaryIO, size: int, word: bytes) -> int:
-    """How many faces a text file has, by counting the word that each has once."""
+    """Number of faces of a text file, by counting the word that each has once."""
     if size > MAX_SCANNED_BYTES:
         check_size(size)
     file.seek(0)
@@ -50,15 +50,15 @@ def _whole(file: BinaryIO, size: int) -> bytes:
 
 
 def _as_utf8(text: bytes) -> bytes:
-    """Text in which what is not UTF-8, in names and comments, is replaced: parsers would guess at it."""
+    """Text whose names and comments are valid UTF-8; parsers would guess the encoding."""
     return text.decode("utf-8", "replace").encode()
 
 
 def read_stl(file: BinaryIO, size: int) -> bytes:
-    """A binary STL file, whose header tells its faces, or one in text.
+    """The content of an STL file, binary or text.
 
     Raises:
-        Refused: It is neither, or too large.
+        Refused: It is no STL file, or too large.
     """
     header = file.read(84)
     claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
@@ -66,8 +66,8 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
         check_faces(claimed)
         return _whole(file, size)
     if not header.lstrip().lower().startswith(b"solid"):
-        told = "" if claimed is None else f", whose header would mean {claimed} faces in {84 + 50 * claimed} bytes"
-        raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{told}")
+        claim = "" if claimed is None else f", whose header would mean {claimed} faces in {84 + 50 * claimed} bytes"
+        raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{claim}")
     check_faces(_scan(file, size, b"endfacet"))
     content = _whole(file, size)
     if (parts := content.lower().count(b"endsolid")) > MAX_PARTS:
@@ -77,9 +77,9 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
 
 
 def read_ply(file: BinaryIO, size: int) -> bytes:
-    """A PLY file, text or binary, whose header tells its vertices and faces.
+    """The content of a PLY file, text or binary.
 
-    Text is returned without blank lines and without what follows the rows that the header announces.
+    Text is returned without blank lines and without rows beyond those that the header announces.
 
     Raises:
         Refused: It is not PLY, or too large.
@@ -106,20 +106,20 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
         return _as_utf8(content[:start]) + content[start:]
     rows = [row for row in content[start:].splitlines() if row.strip()]
     if len(rows) < sum(counts.values()):
-        raise Refused(f"has {len(rows)} rows of the {sum(counts.values())} that its header tells: is it cut off?")
+        raise Refused(f"has {len(rows)} rows of the {sum(counts.values())} that its header announces: is it cut off?")
     return _as_utf8(content[:start]) + b"\n".join(rows[: sum(counts.values())]) + b"\n"
 
 
 def read_obj(file: BinaryIO, size: int) -> bytes:
-    """A Wavefront OBJ file, reduced to its vertices and faces; its lines are counted, since it has no header.
+    """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header.
 
     Raises:
         Refused: It is too large, or names a material library outside its folder.
     """
-    check_faces(max(1, _scan(file, size, b"\nf ")))  # far too many are not read; indented ones are counted below
+    check_faces(max(1, _scan(file, size, b"\nf ")))  # refuses far too many early; indented ones are counted below
     content = _whole(file, size)
     triangles = vertices = 0
-    last = (0, 0)  # vertex that a face names, and line
+    last = (0, 0)  # greatest vertex that a face names, and its line
     kept: list[bytes] = []
     for number, line in enumerate(content.replace(b"\\\n", b" ").splitlines(), start=1):
         if len(line) > MAX_LINE_BYTES:
@@ -128,7 +128,7 @@ def read_obj(file: BinaryIO, size: int) -> bytes:
         if keyword == b"f":
             corners = rest.split()
             triangles += max(1, len(corners) - 2)
-            if triangles <= MAX_FACES:  # what is refused below need not be kept
+            if triangles <= MAX_FACES:  # the rest is refused below
                 indices = [_corner(corner, vertices, number) for corner in corners]
                 last = max(last, (max(indices, default=0), number))
                 kept.append(b"f " + b" ".join(b"%d" % index for index in indices))

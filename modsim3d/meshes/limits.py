@@ -1,4 +1,4 @@
-"""How large a mesh may be, and what it may refer to."""
+"""Limits of mesh files: their size, and what they may refer to."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from urllib.parse import unquote
 
 MAX_FACES = 50_000
 MAX_VERTICES = 3 * MAX_FACES
-"""As many as faces that share none."""
+"""As many as faces without common vertices have."""
 MAX_BYTES = 2**25
-"""Text takes some 500 bytes a face at most."""
+"""Text takes at most about 500 bytes a face."""
 MAX_GLB_BYTES = 2**26
-"""A GLB file may bring textures, which are not read."""
+"""A GLB file may contain textures, which are not read."""
 MAX_SCANNED_BYTES = 2**30
-"""Of a text file only counting tells how many faces it has; beyond this its size tells enough."""
+"""Faces of a text file have to be counted; a larger file is refused without."""
 MAX_COORDINATE = 1e9
-"""Far beyond any vessel in any unit, and near enough that no product of three overflows."""
+"""Far beyond any vessel in any unit; products of three do not overflow."""
 
 
 class Refused(Exception):
-    """Why a file is not taken, as what follows its name: `is empty`."""
+    """Reason why a file is refused, as text after its name, such as `is empty`."""
 
 
 def check_faces(count: int) -> None:
-    """Refuse too many faces, and none.
+    """Refuse too many faces, or none.
 
     Raises:
         Refused: With the number.
@@ -35,7 +35,7 @@ def check_faces(count: int) -> None:
 
 
 def check_vertices(count: int) -> None:
-    """Refuse more vertices than as many faces as are allowed can need.
+    """Refuse more vertices than the allowed faces can need.
 
     Raises:
         Refused: With the number.
@@ -62,7 +62,7 @@ def leads_outside(reference: str) -> bool:
 
 
 def check_reference(reference: str, what: str) -> None:
-    """Refuse a reference out of the file's own folder; others are harmless, since nothing follows them.
+    """Refuse a reference that leads out of the file's folder; others are harmless, since none is followed.
 
     Raises:
         Refused: With the reference.

@@ -1,7 +1,7 @@
-"""Which file a scene's mesh entry means, and the solid in it.
+"""Solids from mesh files.
 
-A mesh file may come from anywhere, so nothing of it is believed: its size is checked from its header before it is
-parsed, it is parsed from memory without a folder or a network to reach for, and what comes out is checked again.
+A mesh file may come from anywhere, so it is not trusted: its size is checked from its header before it is parsed, it is
+parsed from memory without access to folders or the network, and the result is checked again.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ READERS: dict[str, Callable[[BinaryIO, int], bytes]] = {
 GLTF_AXES: tuple[Axis, Axis] = ("+z", "+y")
 """Forward and up in every glTF file (glTF 2.0, section 3.4)."""
 PLAIN_AXES: tuple[Axis, Axis] = ("+x", "+z")
-"""Forward and up where the format has no rule: ours."""
+"""Forward and up for formats without a rule; our choice."""
 
 
 class MeshEntry(Strict):
-    """A mesh file with its axes; None is what the format has."""
+    """A mesh file with its axes; None for those of the format."""
 
     file: str
     forward: Axis | None = None
@@ -50,24 +50,24 @@ class MeshEntry(Strict):
 
 
 def shipped_meshes() -> dict[str, Path]:
-    """Meshes that come with the package, by name."""
+    """Files of the shipped meshes, by name."""
     return {path.stem: path for path in sorted(data_folder("meshes").glob("*.glb"))}
 
 
 def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object) -> Solid:
-    """The solid that a mesh entry of a scene means.
+    """The solid of a mesh entry of a scene.
 
     Args:
         entry: A shipped mesh's name, a file relative to the folder, or a mapping of `file`, `forward` and `up`.
-        folder: Where files are looked for; none outside it is read.
-        source: What to call the file with the entry in an error.
-        *prefix: Where the entry stands in it.
+        folder: Folder of the files; none outside it is read.
+        source: Name of the file with the entry in errors.
+        *prefix: Keys that lead to the entry.
 
     Returns:
-        The mesh in the unit box. It may be open (`closed` is False): then both sides of its faces are its outside.
+        The mesh in the unit box. If it is open (`closed` is False), both sides of its faces count as outside.
 
     Raises:
-        InputError: With what is wrong with the entry or with the file.
+        InputError: The entry or the file is wrong.
     """
     where = prefix or ("mesh",)
     shipped = shipped_meshes()
@@ -92,7 +92,7 @@ def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object
 
 
 def _find(file: str, folder: Path) -> Path:
-    """The path of a mesh file inside a folder, with an ending that is known."""
+    """The path of a mesh file, which must lie in the folder and have a known ending."""
     if not file or not file.isprintable():
         raise Refused("cannot be a file's name")
     if leads_outside(file):
@@ -134,13 +134,13 @@ def _triangles(path: Path) -> tuple[Array, Faces]:
 
 
 def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
-    """All triangles of a file, parts and transforms applied."""
+    """All triangles of a file with the transforms of its parts applied, shapes (K, 3) and (F, 3)."""
     import trimesh  # takes 0.4 s, and most scenes have no mesh
 
     try:
         with _strictly():
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, skip_materials=True, process=False)
-    except Exception as error:  # whatever a parser raises on a damaged file
+    except Exception as error:  # a parser may raise anything on a damaged file
         raise Refused(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
     vertices: list[Array] = []
     faces: list[Faces] = []
@@ -161,7 +161,7 @@ def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
 
 @contextmanager
 def _strictly() -> Iterator[None]:
-    """Warnings are errors, since NumPy only warns of a number in text that is none; trimesh logs no tracebacks."""
+    """Make warnings errors, since NumPy only warns of invalid numbers in text; keep trimesh from logging."""
     log = logging.getLogger("trimesh")
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
@@ -174,7 +174,7 @@ def _strictly() -> Iterator[None]:
 
 
 def _check_part(vertices: Any, faces: Any) -> None:
-    """Vertices must have three coordinates, and faces may only use vertices that are there."""
+    """Refuse vertices without three coordinates, and faces with vertices that do not exist."""
     if vertices.shape[1] != 3 or faces.shape[1] != 3:
         raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
     if faces.min() < 0 or faces.max() >= len(vertices):
@@ -182,12 +182,12 @@ def _check_part(vertices: Any, faces: Any) -> None:
 
 
 def _mirrored(faces: Any, transform: Array) -> Faces:
-    """Faces of a part; a transform that mirrors would turn it inside out, so its faces are turned too."""
+    """Faces of a part, shape (F, 3), reversed if the transform mirrors: that turns a part inside out."""
     plain = np.asarray(faces, dtype=np.int64)
     return plain[:, ::-1] if np.linalg.det(transform[:3, :3]) < 0 else plain
 
 
 def _brief(error: Exception) -> str:
-    """A parser's complaint in one short line."""
+    """A parser's error in one short line."""
     text = " ".join(str(error).split()) + (" is missing" if isinstance(error, KeyError) else "")
     return (text[:100] + "...") if len(text) > 100 else text or type(error).__name__

@@ -11,7 +11,7 @@ from modsim3d.vessels import Solid
 Faces = Indices
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 SAME_VERTEX = 1e-7
-"""Vertices that are closer, in units of the box, are one: STL repeats each, in single precision."""
+"""Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""
 EXTENTS = ("length", "beam", "height")
 
 
@@ -23,7 +23,7 @@ def axis(name: str) -> Array:
 
 
 def vehicle_R_file(forward: str, up: str) -> Array:
-    """The rotation from a file's axes to VCF (v1 forward, v2 to port, v3 up), shape (3, 3)."""
+    """The rotation from a file's axes to VCF, shape (3, 3)."""
     return np.array([axis(forward), np.cross(axis(up), axis(forward)), axis(up)])
 
 
@@ -33,11 +33,11 @@ def to_solid(vertices: Array, faces: Faces, forward: str, up: str) -> Solid:
     Args:
         vertices: In the file's axes and any unit, shape (K, 3).
         faces: Vertex indices, shape (F, 3).
-        forward: The file's axis that points to the bow.
-        up: The file's axis that points up.
+        forward: Axis of the file that points to the bow.
+        up: Axis of the file that points up.
 
     Raises:
-        Refused: A vertex is not finite, there is nothing to see, or it is flat along an axis of its own.
+        Refused: A vertex is not finite, there are no faces, or the mesh is flat along an axis.
     """
     check_faces(len(faces))
     check_vertices(len(vertices))
@@ -64,10 +64,10 @@ def to_solid(vertices: Array, faces: Faces, forward: str, up: str) -> Solid:
 
 
 def _unit_box(vertices: Array) -> Array:
-    """Vertices scaled and moved so that they fill the unit box exactly."""
+    """Vertices, shape (K, 3), scaled and moved so that they fill the unit box exactly."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extents = high - low
-    # What is left of a flat mesh after a rotation or in single precision is rounding.
+    # A flat mesh that was rotated or stored in single precision has some rounding.
     rounding = 1e-6 * float(extents.max())
     if (extents <= rounding).any():
         flat = [name for name, extent in zip(EXTENTS, extents, strict=True) if extent <= rounding]
@@ -77,7 +77,7 @@ def _unit_box(vertices: Array) -> Array:
 
 
 def _merge(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Vertices that coincide made one, and faces that then have fewer than three corners dropped."""
+    """Merge vertices that coincide, and drop faces that then have fewer than three corners."""
     _, kept, where = np.unique(np.rint(vertices / SAME_VERTEX), axis=0, return_index=True, return_inverse=True)
     faces = where.reshape(-1)[faces].astype(np.int64)
     a, b, c = faces.T
@@ -85,14 +85,19 @@ def _merge(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
 
 
 def is_closed(faces: Faces) -> bool:
-    """Whether each edge is gone along as often one way as the other: no holes, all faces wound alike."""
+    """Whether faces, shape (F, 3), traverse each edge equally often in both directions: no holes, one orientation."""
     count = int(faces.max()) + 1
     starts, ends = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
     return bool(np.array_equal(np.sort(starts * count + ends), np.sort(ends * count + starts)))
 
 
 def signed_volume(vertices: Array, faces: Faces) -> float:
-    """The volume that a closed mesh encloses, negative if it is inside out (the divergence theorem)."""
+    """Volume of a closed mesh, negative if it is inside out, by the divergence theorem.
+
+    Args:
+        vertices: Shape (K, 3).
+        faces: Vertex indices, shape (F, 3).
+    """
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 

@@ -1,6 +1,6 @@
-"""Where vessels are: a pose source gives, for a run of steps, which vessels are there, where, and their headings."""
+"""Pose sources: which vessels are present at each step, where they are, and their headings."""
 
-from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps
+from modsim3d.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps, times_s
 from modsim3d.poses.circular import CircularMotion, circular_motion
 from modsim3d.poses.live import LivePoses
 from modsim3d.poses.registry import NamedSource, read_source
@@ -23,5 +23,6 @@ __all__ = [
     "generated_timestamps",
     "load_poses",
     "read_source",
+    "times_s",
     "waypoint_tracks",
 ]

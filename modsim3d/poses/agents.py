@@ -1,10 +1,9 @@
 """Reactive agents: vessels that drive about in a basin, keep their speed and keep clear of walls and each other.
 
-Each vessel looks a few seconds ahead along arcs that it could drive and takes the best one, after the dynamic window
-approach (Fox, Burgard & Thrun (1997), "The dynamic window approach to collision avoidance"): within what it can change
-of speed and turn rate in one step, an arc is admissible if nothing is hit on it, and is judged by progress towards a
-goal, clearance and speed. Vessels move one after another, and only to where nobody is; one that finds no such place
-stays. So no two ever overlap.
+The method is the dynamic window approach (Fox, Burgard & Thrun (1997), "The dynamic window approach to collision
+avoidance"). Each vessel compares arcs that it could drive in the next seconds, within the speeds and turn rates that
+it can reach. An arc is admissible if it hits nothing, and is scored by progress towards a goal, clearance and speed.
+Vessels move one after another and only to free places; a vessel that finds none stays. So no two vessels ever overlap.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.poses.replay import RecordedPoses
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 from modsim3d.validation import MAX_COORDINATE_M, Strict
 from modsim3d.vessels import Vessel
 
@@ -37,11 +36,11 @@ class Basin:
 
     Attributes:
         size_m: Extent along w1 and w2; one corner is the origin.
-        speed_m_s: Speed that vessels try to keep, least and greatest among them.
+        speed_m_s: Least and greatest speed that vessels try to keep.
         acceleration_m_s2: Greatest change of speed.
         turn_rate_rad_s: Greatest rate of turn.
         turn_acceleration_rad_s2: Greatest change of the rate of turn.
-        clearance_m: Water that is kept between hulls, and between a hull and the wall.
+        clearance_m: Distance that is kept between hulls, and between a hull and the wall.
     """
 
     size_m: tuple[float, float]
@@ -56,7 +55,7 @@ Above0 = Annotated[float, Field(strict=True, gt=0, le=MAX_COORDINATE_M)]
 
 
 class AgentsKeys(SourceKeys, Strict):
-    """Reactive agents in a closed basin; what each key is, `Basin` says."""
+    """Reactive agents in a closed basin; see `Basin` for the keys."""
 
     size_m: tuple[Above0, Above0]
     speed_m_s: tuple[Above0, Above0] = Basin.speed_m_s
@@ -73,14 +72,14 @@ class AgentsKeys(SourceKeys, Strict):
         return speed_m_s
 
     def build(self, request: PoseRequest) -> RecordedPoses:
-        """The whole drive, from the seed."""
+        """The whole drive."""
         basin = Basin(**self.model_dump())
         return drive_agents(request.vessels, request.steps or 0, request.time_step_s or 0.0, basin, request.seed)
 
 
 @dataclass(eq=False)
 class _Fleet:
-    """State of V vessels: place, heading, speed, rate of turn, and where they want to go and how fast."""
+    """State of V vessels: half sizes, places, headings, speeds, rates of turn, goals and wanted speeds."""
 
     half_m: Array
     place: Array
@@ -95,16 +94,16 @@ def drive_agents(vessels: Sequence[Vessel], steps: int, time_step_s: float, basi
     """Let vessels drive about in a basin.
 
     Args:
-        vessels: V of them; lengths and beams are what is kept apart.
+        vessels: The vessels; hulls of their lengths and beams are kept apart.
         steps: Number of time steps.
         time_step_s: Interval between them.
-        basin: Where they drive, and how.
-        seed: Starts, goals and speeds are drawn from it.
+        basin: The basin and limits of the motion.
+        seed: Seed of starts, goals and speeds.
 
     Raises:
         InputError: The vessels do not fit into the basin.
     """
-    rng = Streams(seed).generator("agents", step=0)
+    rng = Streams(seed).generator(Purpose.AGENTS, step=0)
     fleet = _placed(vessels, basin, rng)
     positions, headings = np.zeros((steps, len(vessels), 3)), np.zeros((steps, len(vessels)))
     for step in range(steps):
@@ -157,7 +156,7 @@ def _move(fleet: _Fleet, i: int, basin: Basin, time_step_s: float, rng: np.rando
     speed_change = basin.acceleration_m_s2 * time_step_s
     turn_change = basin.turn_acceleration_rad_s2 * time_step_s
     speeds = np.clip(fleet.speed[i] + np.linspace(-speed_change, speed_change, SPEED_CHOICES), 0, fleet.wanted[i])
-    # What is looked at are rates that can be reached in a second; only the first step of them is driven.
+    # Arcs are scored with rates of turn that can be reached later; only the first step towards them is driven.
     turns = np.linspace(-basin.turn_rate_rad_s, basin.turn_rate_rad_s, TURN_CHOICES)
     speed, turn = (grid.ravel() for grid in np.meshgrid(speeds, turns))
     next_turn = np.clip(turn, fleet.turn[i] - turn_change, fleet.turn[i] + turn_change)
@@ -168,14 +167,14 @@ def _move(fleet: _Fleet, i: int, basin: Basin, time_step_s: float, rng: np.rando
     if score[best] == -np.inf:
         fleet.speed[i], fleet.turn[i] = 0.0, 0.0
         if rng.random() < 0.02:
-            fleet.goal[i] = _new_goal(basin, rng)  # perhaps the way to another one is free
+            fleet.goal[i] = _new_goal(basin, rng)  # the way to another goal may be free
         return
     fleet.place[i], fleet.heading[i] = place[best], heading[best]
     fleet.speed[i], fleet.turn[i] = speed[best], next_turn[best]
 
 
 def _scores(fleet: _Fleet, i: int, basin: Basin, speed: Array, turn: Array) -> Array:
-    """How good arcs are: progress, clearance ahead and speed, shape (n,)."""
+    """Scores of n arcs by progress, clearance ahead and speed, shape (n,)."""
     clearance = np.full(len(speed), np.inf)
     for ahead in LOOK_AHEAD_S:
         place, heading = _along(fleet, i, speed, turn, ahead)
@@ -200,9 +199,10 @@ def _along(fleet: _Fleet, i: int, speed: Array, turn: Array, time_s: float) -> t
 
 
 def _clearance(fleet: _Fleet, i: int, basin: Basin, place: Array, heading: Array, time_s: float) -> Array:
-    """Least distance of a hull to the wall and to the others, who go on as they do, shape (n,); negative if they meet.
+    """Least distance of a hull to the wall and the others in metres, shape (n,); negative if they overlap.
 
-    Of two rectangles it is the widest gap along their sides' normals, which is never more than their distance.
+    The others keep their course and speed. The distance of two rectangles is taken as the widest gap along the normals
+    of their sides, which is never more.
     """
     axes = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     reach = np.abs(axes) * fleet.half_m[i, 0] + np.abs(axes[:, ::-1]) * fleet.half_m[i, 1]
@@ -218,15 +218,15 @@ def _clearance(fleet: _Fleet, i: int, basin: Basin, place: Array, heading: Array
 
 
 def _gaps(place: Array, axis: Array, half: Array, others: Array, other_axis: Array, other_half: Array) -> Array:
-    """Widest gap between rectangles along the normals of their sides, shape (n, m).
+    """Widest gap between rectangles along the normals of their sides, in metres, shape (n, m).
 
     Args:
         place: Centres, shape (n, 2).
         axis: Unit vectors along their lengths, shape (n, 2).
         half: Half length and half beam, shape (2,).
         others: Centres, shape (m, 2).
-        other_axis: Shape (m, 2).
-        other_half: Shape (m, 2).
+        other_axis: Unit vectors along their lengths, shape (m, 2).
+        other_half: Half lengths and half beams, shape (m, 2).
     """
     offset = others[None] - place[:, None]
     cosine = np.abs(axis @ other_axis.T)

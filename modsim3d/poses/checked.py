@@ -1,4 +1,4 @@
-"""The poses of a plug-in, looked at before anything is made of them."""
+"""Checks of the poses of a plug-in."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from modsim3d.validation import MAX_COORDINATE_M
 
 
 class CheckedPoses:
-    """A plug-in's poses, or an error that names the plug-in."""
+    """The poses of a plug-in; errors name the plug-in."""
 
     def __init__(self, source: PoseSource, plugin: Plugin, vessels: int) -> None:
-        """Look at the times; poses are looked at when they are asked for.
+        """Check the times. Poses are checked when they are used.
 
         Raises:
-            ModsimError: The times are not texts of numbers that increase.
+            ModsimError: The times are not texts of increasing numbers.
         """
         self._source, self._plugin, self._vessels = source, plugin, vessels
         times = list(source.timestamps)
@@ -35,7 +35,7 @@ class CheckedPoses:
         """Poses at steps first to stop − 1.
 
         Raises:
-            ModsimError: The plug-in fails, or gives something else.
+            ModsimError: The plug-in fails or returns something else.
         """
         try:
             poses = self._source.poses(first, stop)
@@ -57,7 +57,7 @@ def _check(poses: Poses, shape: tuple[int, int], plugin: Plugin) -> None:
 
 
 def _checked_steps(steps: Iterable[Step], plugin: Plugin, vessels: int) -> Iterator[Step]:
-    """The steps of a live source as they come."""
+    """The steps of a live source as they arrive."""
     arrive = iter(steps)
     while True:
         try:
@@ -71,7 +71,7 @@ def _checked_steps(steps: Iterable[Step], plugin: Plugin, vessels: int) -> Itera
 
 
 def _check_files(files: object, request: PoseRequest) -> None:
-    """Those that a source names go with the scene, and must be there."""
+    """The files that a source names must exist, since a run copies them."""
     if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
         raise ModsimError(f"files must be the names of files as the scene file has them, not {files!r}")
     for file in files:
@@ -80,17 +80,17 @@ def _check_files(files: object, request: PoseRequest) -> None:
 
 
 def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> PoseSource:
-    """What a plug-in makes for a scene.
+    """The pose source of a plug-in.
 
     Raises:
-        InputError: It fails, or makes something that is no pose source.
+        InputError: The plug-in fails, or returns something that is no pose source.
     """
     try:
         source = keys.build(request)
         _check_files(keys.files, request)
         if not (hasattr(source, "timestamps") and callable(getattr(source, "poses", None))):
             raise ModsimError(
-                f"build() must give a pose source, with timestamps and poses(first, stop), not {source!r}"
+                f"build() must return a pose source, with timestamps and poses(first, stop), not {source!r}"
             )
         vessels = len(request.names or ())
         if isinstance(source, LivePoses):

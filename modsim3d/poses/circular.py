@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 from modsim3d.validation import Metres, Rate, Strict
 from modsim3d.vessels import Vessel
 
@@ -36,7 +36,7 @@ class CircularKeys(SourceKeys, Strict):
         return self
 
     def build(self, request: PoseRequest) -> CircularMotion:
-        """Circles drawn from the seed."""
+        """Random circles from the seed."""
         return circular_motion(
             request.vessels,
             request.steps or 0,
@@ -53,11 +53,11 @@ class CircularMotion:
     """Each vessel on a circle of its own, heading along it, counter-clockwise at positive rates.
 
     Attributes:
-        timestamps: Text of each step's time.
+        timestamps: Texts of the steps' times.
         centre_m: Common centre, w1 and w2.
-        radii_m: Shape (V,).
-        rates_rad_s: Shape (V,).
-        phases_rad: At step 0, shape (V,).
+        radii_m: Radius of each vessel's circle, shape (V,).
+        rates_rad_s: Angular velocity on the circle, shape (V,).
+        phases_rad: Angle on the circle at step 0, shape (V,).
     """
 
     timestamps: Sequence[str]
@@ -85,16 +85,16 @@ class CircularMotion:
 def swept_ring(radius_m: float, length_m: float, beam_m: float) -> tuple[float, float]:
     """Inner and outer radius of the ring that a hull sweeps on a circle.
 
-    Its sides lie half a beam inside and outside the circle, and its corners half a length further along the
-    tangent; a hull whose inner side passes the centre sweeps a full disc.
+    The sides lie half a beam inside and outside the circle of the hull's centre, and the corners half a length further
+    along the tangent. A hull whose inner side passes the centre sweeps a full disc.
 
     Args:
-        radius_m: Of the circle of the hull's centre.
-        length_m: Along the circle.
-        beam_m: Across it.
+        radius_m: Radius of the circle of the hull's centre.
+        length_m: Length of the hull.
+        beam_m: Beam of the hull.
 
     Returns:
-        Nearest and farthest distance from the circle's centre.
+        Least and greatest distance from the circle's centre.
     """
     return max(0.0, radius_m - beam_m / 2), math.hypot(radius_m + beam_m / 2, length_m / 2)
 
@@ -108,52 +108,54 @@ def circular_motion(
     rotation_rate_rad_s: tuple[float, float],
     seed: int,
 ) -> CircularMotion:
-    """Draw radii, rates and start phases, so that no two hulls can ever touch.
-
-    Distinct radii alone do not keep hulls apart: a radius is drawn again until the ring that its hull sweeps is
-    free of the rings drawn before it.
+    """Circles with random radii, rates and start phases on which no two hulls can ever touch.
 
     Args:
-        vessels: Their lengths and beams are what must be kept apart; their names key the draws.
+        vessels: Lengths and beams are what is kept apart; names key the random numbers.
         steps: Number of time steps.
         time_step_s: Interval between them.
-        centre_m: Centre of all circles.
+        centre_m: Centre of all circles, w1 and w2.
         radius_m: Least and greatest radius.
         rotation_rate_rad_s: Least and greatest rate.
-        seed: Everything is drawn from it.
+        seed: Seed of the random numbers.
 
     Raises:
         InputError: The vessels do not fit between the two radii.
     """
     streams = Streams(seed)
-    rings: list[tuple[float, float]] = []
-    radii = []
-    for vessel in vessels:
-        draws = radius_m[0] + (radius_m[1] - radius_m[0]) * streams.uniforms(
-            "circular_radius", vessel.name, first=0, count=MAX_DRAWS, width=1
-        )
-        for radius in map(float, draws[:, 0]):
-            inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
-            if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
-                break
-        else:
-            raise InputError(
-                "poses.circular",
-                [
-                    f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
-                    f"{radius_m[0]} and {radius_m[1]} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
-                ],
-            )
-        rings.append((inner, outer))
-        radii.append(radius)
-    other = np.concatenate(
-        [streams.uniforms("circular_start", vessel.name, first=0, count=1, width=2) for vessel in vessels]
-    )
+    starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1, width=2) for vessel in vessels]
+    rate, phase = np.concatenate(starts).T
     low, high = rotation_rate_rad_s
     return CircularMotion(
         timestamps=generated_timestamps(steps, time_step_s),
         centre_m=centre_m,
-        radii_m=np.array(radii),
-        rates_rad_s=low + (high - low) * other[:, 0],
-        phases_rad=2 * math.pi * other[:, 1],
+        radii_m=_radii(vessels, radius_m, streams),
+        rates_rad_s=low + (high - low) * rate,
+        phases_rad=2 * math.pi * phase,
     )
+
+
+def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: Streams) -> Array:
+    """A radius for each vessel, shape (V,).
+
+    Distinct radii alone do not keep hulls apart. A radius is therefore drawn again until the ring that its hull sweeps
+    is free of the rings before it.
+    """
+    least, greatest = radius_m
+    rings: list[tuple[float, float]] = []
+    radii = []
+    for vessel in vessels:
+        uniforms = streams.uniforms(Purpose.CIRCLE_RADIUS, vessel.name, first=0, count=MAX_DRAWS)
+        for radius in (least + (greatest - least) * uniforms[:, 0]).tolist():
+            inner, outer = swept_ring(radius, vessel.length_m, vessel.beam_m)
+            if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
+                break
+        else:
+            problem = (
+                f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
+                f"{least} and {greatest} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
+            )
+            raise InputError("poses.circular", [problem])
+        rings.append((inner, outer))
+        radii.append(radius)
+    return np.array(radii)

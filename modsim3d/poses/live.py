@@ -1,4 +1,4 @@
-"""Poses that come in while a scene runs, one step at a time."""
+"""Poses that arrive while a scene runs, one step at a time."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from modsim3d.poses.base import Poses
 from modsim3d.poses.replay import time_problems
 
 Step = tuple[str, Poses]
-"""The text of a step's time, and the poses of that one step."""
+"""Text of a step's time, and the poses of that one step."""
 
 
 class LivePoses:
-    """Keeps the steps that have come, and waits for those that have not.
+    """Keeps the steps that have arrived, and waits for the others.
 
-    The next step is taken from where it comes only when it is asked for. What has come stays: 40 bytes for each vessel
-    and step.
+    The next step is read only when it is needed. Steps that have arrived stay in memory: 40 bytes for each vessel and
+    step.
 
     Attributes:
-        timestamps: Text of the time of each step that has come.
-        source: What to call it in an error.
-        steps: Those that have not come.
+        timestamps: Texts of the times of the steps that have arrived.
+        source: Name of the source in errors.
+        steps: Steps that have not arrived.
     """
 
     def __init__(self, steps: Iterable[Step], vessels: int, source: str) -> None:
-        """Take nothing yet.
+        """Read nothing yet.
 
         Args:
-            steps: Gives each step when it comes.
-            vessels: V, the number of the scene's vessels.
-            source: What to call it in an error.
+            steps: Yields each step when it arrives.
+            vessels: Number of the scene's vessels.
+            source: Name of the source in errors.
         """
         self.timestamps: list[str] = []
         self.source = source
@@ -41,10 +41,10 @@ class LivePoses:
         self._rows: Array = np.zeros((64, vessels, 5))
 
     def wait(self, step: int) -> bool:
-        """Wait until a step has come; False if there will be none.
+        """Wait until a step has arrived; return False if the source ends before it.
 
         Raises:
-            ModsimError: What came is wrong.
+            ModsimError: A step that arrived is wrong.
         """
         while len(self.timestamps) <= step:
             arrived = next(self.steps, None)
@@ -64,10 +64,10 @@ class LivePoses:
         self.timestamps.append(timestamp)
 
     def poses(self, first: int, stop: int) -> Poses:
-        """Poses at steps first to stop − 1; waits for those that have not come.
+        """Poses at steps first to stop − 1; waits for steps that have not arrived.
 
         Raises:
-            ModsimError: They never come.
+            ModsimError: The source ends before them.
         """
         if stop > first and not self.wait(stop - 1):
             raise ModsimError(f"{self.source}: ended after {len(self.timestamps)} steps; step {stop} was asked for")

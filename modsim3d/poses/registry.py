@@ -32,9 +32,9 @@ class NamedSource:
     """A scene's pose source.
 
     Attributes:
-        name: In the scene file.
-        keys: What the scene file says of it.
-        plugin: What brought it, if it is none of ours.
+        name: Name in the scene file.
+        keys: Its section of the scene file.
+        plugin: The plug-in that it comes from; None if it is built in.
     """
 
     name: str
@@ -55,7 +55,7 @@ def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
 
     Args:
         poses: The section of the scene file.
-        scene: What to call the scene in an error.
+        scene: Name of the scene in errors.
 
     Raises:
         InputError: There is not exactly one, no such source, or its keys are wrong.
@@ -71,7 +71,7 @@ def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
         read = model.model_validate(keys)
     except ValidationError as error:
         raise InputError(scene, describe(error, model, "poses", name)) from None
-    except Exception as error:  # a validator of another's model
+    except Exception as error:  # a validator of a foreign model may raise anything
         if plugin is None:
             raise
         raise InputError(f"poses.{name}", [str(failed(plugin, error))]) from error

@@ -14,12 +14,14 @@ from pydantic import RootModel
 
 from modsim3d.errors import InputError
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys
-from modsim3d.validation import MAX_COORDINATE_M, join_path, load_json, nearest, parse_json, read_text, shown
+from modsim3d.strict_json import load_json, parse_json
+from modsim3d.text_files import read_text
+from modsim3d.validation import MAX_COORDINATE_M, join_path, nearest, shown
 
 MAX_PROBLEMS = 20
-"""A file with one mistake in every line should not fill the screen."""
+"""Most problems that are reported of one file."""
 SECONDS = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-"""What a timestamp looks like; `float` takes more, such as `1_0`."""
+"""Form of a timestamp; `float` accepts more, such as `1_0`."""
 
 
 class FileKeys(SourceKeys, RootModel[str]):
@@ -33,30 +35,29 @@ class FileKeys(SourceKeys, RootModel[str]):
         return (self.root,)
 
     def build(self, request: PoseRequest) -> RecordedPoses:
-        """What the file holds; all of it is looked at even where the vessels are not known."""
+        """The poses in the file; all of it is checked even if the vessels are not known."""
         return load_poses(request.folder / self.root, request.names)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedPoses:
-    """Poses that were recorded, with the times' own text."""
+    """Recorded poses with the original texts of the times."""
 
     timestamps: Sequence[str]
     recorded: Poses
 
     def poses(self, first: int, stop: int) -> Poses:
         """Poses at steps first to stop − 1."""
-        taken = slice(first, stop)
-        return Poses(self.recorded.present[taken], self.recorded.positions_m[taken], self.recorded.headings_rad[taken])
+        return self.recorded.rows(slice(first, stop))
 
 
 def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """Poses from a JSON file: timestamp → vessel ID → centre position and heading; or one such time step a line.
 
     Args:
-        path: The file; one with `.jsonl` in its ending holds lines.
-        vessels: IDs of the scene's vessels; the result has a column for each. None if they are not known, to look
-            at the rest of the file.
+        path: The file; one that ends in `.jsonl` or `.jsonl.gz` has one step a line.
+        vessels: IDs of the scene's vessels; the result has a column for each. None if they are not known and only the
+            file is to be checked.
 
     Raises:
         InputError: With every problem found, up to 20.
@@ -68,7 +69,7 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
 
 
 def parse_lines(text: str, source: str) -> dict[str, Any]:
-    """The mapping of Figure 7.3 from JSON Lines, one time step a line; an empty line may stand at the end.
+    """The mapping of Figure 7.3 from JSON Lines, one time step a line; the last line may be empty.
 
     Raises:
         InputError: A line is wrong; the message names its number.
@@ -83,10 +84,10 @@ def parse_lines(text: str, source: str) -> dict[str, Any]:
 
 
 def read_line(text: str, source: str, number: int) -> tuple[str, Any]:
-    """The time and what is said of the vessels at it, from one line.
+    """The timestamp and the vessels' entries from one line.
 
     Raises:
-        InputError: It is no JSON object with one key.
+        InputError: The line is no JSON object with one key.
     """
     where = f"line {number}"
     if not text:
@@ -116,7 +117,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
     for step, (timestamp, entries) in enumerate(data.items()):
         problems += fill_step(poses, step, timestamp, entries, columns)
         if len(problems) >= MAX_PROBLEMS:
-            problems.append("… (the rest was not looked at)")
+            problems.append("… (the rest was not checked)")
             break
     if problems:
         raise InputError(source, problems)
@@ -124,17 +125,17 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
 
 
 def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
-    """Put what is said of a time into a row of poses.
+    """Write the entries of one time step into a row of poses.
 
     Args:
-        poses: Nobody is there yet at the step.
+        poses: Poses in which all vessels are absent at the step.
         step: The row.
-        timestamp: The time's text.
+        timestamp: Text of the time.
         entries: Vessel ID → centre position and heading.
         columns: Vessel ID → column.
 
     Returns:
-        What is wrong with it.
+        Problems of the entries.
     """
     if not isinstance(entries, dict):
         return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]
@@ -154,7 +155,7 @@ def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Ma
 
 
 def time_problems(timestamps: list[str]) -> list[str]:
-    """Timestamps must be numbers and increase; the same time in two spellings is a duplicate."""
+    """Problems of timestamps, which must be increasing numbers; one time in two spellings is a duplicate."""
     problems: list[str] = []
     previous: tuple[str, float] | None = None
     for text in timestamps:

@@ -26,7 +26,7 @@ MAX_LINE_BYTES = 1 << 26
 
 
 class StreamKeys(SourceKeys, Strict):
-    """Where the lines come from, and how long a file is followed that does not grow."""
+    """Source of the lines, and how long to wait for a file to grow."""
 
     generated: ClassVar[bool] = False
 
@@ -43,7 +43,7 @@ class StreamKeys(SourceKeys, Strict):
         return keys
 
     def build(self, request: PoseRequest) -> LivePoses:
-        """A stream of which nothing has been read."""
+        """A stream that has not been read yet."""
         path = None if self.file == STANDARD_INPUT else request.folder / self.file
         source = "poses from standard input" if path is None else f"poses from {path}"
         if path is not None and (problem := _unreadable(path)):
@@ -53,11 +53,11 @@ class StreamKeys(SourceKeys, Strict):
 
 
 def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Iterator[Step]:
-    """Each step when its line comes; an empty line is the end.
+    """Each step when its line arrives; an empty line is the end.
 
     Args:
-        lines: With their line breaks; the last may lack one.
-        source: What to call them in an error.
+        lines: Lines with line breaks; the last may lack one.
+        source: Name of the source in errors.
         names: IDs of the scene's vessels.
 
     Raises:
@@ -88,7 +88,7 @@ def _unreadable(path: Path) -> str | None:
         if path.is_dir():
             return "this is a folder, a file was expected"
         if not path.exists():
-            return "no such file: it must be there before the run begins, even if it is empty"
+            return "no such file: it must exist before the run begins, even if it is empty"
     except (OSError, ValueError) as error:
         return f"cannot be read: {error}"
     return None if os.access(path, os.R_OK) else "cannot be read: permission denied"
@@ -114,11 +114,11 @@ def follow(file: IO[bytes], timeout_s: float | None) -> Iterator[bytes]:
     """The lines of a file as they are written.
 
     Args:
-        file: At its beginning.
-        timeout_s: How long to wait for the next line at the end of the file; None for a pipe, whose end is the end.
+        file: The file at its beginning.
+        timeout_s: How long to wait for the next line at the end of a file; None for a pipe, which really ends.
 
     Yields:
-        Complete lines; at the end what is left without a line break, if anything is.
+        Complete lines; at the end the rest without a line break, if there is one.
     """
     line, since = b"", time.monotonic()
     while True:

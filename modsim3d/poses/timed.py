@@ -1,4 +1,4 @@
-"""The simplest way to write a pose source: where everybody is at a time."""
+"""The simplest way to write a pose source: poses as a function of time."""
 
 from __future__ import annotations
 
@@ -16,17 +16,20 @@ Place = tuple[Sequence[float], float]
 
 
 class PosesByTime(SourceKeys, Strict):
-    """A pose source that says where vessels are at a time. Its fields are its keys in the scene file."""
+    """A pose source as a function of time. Its fields are its keys in the scene file."""
 
     def at(self, time_s: float, request: PoseRequest) -> Mapping[str, Place]:
-        """Where vessels are; one that is not named is not there.
+        """Place and heading of each vessel that is present.
 
-        The answer must depend on nothing else: times are asked for in any order, more than once, and by several
+        The result may depend on the arguments only: it is called for times in any order, more than once, and in several
         processes.
 
         Args:
-            time_s: Of the step.
+            time_s: Time of the step.
             request: The scene's vessels, their names, and the seed.
+
+        Returns:
+            Vessel ID → place and heading; vessels that are not named are absent.
         """
         raise NotImplementedError
 
@@ -47,7 +50,7 @@ class TimedPoses:
         """Poses at steps first to stop − 1.
 
         Raises:
-            ModsimError: A vessel is named that the scene does not have.
+            ModsimError: `at` names a vessel that the scene does not have.
         """
         names = self.request.names or ()
         columns = {name: column for column, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""Vessels along waypoints, at constant speed between two of them; there only between the first and the last."""
+"""Vessels along waypoints, at constant speed between two of them, present from the first to the last."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic import RootModel
 
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.frames import heading_of
 from modsim3d.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
+from modsim3d.rotations import heading_of
 from modsim3d.validation import Metres, Number, join_path, nearest
 
 Waypoint = tuple[Number, Metres, Metres]
@@ -29,11 +29,11 @@ class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Tracks of vessels through waypoints, heading along them.
+    """Vessels that follow waypoints and head along their legs.
 
     Attributes:
-        timestamps: Text of each step's time.
-        waypoints: For each vessel, times and places, shape (k, 3), or None where it has no track.
+        timestamps: Texts of the steps' times.
+        waypoints: Times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
     """
 
     timestamps: Sequence[str]
@@ -57,11 +57,11 @@ def along(track: Array, times_s: Array) -> tuple[Array, Array]:
     """Places and headings on a track.
 
     Args:
-        track: Times and places of at least two waypoints, shape (k, 3).
-        times_s: Between the first and the last, shape (n,).
+        track: Times in seconds and places w1, w2 in metres of at least two waypoints, shape (k, 3).
+        times_s: Times between the first and the last waypoint, shape (n,).
 
     Returns:
-        Places, shape (n, 2), and headings, shape (n,).
+        Places in metres, shape (n, 2), and headings in radians, shape (n,).
     """
     leg = np.clip(np.searchsorted(track[:, 0], times_s, side="right") - 1, 0, len(track) - 2)
     start, end = track[leg], track[leg + 1]
@@ -76,7 +76,7 @@ def waypoint_tracks(
 
     Args:
         tracks: Vessel ID → waypoints.
-        vessels: IDs of the scene's vessels; one without a track is never there.
+        vessels: IDs of the scene's vessels; one without a track is always absent.
         steps: Number of time steps.
         time_step_s: Interval between them.
 

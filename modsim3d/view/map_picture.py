@@ -13,7 +13,7 @@ from PIL import Image
 
 from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
-from modsim3d.frames import world_R_vehicle
+from modsim3d.rotations import world_R_vehicle
 from modsim3d.view import palette
 from modsim3d.view.birds_eye import BirdsEye, hull_m, ring_step, view_of
 
@@ -209,7 +209,7 @@ class _Map:
 
     def _vessels(self) -> None:
         scene, step = self.birds_eye.scene, self.step
-        poses, rotations = scene.poses.poses(step, step + 1), scene.at_sea(np.array([step])).world_R_vessel[0]
+        poses, rotations = scene.poses.poses(step, step + 1), scene.motion.at(np.array([step])).world_R_vessel[0]
         for circle, colour in zip(self.birds_eye.circles_m, self._colours(), strict=False):
             self._line(circle, color=colour, lw=0.7, ls=":", zorder=3, label=self._once("circle"))
         recent = self._recent()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array
-from modsim3d.scene import Sight
+from modsim3d.sight import Sight
 from modsim3d.vessels import Vessel
 
 SIDELIGHT_RAD = math.radians(112.5)

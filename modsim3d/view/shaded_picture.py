@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from modsim3d.arrays import Array
-from modsim3d.camera import CameraPoses, Intrinsics
+from modsim3d.camera import Intrinsics
+from modsim3d.camera_poses import CameraPoses
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.vessels import Vessel

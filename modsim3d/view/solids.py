@@ -14,7 +14,8 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Camera, Intrinsics
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.render.plain_ids import IdDrawer
-from modsim3d.scene import Scene, Sight
+from modsim3d.scene import Scene
+from modsim3d.sight import Sight
 from modsim3d.vessels import shoebox
 from modsim3d.view.window import Window
 
@@ -43,7 +44,7 @@ class Solids:
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
         """What a camera of a scene has before it at a step."""
         sight = scene.sight(camera, np.array([step]))
-        outlines = sight.outlines(camera.intrinsics, scene.vessels)
+        outlines = sight.outlines()
         return cls(sight, camera, outlines, np.array([vessel.extents_m for vessel in scene.vessels]))
 
     @property

@@ -1,4 +1,4 @@
-"""How vessels move in waves: an interface, and one file for each way of moving."""
+"""How vessels move in waves: an interface, and a module for each model."""
 
 from modsim3d.waves.base import GRAVITY_M_S2, Motion, Passage, WaveMotion
 from modsim3d.waves.floating import FloatingVessels
@@ -12,9 +12,7 @@ from modsim3d.waves.second_order import (
     Axis,
     SecondOrderWaves,
     level_axes,
-    long_run_deviation,
     second_order,
-    second_order_variance,
 )
 
 __all__ = [
@@ -35,7 +33,5 @@ __all__ = [
     "WaveMotion",
     "jonswap_sea",
     "level_axes",
-    "long_run_deviation",
     "second_order",
-    "second_order_variance",
 ]

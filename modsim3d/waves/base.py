@@ -1,4 +1,4 @@
-"""What every kind of waves is asked for, and what it gives."""
+"""The interface of every model of waves."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """How one vessel passes over the sea: n moments, each of them complete in itself.
+    """One vessel on calm water at n moments, each complete in itself.
 
     Attributes:
-        times_s: Since the scene's first step, shape (n,).
-        steps: Number of each step, shape (n,).
-        positions_m: Of the vessel's origin on the calm sea, in WCF, shape (n, 3).
+        times_s: Times since the scene's first step, shape (n,).
+        steps: Index of each step, shape (n,).
+        positions_m: Origins of the vessel in WCF, shape (n, 3).
         headings_rad: Counter-clockwise from w1, shape (n,).
-        velocities_m_s: Over the ground, in WCF, shape (n, 3).
+        velocities_m_s: Velocities over ground in WCF, shape (n, 3).
     """
 
     times_s: Array
@@ -31,11 +31,11 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What waves do to a vessel at n moments.
+    """Motion of a vessel in waves at n moments.
 
     Attributes:
-        heave_m: How far its origin is lifted along w3, shape (n,).
-        angles_rad: Roll, pitch and yaw as in `frames.vehicle_R_nominal`, shape (n, 3): positive roll lowers the port
+        heave_m: Displacement of its origin along w3, shape (n,).
+        angles_rad: Roll, pitch and yaw as in `rotations.vehicle_R_nominal`, shape (n, 3): positive roll lowers the port
             side, positive pitch the bow, positive yaw turns to port.
     """
 
@@ -44,10 +44,10 @@ class Motion:
 
 
 class WaveMotion(Protocol):
-    """Moves vessels: a moment's motion depends on that moment alone, not on which were asked for before or with it.
+    """A model of waves. The motion at a moment depends on that moment alone, not on earlier or other calls.
 
     Attributes:
-        needs_velocity: Whether it looks at how fast a vessel is, which is not known before its next pose has come.
+        needs_velocity: Whether it uses velocities, which need the next pose of the vessel.
     """
 
     needs_velocity: bool
@@ -56,6 +56,6 @@ class WaveMotion(Protocol):
         """Heave and attitude of a vessel.
 
         Args:
-            vessel: ID; its motion is the same for all its cameras.
-            passage: When, where and how fast it is.
+            vessel: ID. The motion is the same for all cameras.
+            passage: Times, places and velocities of the vessel.
         """

@@ -1,9 +1,9 @@
-"""How a hull answers a harmonic wave: heave, roll and pitch from its length and beam alone.
+"""Response of a hull to harmonic waves: heave, roll and pitch from its length and beam alone.
 
 Heave and pitch are those of a floating box in closed form: Jensen, Mansour & Olsen (2004), "Estimation of ship motions
-using closed-form expressions", Ocean Engineering 31, 61–85. Roll is an oscillator that the slope of the wave across the
-hull drives; its period is that of the weather criterion, IMO (2008), International Code on Intact Stability, part A,
-§2.3.4. A scene knows neither draught nor stability; both are taken from the beam.
+using closed-form expressions", Ocean Engineering 31, 61–85. Roll is an oscillator driven by the slope of the wave
+across the hull; its period is that of the weather criterion, IMO (2008), International Code on Intact Stability, part
+A, §2.3.4. A scene has neither draught nor stability; both follow from the beam.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ Complex = NDArray[np.complex128]
 BEAM_PER_DRAUGHT = 3.0
 """Our choice; merchant ships have 2.3 to 3.8, small craft up to 5."""
 BEAM_PER_METACENTRIC_HEIGHT = 10.0
-"""Our choice: roll periods of 4 to 6 s for boats, of 10 to 15 s for large ships."""
+"""Our choice; it gives roll periods of 4 to 6 s for boats and of 10 to 15 s for large ships."""
 ROLL_DAMPING = 0.1
 """Share of critical damping; our choice between a bare hull (0.05) and one with bilge keels under way (0.2)."""
 LONG_WAVE = 0.02
-"""Half a side in radians of the wave, below which two terms of a series are exact to nine digits."""
+"""Phase over half a side, in radians, below which two terms of a series are exact to nine digits."""
 LONGEST_M = 400.0
-"""Lengths above it count as this in the roll period, whose fit knows no longer ship."""
+"""Greatest length in the roll period, whose fit has no longer ships."""
 
 
 @dataclass(frozen=True)
 class Hull:
-    """What a vessel is to waves.
+    """The hull of a vessel at the waterline.
 
     Attributes:
-        length_m: Along v1.
-        beam_m: Along v2.
+        length_m: Extent along v1.
+        beam_m: Extent along v2.
     """
 
     length_m: float
@@ -57,7 +57,7 @@ class Hull:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Complex answers to waves of unit amplitude; the motion is the real part of answer × e^(i (k · x − ω t + ε)).
+    """Complex responses to waves of unit amplitude; the motion is Re[response × e^(i (k · x − ω t + ε))].
 
     Attributes:
         heave: Metres, shape (n, N).
@@ -71,18 +71,18 @@ class Response:
 
 
 def response(hull: Hull, frequencies_rad_s: Array, encounter_rad_s: Array, relative_rad: Array) -> Response:
-    """Answers of a hull to waves.
+    """Responses of a hull to waves.
 
-    In head and following seas heave and pitch are those of the paper. From abeam, the paper's waves lose no pressure
-    with depth and do not average out across the beam, so that ripples would heave the hull by half their height. Here
-    the pressure falls with the whole wave number, e^(−kT), and the wave is averaged over the beam as over the length.
+    In head and following seas heave and pitch are those of the paper. In beam seas, the paper's waves keep their
+    pressure at depth and are not averaged over the beam, so that ripples would heave the hull by half their height.
+    Here the pressure falls with the whole wave number, e^(−kT), and the wave is averaged over beam and length.
 
     Args:
         hull: Length and beam.
         frequencies_rad_s: ω of N waves, shape (N,).
-        encounter_rad_s: ω_e at which the hull meets them; negative for waves that it overtakes, shape (n, N).
-        relative_rad: Direction of travel against the hull's own: 0 for following seas, π for head seas, π/2 for waves
-            that travel to port, shape (n,).
+        encounter_rad_s: Frequencies of encounter ω_e, shape (n, N); negative for waves that the hull overtakes.
+        relative_rad: Direction of the waves less the heading, shape (n,): 0 for following seas, π for head seas, π/2
+            for waves that travel to port.
     """
     number = frequencies_rad_s**2 / GRAVITY_M_S2
     along, across = number * np.cos(relative_rad)[:, None], number * np.sin(relative_rad)[:, None]
@@ -105,18 +105,19 @@ def response(hull: Hull, frequencies_rad_s: Array, encounter_rad_s: Array, relat
 
 
 def _over(side_m: float, numbers_rad_m: Array) -> tuple[Array, Array]:
-    """A wave of unit amplitude over a side that is centred on its crest, or for the slope on its zero.
+    """Mean and slope of a wave of unit amplitude over a side.
 
     Args:
         side_m: Length or beam.
-        numbers_rad_m: Wave numbers along it, any shape.
+        numbers_rad_m: Wave numbers along the side, any shape.
 
     Returns:
-        Its mean, sin(x) / x with x = k · side / 2, and the slope of the straight line that fits it best,
-        6 (sin x − x cos x) / (x² side), which is k for long waves.
+        The mean with the crest at the middle, sin(x) / x with x = k · side / 2, and the slope in rad/m of the best
+        straight line with the zero at the middle, 6 (sin x − x cos x) / (x² side), which is k for long waves. Both of
+        the same shape.
     """
     half = numbers_rad_m * side_m / 2
-    long = np.abs(half) < LONG_WAVE  # the formulas lose their digits
+    long = np.abs(half) < LONG_WAVE  # the formulas would lose their digits
     x = np.where(long, 1.0, half)
     mean = np.sin(x) / x
     slope = (mean - np.cos(x)) / x

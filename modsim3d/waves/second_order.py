@@ -1,28 +1,25 @@
 """Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3); no heave.
 
-The angles are those of `frames.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch the
-bow, positive yaw turns to port.
+The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
+lowers the bow, positive yaw turns to port.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams, normals
 from modsim3d.waves.base import Motion, Passage
 
 AXES = ("roll", "pitch", "yaw")
 SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)
 """Noise of roll, pitch and yaw of the small wave impact (Table 9.8)."""
 LEVELS = {"none": 0.0, "small": 1.0, "medium": 2.0, "large": 4.0, "huge": 8.0}
-"""Times the small noise. The source gives numbers for small and large only (Tables 9.8, 9.12); the others are ours."""
+"""Factors of the small noise. The source has numbers for small and large only (Tables 9.8, 9.12)."""
 BLOCK_STEPS = 4096
-LEAST_UNIFORM = 2.0**-54  # stands for the 0 whose normal would be −∞
 
 
 @dataclass(frozen=True)
@@ -30,8 +27,8 @@ class Axis:
     """One angle's process: x(t + 1) = a · x(t) + e, x'(t + 1) = b · x'(t) + x(t + 1) (eq. 7.23, 7.24).
 
     Attributes:
-        a: Of the first-order process.
-        b: Of the second-order process.
+        a: Coefficient of the first-order process.
+        b: Coefficient of the second-order process.
         sigma_rad: Standard deviation of e.
         start_rad: x(0) and x'(0).
     """
@@ -43,23 +40,23 @@ class Axis:
 
 
 def level_axes(level: str) -> tuple[Axis, Axis, Axis]:
-    """The axes of a named wave impact (§7.4.5)."""
+    """Roll, pitch and yaw of a named wave level (§7.4.5)."""
     roll, pitch, yaw = (Axis(sigma_rad=LEVELS[level] * sigma) for sigma in SMALL_SIGMA_RAD)
     return roll, pitch, yaw
 
 
 def second_order(noise: Array, axis: Axis, state: tuple[float, float]) -> tuple[Array, tuple[float, float]]:
-    """Run the process on from a state.
+    """Continue the process from a state.
 
     Args:
-        noise: e of the next n steps, shape (n,).
-        axis: Its coefficients.
-        state: x and x' before the first of them.
+        noise: e of the next n steps in radians, shape (n,).
+        axis: Coefficients of the process.
+        state: x and x' before the first step.
 
     Returns:
-        x' after each step, shape (n,), and the last x and x'.
+        x' after each step in radians, shape (n,), and the last x and x'.
     """
-    from scipy.signal import lfilter  # slow to import, and no calm sea needs it
+    from scipy.signal import lfilter  # slow to import, and not needed on calm water
 
     first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * state[0]])
     second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * state[1]])
@@ -68,7 +65,7 @@ def second_order(noise: Array, axis: Axis, state: tuple[float, float]) -> tuple[
 
 @dataclass(eq=False)
 class _Track:
-    """One vessel's angles as far as they have been computed."""
+    """Angles of a vessel as far as they have been computed."""
 
     angles: Array
     states: list[tuple[float, float]] = field(default_factory=list)
@@ -77,35 +74,35 @@ class _Track:
 class SecondOrderWaves:
     """Independent second-order processes for roll, pitch and yaw of every vessel (eq. 7.26–7.31).
 
-    The processes step every `interval_s` and are linear between; without an interval they step with the scene.
+    The processes step every `interval_s` and are linear between; without an interval they use the scene's steps.
     """
 
     needs_velocity = False
 
     def __init__(self, axes: tuple[Axis, Axis, Axis], seed: int, interval_s: float | None = None) -> None:
-        """Take the axes' coefficients; everything random comes from the seed."""
+        """Take the coefficients of the axes and the seed of the noise."""
         self._axes = axes
         self._interval_s = interval_s
         self._streams = Streams(seed)
         self._tracks: dict[str, _Track] = {}
 
     def motion(self, vessel: str, passage: Passage) -> Motion:
-        """Roll, pitch and yaw of a vessel, wherever it is; heave is zero."""
+        """Roll, pitch and yaw of a vessel at any place; heave is zero."""
         return Motion(np.zeros(len(passage.steps)), self.angles(vessel, passage.times_s, passage.steps))
 
     def angles(self, vessel: str, times_s: Array, steps: Indices) -> Array:
         """Roll, pitch and yaw of a vessel.
 
         Args:
-            vessel: ID; each vessel moves on its own.
-            times_s: Since the scene's first step, shape (n,).
-            steps: Number of each step, shape (n,).
+            vessel: ID; each vessel has its own process.
+            times_s: Times since the scene's first step, shape (n,).
+            steps: Index of each step, shape (n,).
 
         Returns:
-            Shape (n, 3).
+            Radians, shape (n, 3).
         """
         position = np.asarray(steps, dtype=np.float64) if self._interval_s is None else times_s / self._interval_s
-        # 0.3 / 0.1 is just below 3: a step that is reached but for rounding is reached.
+        # 0.3 / 0.1 is just below 3; rounding must not miss a step.
         nearest = np.rint(position)
         position = np.where(np.abs(position - nearest) < 1e-6, nearest, position)
         before = np.floor(position).astype(np.int64)
@@ -115,7 +112,7 @@ class SecondOrderWaves:
         return between
 
     def _until(self, vessel: str, last: int) -> Array:
-        """The angles of a vessel at process steps 0 to `last` at least, shape (≥ last + 1, 3)."""
+        """Angles of a vessel at process steps 0 to at least `last`, shape (≥ last + 1, 3)."""
         track = self._tracks.get(vessel)
         if track is None:
             start = np.array([[axis.start_rad[1] for axis in self._axes]])
@@ -127,29 +124,10 @@ class SecondOrderWaves:
 
     def _extend(self, vessel: str, track: _Track) -> None:
         done = len(track.angles) - 1
-        uniforms = self._streams.uniforms("waves", vessel, first=done, count=BLOCK_STEPS, width=3)
-        noise = special.ndtri(np.maximum(uniforms, LEAST_UNIFORM))
+        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS, width=3)
+        noise = normals(uniforms)
         columns = []
         for i, axis in enumerate(self._axes):
             angles, track.states[i] = second_order(axis.sigma_rad * noise[:, i], axis, track.states[i])
             columns.append(angles)
         track.angles = np.concatenate([track.angles, np.stack(columns, axis=1)])
-
-
-def second_order_variance(axis: Axis, steps: int) -> float:
-    """Variance of x'(t) from a zero start, for a = b: σ² Σ_{k=0}^{t−1} ((k + 1) aᵏ)².
-
-    Each e reaches x' through the convolution of the two processes' impulse responses, Σ aʲ bᵏ⁻ʲ = (k + 1) aᵏ.
-
-    Args:
-        axis: With a = b.
-        steps: t.
-    """
-    k = np.arange(steps)
-    return float(axis.sigma_rad**2 * np.sum(((k + 1) * axis.a**k) ** 2))
-
-
-def long_run_deviation(axis: Axis) -> float:
-    """Standard deviation of x' in the long run, for a = b: σ √((1 + a²) / (1 − a²)³)."""
-    a2 = axis.a**2
-    return axis.sigma_rad * math.sqrt((1 + a2) / (1 - a2) ** 3)

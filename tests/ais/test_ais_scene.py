@@ -21,7 +21,7 @@ from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.ship_types import TABLE, group_of, ship_types
 from modsim3d.ais.viewpoint import CLEARANCE_M, viewpoint
 from modsim3d.detector.loader import load_detector
-from modsim3d.frames import camera_R_parent
+from modsim3d.rotations import camera_R_parent
 from modsim3d.scene_reader import data_folder, load_scene
 from tests.ais.ais_builders import SAMPLE_NAMES, SAMPLES, old_file, only, row, traffic_of
 

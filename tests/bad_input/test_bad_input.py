@@ -149,7 +149,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     # what belongs together
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], ("cameras.shore.mount: give exactly",)),
     ("scene", "cameras/shore/pose", DELETED, ("cameras.shore.mount: give exactly one of pose (ashore) and mount",)),
-    ("scene", "poses", CIRCULAR, ("poses: circular makes its own times: steps and time_step_s must be given",)),
+    ("scene", "poses", CIRCULAR, ("poses: circular has no times of its own: give steps and time_step_s",)),
     (
         "scene",
         "poses",
@@ -175,7 +175,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("scene", "vessels", ".", ("this is a folder, a file was expected",)),
     ("scene", "poses/file", ".", ("this is a folder, a file was expected",)),
     ("scene", "detector", ".", ("this is a folder, a file was expected",)),
-    ("scene", "detector", "a\0b", ("this cannot be a file's name",)),
+    ("scene", "detector", "a\0b", ("is no valid file name",)),
     ("scene", "detector", "x" * 5000, ("cannot be read: File name too long",)),
     # places
     ("poses", "2.0/vehicle1", DELETED, ("cameras.C0.mount.vessel: 'vehicle1' has no pose at time 2.0 s",)),
@@ -246,7 +246,7 @@ def test_repeated_json_keys_are_told_with_their_place(inputs: Inputs, refused: R
 
 def test_a_mistake_in_every_line_does_not_fill_the_screen(inputs: Inputs, refused: Refused) -> None:
     inputs.data["poses"] = {f"{t}.0": {"vehicle1": at(t, 0), "vehicel2": at(0, 9)} for t in range(1000)}
-    said = refused(inputs.write(), "0.0.vehicel2: no vessel 'vehicel2'", "the rest was not looked at")
+    said = refused(inputs.write(), "0.0.vehicel2: no vessel 'vehicel2'", "the rest was not checked")
     assert said.count("\n") < 30
 
 
@@ -269,7 +269,7 @@ WRONG_TEXTS: list[tuple[str, bytes, tuple[str, ...]]] = [
     ("scene", b"seed: " + b"1" * 5000, ("line 1, column 7:", "cannot be read as int")),
     ("scene", b"seed: &a [*a]\n", ("line 1, column 7:", "recursive")),
     ("scene", b"seed: " + b"[" * 700, ("is nested too deeply",)),
-    ("scene", b"seed: 1\nx: \x00\n", ("line 2, column 4: character '\\x00' may not stand in YAML",)),
+    ("scene", b"seed: 1\nx: \x00\n", ("line 2, column 4: character '\\x00' is not allowed in YAML",)),
     ("scene", b"seed: 1\n# \xff\n", ("is not UTF-8 text (byte 10)",)),
     ("scene", b"[1]: 2\n", ("line 1, column 1: a key must be plain text",)),
     ("detector", b"", ("detector.yaml: must be a mapping with the keys labels",)),

@@ -11,7 +11,7 @@ from test_detector_chain import scattered_targets
 
 from modsim3d.detector import parse_detector
 from modsim3d.errors import InputError
-from modsim3d.validation import load_yaml
+from modsim3d.strict_yaml import load_yaml
 
 OFF = {
     "dropout": {"model": "confusion", "anchor": "state_rate"},

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from modsim3d.detector import DetectorModel, parse_detector
 from modsim3d.detector.states import StateSequence, stationary_distribution, step_distribution
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Purpose, Streams
 
 # Jessen & Mohr (2023), eq. 6.8 to 6.10
 A = np.array([[1 / 3, 1 / 6, 1 / 20], [1 / 3, 2 / 3, 1 / 20], [1 / 3, 1 / 6, 9 / 10]])
@@ -99,7 +99,7 @@ def test_a_transition_is_due_at_a_multiple_of_the_interval_in_spite_of_rounding(
 
 def test_transition_k_uses_the_kth_number_of_the_stream() -> None:
     chain = model()
-    uniforms = Streams(5).uniforms("detector.state", first=0, count=5000)[:, 0]
+    uniforms = Streams(5).uniforms(Purpose.STATE, first=0, count=5000)[:, 0]
     state, slow = 0, [0]
     for u in uniforms[1:]:
         state = 0 if u < chain.transition_matrix[0, state] else 1

@@ -1,95 +1,150 @@
 from __future__ import annotations
 
+import ast
 import itertools
+from collections import defaultdict
+from enum import Enum, unique
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.random_streams import Streams
+import modsim3d
+from modsim3d.random_streams import Purpose, Streams, normals
+
+UNIFORM = [purpose for purpose in Purpose if purpose.width is not None]
+
+
+def uses() -> dict[Purpose, set[str]]:
+    """The modules of the package that name each purpose."""
+    package, found = Path(modsim3d.__file__).parent, defaultdict(set)
+    for path in package.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "Purpose":
+                found[Purpose[node.attr]].add(path.relative_to(package).as_posix())
+    return found
+
+
+def test_every_purpose_is_used_in_exactly_one_module() -> None:
+    modules = uses()
+    modules[Purpose.PLUGIN].add("a plug-in's")
+    assert {purpose.name: sorted(modules[purpose]) for purpose in Purpose if len(modules[purpose]) != 1} == {}
+
+
+def test_two_purposes_cannot_share_a_text() -> None:
+    texts = [purpose.value for purpose in Purpose]
+    assert len(set(texts)) == len(texts) == len(Purpose.__members__)
+    with pytest.raises(ValueError, match="duplicate"):
+
+        @unique
+        class Twice(Enum):
+            __new__ = Purpose.__new_member__
+            ONE = "text", 1, "this"
+            TWO = "text", 2, "that"
+
+
+def test_every_purpose_says_what_it_is_for() -> None:
+    assert all(purpose.meaning and purpose.meaning != purpose.value for purpose in Purpose)
+    assert len({purpose.meaning for purpose in Purpose}) == len(Purpose)
+
+
+def test_a_purpose_has_one_width() -> None:
+    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step, not 2"):
+        Streams(3).uniforms(Purpose.BOX_ERROR, "C0", "a", first=0, count=1, width=2)
+    with pytest.raises(ValueError, match="AGENTS has None uniform numbers a step, not 1"):
+        Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
+    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
+        Streams(3).generator(Purpose.BOX_ERROR, "C0", "a", step=0)
 
 
 @given(
     borders=st.lists(st.integers(0, 60), max_size=6),
-    width=st.integers(1, 9),
+    purpose=st.sampled_from(UNIFORM),
     first=st.integers(0, 2**40),
 )
-def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], width: int, first: int) -> None:
-    whole = Streams(3).uniforms("noise", "C0", first=first, count=60, width=width)
+def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], purpose: Purpose, first: int) -> None:
+    width = purpose.width
+    whole = Streams(3).uniforms(purpose, "C0", first=first, count=60, width=width)
     streams, edges = Streams(3), [0, *sorted(borders), 60]
     parts = [
-        streams.uniforms("noise", "C0", first=first + a, count=b - a, width=width) for a, b in itertools.pairwise(edges)
+        streams.uniforms(purpose, "C0", first=first + a, count=b - a, width=width) for a, b in itertools.pairwise(edges)
     ]
     assert np.array_equal(np.concatenate(parts), whole)
 
 
 def test_a_row_starts_at_its_steps_blocks_of_philox() -> None:
     streams = Streams(3)
-    numbers = streams.uniforms("noise", "C0", first=7, count=2, width=5)
-    key = streams._key(0, "noise", ("C0",))
+    numbers = streams.uniforms(Purpose.CLUTTER, "C0", first=7, count=2, width=5)
+    key = streams._key(0, Purpose.CLUTTER, ("C0",))
     slow = [np.random.Generator(np.random.Philox(key=key, counter=2 * step)).random(5) for step in (7, 8)]
     assert np.array_equal(numbers, slow)
 
 
-def test_numbers_do_not_depend_on_what_was_asked_for_before() -> None:
+def test_numbers_do_not_depend_on_earlier_calls() -> None:
     streams = Streams(3)
-    first = streams.uniforms("noise", "a", first=0, count=10)
-    streams.uniforms("noise", "b", first=0, count=3)
-    streams.generator("noise", "a", step=0).random(7)
-    assert np.array_equal(streams.uniforms("noise", "a", first=0, count=10), first)
+    first = streams.uniforms(Purpose.CLASS, "a", first=0, count=10)
+    streams.uniforms(Purpose.CLASS, "b", first=0, count=3)
+    streams.generator(Purpose.AGENTS, "a", step=0).random(7)
+    assert np.array_equal(streams.uniforms(Purpose.CLASS, "a", first=0, count=10), first)
 
 
 @pytest.mark.parametrize(
     ("seed", "purpose", "names"),
     [
-        (4, "noise", ("a", "b")),
-        (3, "other", ("a", "b")),
-        (3, "noise", ("a",)),
-        (3, "noise", ("b", "a")),
-        (3, "noise", ("ab",)),
-        (3, "noise", ("a", "b", "")),
-        (3, "noisea", ("b",)),
+        (4, Purpose.CLASS, ("a", "b")),
+        (3, Purpose.CLASS_KEPT, ("a", "b")),
+        (3, Purpose.CLASS, ("a",)),
+        (3, Purpose.CLASS, ("b", "a")),
+        (3, Purpose.CLASS, ("ab",)),
+        (3, Purpose.CLASS, ("a", "b", "")),
     ],
 )
-def test_another_seed_purpose_or_name_gives_other_numbers(seed: int, purpose: str, names: tuple[str, ...]) -> None:
-    ours = Streams(3).uniforms("noise", "a", "b", first=0, count=100)
+def test_another_seed_purpose_or_name_gives_other_numbers(seed: int, purpose: Purpose, names: tuple[str, ...]) -> None:
+    ours = Streams(3).uniforms(Purpose.CLASS, "a", "b", first=0, count=100)
     theirs = Streams(seed).uniforms(purpose, *names, first=0, count=100)
     assert not np.intersect1d(ours, theirs).size
 
 
-def test_generators_of_steps_and_uniforms_do_not_run_into_each_other() -> None:
+def test_generators_of_different_steps_do_not_overlap() -> None:
     streams = Streams(3)
-    draws = [streams.generator("noise", "a", step=step).random(1000) for step in range(5)]
-    draws.append(streams.uniforms("noise", "a", first=0, count=250, width=4).ravel())
-    assert len(np.unique(np.concatenate(draws))) == 6000
+    draws = [streams.generator(Purpose.AGENTS, "a", step=step).random(1000) for step in range(5)]
+    assert len(np.unique(np.concatenate(draws))) == 5000
 
 
 def test_generators_are_repeatable_and_independent_of_each_other() -> None:
     streams = Streams(3)
-    one, two = streams.generator("noise", "a", step=1), streams.generator("noise", "a", step=1)
+    one, two = streams.generator(Purpose.AGENTS, "a", step=1), streams.generator(Purpose.AGENTS, "a", step=1)
     two.random(5)
-    assert np.array_equal(one.random(3), Streams(3).generator("noise", "a", step=1).random(3))
+    assert np.array_equal(one.random(3), Streams(3).generator(Purpose.AGENTS, "a", step=1).random(3))
 
 
 def test_numbers_are_the_same_in_every_process() -> None:
-    numbers = Streams(2023).uniforms("noise", "C0", "vessel1", first=12, count=1, width=2)
+    numbers = Streams(2023).uniforms(Purpose.CONFIDENCE, "C0", "vessel1", first=12, count=1, width=2)
     assert numbers.tolist() == REFERENCE
+    generator = Streams(2023).generator(Purpose.BOX_ERROR_REDRAW, "C0", "vessel1", step=12)
+    assert generator.random(2).tolist() == REFERENCE_OF_GENERATOR
 
 
-REFERENCE = [[0.7582095607512185, 0.7847842115921855]]
+REFERENCE = [[0.18153337862538155, 0.694646420313789]]
+REFERENCE_OF_GENERATOR = [0.10250895715086494, 0.07279324687871547]
 
 
 def test_uniforms_lie_in_the_unit_interval_and_have_its_mean() -> None:
-    numbers = Streams(1).uniforms("noise", first=0, count=50_000, width=2)
+    numbers = Streams(1).uniforms(Purpose.SEA, first=0, count=50_000, width=2)
     assert numbers.shape == (50_000, 2)
     assert numbers.min() >= 0
     assert numbers.max() < 1
     assert abs(numbers.mean() - 0.5) < 4 / np.sqrt(12 * numbers.size)
 
 
+def test_the_normal_of_zero_is_finite() -> None:
+    assert normals(np.array([0.0, 0.5])).tolist() == pytest.approx([-8.2924, 0.0], abs=1e-4)
+
+
 def test_no_steps_give_no_numbers() -> None:
-    assert Streams(1).uniforms("noise", first=5, count=0, width=3).shape == (0, 3)
+    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0, width=3).shape == (0, 3)
 
 
 def test_a_negative_seed_is_refused() -> None:

@@ -21,7 +21,8 @@ import orjson
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.reading.builder import MOST_PROBLEMS, MOST_PX, Problems, Rows, corners, one_condition
-from modsim3d.validation import load_json, nearest
+from modsim3d.strict_json import load_json
+from modsim3d.validation import nearest
 
 ID = int | str
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from modsim3d.learn.reading.builder import Problems
-from modsim3d.validation import read_text
+from modsim3d.text_files import read_text
 
 
 def number_lines(

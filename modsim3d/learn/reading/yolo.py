@@ -18,7 +18,8 @@ from modsim3d.learn.reading.builder import Problems, Rows, corners, one_conditio
 from modsim3d.learn.reading.image_sizes import image_size_px as size_of_image
 from modsim3d.learn.reading.image_sizes import images_in
 from modsim3d.learn.reading.text_lines import number_lines
-from modsim3d.validation import load_yaml, read_text
+from modsim3d.strict_yaml import load_yaml
+from modsim3d.text_files import read_text
 
 
 def read_yolo(

@@ -3,7 +3,7 @@
 World: w1, w2 on the sea, w3 up, right-handed, metres. Vehicle: v1 forward, v2 to port, v3 up, origin at the
 centre of the bottom plane. Camera: c3 the viewing direction, c1 right, c2 down.
 
-All functions broadcast over leading axes, so that a run of time steps costs one call.
+All functions broadcast over leading axes, so that one call handles many steps.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def rotation_vector(matrix: ArrayLike) -> Array:
     sine, cosine = np.linalg.norm(sine_axis, axis=-1), (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
     angle = np.arctan2(sine, cosine)
     by_sine = sine_axis * np.where(sine < 1e-12, 1.0, angle / np.where(sine < 1e-12, 1.0, sine))[..., None]
-    # Near half a turn the sine says nothing, but the even part, (1 − cos) n nᵀ + cos I, does.
+    # Near half a turn the sine is too small; the even part, (1 − cos) n nᵀ + cos I, still gives the axis.
     even = (turn + np.swapaxes(turn, -1, -2)) / 2 - cosine[..., None, None] * np.eye(3)
     longest = np.argmax(np.diagonal(even, axis1=-2, axis2=-1), axis=-1)
     column = np.take_along_axis(even, longest[..., None, None], axis=-1)[..., 0]
