@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
+from modsim3d.annotate.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
 from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
-from modsim3d.annotate.looseness import Looseness, add_looseness
 from modsim3d.annotate.modes import SOURCES
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.rectangle_rule import rectangle_occlusion
 from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.annotate.shoebox_fit import Looseness, add_looseness
 from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Camera
 from modsim3d.errors import ModsimError
@@ -92,8 +92,8 @@ class Report:
         frames: Camera images.
         vessel_frames: Vessels in them.
         occluded: Of those, with a hidden pixel.
-        full: Verdict on full boxes → vessel-frames.
-        visible: Verdict on visible boxes, fractions and visibility → vessel-frames.
+        full: Agreement on full boxes → vessel-frames.
+        visible: Agreement on visible boxes, fractions and visibility → vessel-frames.
         full_side_px: Largest side difference of each full box.
         visible_side_px: The same of visible boxes.
         fraction: Absolute differences of visible fractions.
@@ -113,8 +113,8 @@ class Report:
     frames: int = 0
     vessel_frames: int = 0
     occluded: int = 0
-    full: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
-    visible: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
+    full: dict[Agreement, int] = field(default_factory=lambda: dict.fromkeys(Agreement, 0))
+    visible: dict[Agreement, int] = field(default_factory=lambda: dict.fromkeys(Agreement, 0))
     full_side_px: list[Array] = field(default_factory=list)
     visible_side_px: list[Array] = field(default_factory=list)
     fraction: list[Array] = field(default_factory=list)
@@ -130,7 +130,7 @@ class Report:
     @property
     def unexplained(self) -> int:
         """Vessel-frames with a difference that nothing explains, in full or visible boxes."""
-        return self.full[Verdict.UNEXPLAINED] + self.visible[Verdict.UNEXPLAINED]
+        return self.full[Agreement.UNEXPLAINED] + self.visible[Agreement.UNEXPLAINED]
 
     def figures(self) -> dict[str, Any]:
         """Everything but the pictures, as plain values for `compare.json`."""
@@ -173,7 +173,7 @@ def _spread(sides: Array) -> dict[str, float]:
     return {"side_max_px": float(sides.max()), "side_p99_px": float(np.quantile(sides, 0.99))}
 
 
-def _named(verdicts: dict[Verdict, int]) -> dict[str, int]:
+def _named(verdicts: dict[Agreement, int]) -> dict[str, int]:
     return {EXPLANATIONS[verdict]: count for verdict, count in verdicts.items()}
 
 
@@ -238,7 +238,7 @@ def _compare_camera(
         started = time.perf_counter()
         seen[name] = source()
         report.seconds[name] += time.perf_counter() - started + shared
-    for first, second in everything.vessel[known][seen["analytic"].intersecting]:
+    for first, second in everything.occluder[known][seen["analytic"].intersecting]:
         pair = f"{scene.occluder_names[first]} and {scene.occluder_names[second]}"
         report.intersecting[pair] = report.intersecting.get(pair, 0) + 1
     found = compare_with_analytic(
@@ -264,7 +264,7 @@ def _compare_camera(
 
 
 def _add_differences(report: Report, found: Comparison) -> None:
-    for verdict in Verdict:
+    for verdict in Agreement:
         report.full[verdict] += int((found.full == verdict).sum())
         report.visible[verdict] += int((found.visible == verdict).sum())
     for kept, sides in (
@@ -275,7 +275,7 @@ def _add_differences(report: Report, found: Comparison) -> None:
     told = ~np.isnan(found.fraction)
     report.fraction.append(np.abs(found.fraction[told]))
     report.fraction_bound.append(found.fraction_bound[told])
-    report.seen_differs += int((found.seen_differs & (found.visible != Verdict.INTERSECTING)).sum())
+    report.seen_differs += int((found.seen_differs & (found.visible != Agreement.INTERSECTING)).sum())
     report.pixels_looked_at += int(found.pixels_looked_at.sum())
 
 
@@ -295,17 +295,17 @@ class _Place:
             for kind in ("full", "visible")
         }
         step = int(self.steps[self.outlines.frame[row]])
-        return Case(self.camera, step, int(self.outlines.vessel[row]), badness, reason, boxes)
+        return Case(self.camera, step, int(self.outlines.occluder[row]), badness, reason, boxes)
 
 
 def _add_worst(report: Report, found: Comparison, place: _Place) -> None:
     """Unexplained differences come first, then the largest; what the analytic source cannot tell comes last."""
     sides = np.abs(np.concatenate([found.full_side_px, found.visible_side_px], axis=1))
     size = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(found.seen_differs, 1.0, 0.0)
-    size[(found.visible == Verdict.INTERSECTING) | (found.worst == Verdict.NOT_COMPARABLE)] *= 1e-3
-    badness = size + 1e6 * (found.worst == Verdict.UNEXPLAINED)
+    size[(found.visible == Agreement.INTERSECTING) | (found.worst == Agreement.NOT_COMPARABLE)] *= 1e-3
+    badness = size + 1e6 * (found.worst == Agreement.UNEXPLAINED)
     for row in np.argsort(-badness)[:WORST]:
-        reason = EXPLANATIONS[Verdict(int(found.worst[row]))]
+        reason = EXPLANATIONS[Agreement(int(found.worst[row]))]
         report.worst.append(place.case(int(row), float(badness[row]), f"{reason}: {size[row]:.2f} px"))
 
 

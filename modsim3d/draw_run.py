@@ -35,7 +35,7 @@ def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
     """A case of a comparison: the boxes of all sources, and the pixels that differ."""
     solids = Solids.at(scene, scene.cameras[case.camera], case.step)
     outlines = solids.outlines
-    (row,) = np.flatnonzero((outlines.vessel == case.vessel) & outlines.boxed)
+    (row,) = np.flatnonzero((outlines.occluder == case.vessel) & outlines.boxed)
     if outlines.convex[row]:
         known = np.flatnonzero(outlines.convex)
         exact = visible_regions(outlines.take(known), solids.intrinsics).visible[known.searchsorted(row)]

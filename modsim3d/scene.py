@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.annotate.inside import first_body_around
+from modsim3d.annotate.camera_inside import first_body_around
 from modsim3d.annotate.modes import Annotation
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.arrays import Array, Indices, Mask

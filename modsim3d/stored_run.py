@@ -11,7 +11,7 @@ import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.block import Frame, frames_of
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import RunDirectoryError

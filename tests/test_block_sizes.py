@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modsim3d.annotate.record import COLUMNS, concatenate
+from modsim3d.annotate.truth_record import COLUMNS, concatenate
 from modsim3d.camera import Intrinsics
 from modsim3d.frames import camera_R_parent
 from modsim3d.scene_reader import load_scene

@@ -110,7 +110,7 @@ def id_image(renderer, name, faces=None):
     return renderer.draw(
         triangles.corners_px[some],
         triangles.inverse_depth[some],
-        (outlines.vessel[triangles.row] + 1)[some],
+        (outlines.occluder[triangles.row] + 1)[some],
         WHOLE,
     )
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from modsim3d.annotate.full_frame import full_frame_occlusion
-from modsim3d.annotate.record import COLUMNS
 from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.annotate.spans import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_ids
+from modsim3d.annotate.scan_conversion import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_ids
 from modsim3d.annotate.triangles import within_guard
+from modsim3d.annotate.truth_record import COLUMNS
 from modsim3d.render.id_pass import Region
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import truth_block

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.annotate.record import COLUMNS
+from modsim3d.annotate.truth_record import COLUMNS
 from modsim3d.errors import RunDirectoryError
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene

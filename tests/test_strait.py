@@ -58,7 +58,7 @@ def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, rend
     assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
     bow = scene.cameras[0]
     outlines = scene.sight(bow, np.arange(3)).outlines(bow.intrinsics, scene.vessels)
-    own = outlines.vessel == scene.vessel_names.index("own")
+    own = outlines.occluder == scene.vessel_names.index("own")
     assert own.sum() == 3  # its own foredeck, in each frame
     assert not outlines.boxed[own].any()
 

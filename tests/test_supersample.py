@@ -5,7 +5,7 @@ import pytest
 
 from modsim3d.annotate import full_frame, rendered
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Verdict, compare_with_analytic
+from modsim3d.annotate.comparison import Agreement, compare_with_analytic
 from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
 from modsim3d.camera import Intrinsics
 from tests.scenes import INTRINSICS, outlines_of, random_places, random_scene, vessel
@@ -53,8 +53,8 @@ def test_full_boxes_are_within_three_tenths_of_a_pixel_at_four_but_for_tips_with
             outlines, lens, drawn, lambda row, o=outlines, k=lens: pixel_masks(o, k, renderer, row, 4), 4
         )
         off = np.abs(found.full_side_px).max(axis=1) > 0.3
-        assert (found.full[off] == Verdict.SHARP_TIP).all()
-        assert not (found.worst == Verdict.UNEXPLAINED).any()
+        assert (found.full[off] == Agreement.SHARP_TIP).all()
+        assert not (found.worst == Agreement.UNEXPLAINED).any()
         rows, tips = rows + len(outlines), tips + int(off.sum())
     assert rows > 150
     assert tips < 0.03 * rows

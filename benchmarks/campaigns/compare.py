@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
-from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
 from tests.scenes import outlines_of, random_scene
 
@@ -59,17 +59,17 @@ class Tally:
             self.full[reason] += int((found.full == verdict).sum())
             self.visible[reason] += int((found.visible == verdict).sum())
         self.largest_agreed_full_side_px = max(
-            self.largest_agreed_full_side_px, largest(found.full_side_px[found.full == Verdict.AGREE])
+            self.largest_agreed_full_side_px, largest(found.full_side_px[found.full == Agreement.AGREE])
         )
         self.largest_agreed_visible_side_px = max(
-            self.largest_agreed_visible_side_px, largest(found.visible_side_px[found.visible == Verdict.AGREE])
+            self.largest_agreed_visible_side_px, largest(found.visible_side_px[found.visible == Agreement.AGREE])
         )
         self.largest_side_at_a_tip_px = max(
-            self.largest_side_at_a_tip_px, largest(found.full_side_px[found.full == Verdict.SHARP_TIP])
+            self.largest_side_at_a_tip_px, largest(found.full_side_px[found.full == Agreement.SHARP_TIP])
         )
         self.visible_at_all_differs += int(found.seen_differs.sum())
         self.pixels_looked_at += int(found.pixels_looked_at.sum())
-        for row in np.flatnonzero(found.worst == Verdict.UNEXPLAINED):
+        for row in np.flatnonzero(found.worst == Agreement.UNEXPLAINED):
             self.unexplained.append({"seed": seed, "vessel": names[row]})
 
     def join(self, other: Tally) -> None:
@@ -103,7 +103,7 @@ def look_at(seeds: range, supersample: int) -> tuple[Tally, str]:
                 return pixel_masks(outlines, intrinsics, renderer, row, supersample)  # noqa: B023 (used at once)
 
             found = compare_with_analytic(outlines, intrinsics, drawn, look_again, supersample)
-            tally.add(seed, drawn, found, [places[i][0].name for i in outlines.vessel])
+            tally.add(seed, drawn, found, [places[i][0].name for i in outlines.occluder])
         return tally, context.description
 
 
@@ -116,7 +116,7 @@ def figures(tally: Tally) -> dict[str, Any]:
     """A tally for the JSON file, with shares."""
     frames = max(tally.vessel_frames, 1)
     hidden = tally.hidden_in_part + tally.hidden_wholly
-    tips = tally.full[EXPLANATIONS[Verdict.SHARP_TIP]]
+    tips = tally.full[EXPLANATIONS[Agreement.SHARP_TIP]]
     return {**vars(tally), "hidden_share": hidden / frames, "sharp_tip_share": tips / frames}
 
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.annotate.ordering import Order, order_of
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.polygon_occlusion import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.separating_planes import Order, order_of
 from modsim3d.annotate.silhouettes import in_image, silhouette_polygons
 from modsim3d.camera import Intrinsics
 
@@ -65,13 +65,13 @@ def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
     ties = Hiding.of(farther, touching.sum(axis=1) - farther) if len(touching) else None
     pairs = touching[outlines.boxed[touching].any(axis=1)]  # a bridge may stand on a quay
     boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
-    areas = hidden_areas(regions.silhouettes, regions.hiding, outlines.vessel, ties)
+    areas = hidden_areas(regions.silhouettes, regions.hiding, outlines.occluder, ties)
     return Occlusion(
         full_boxes_px=outlines.boxes_px,
         visible_boxes_px=boxes,
         silhouette_px=outlines.areas_px,
         visible_px=visible_px,
-        hidden=hidden_by(regions.hiding, areas, outlines.vessel),
+        hidden=hidden_by(regions.hiding, areas, outlines.occluder),
         intersecting=pairs,
     )
 

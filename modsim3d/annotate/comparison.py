@@ -19,9 +19,9 @@ import shapely
 from numpy.typing import NDArray
 
 from modsim3d.annotate.analytic import Regions, occlusion_of_regions, visible_regions
-from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.separating_planes import overlapping_pairs
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics
 
@@ -29,7 +29,7 @@ ROUNDING_PX = 1 / 128
 """Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""
 
 
-class Verdict(IntEnum):
+class Agreement(IntEnum):
     """Why two boxes differ, or that they do not; the worst of several is the greatest."""
 
     AGREE = 0
@@ -42,13 +42,13 @@ class Verdict(IntEnum):
 
 
 EXPLANATIONS = {
-    Verdict.AGREE: "agree within a pixel",
-    Verdict.SHARP_TIP: "sharp tip without a pixel centre",
-    Verdict.SLIVER: "sliver thinner than a pixel",
-    Verdict.BOUNDARY_ROUNDING: "boundary rounding",
-    Verdict.INTERSECTING: "intersecting boxes: only the rendered source decides",
-    Verdict.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
-    Verdict.UNEXPLAINED: "unexplained",
+    Agreement.AGREE: "agree within a pixel",
+    Agreement.SHARP_TIP: "sharp tip without a pixel centre",
+    Agreement.SLIVER: "sliver thinner than a pixel",
+    Agreement.BOUNDARY_ROUNDING: "boundary rounding",
+    Agreement.INTERSECTING: "intersecting boxes: only the rendered source decides",
+    Agreement.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
+    Agreement.UNEXPLAINED: "unexplained",
 }
 
 
@@ -83,8 +83,8 @@ class Comparison:
         fraction: Rendered less analytic visible fraction; NaN where either has none, shape (n,).
         fraction_bound: What the boundary pixels of the silhouette and of its visible part can explain, shape (n,).
         seen_differs: Whether one sees the vessel and the other does not, shape (n,).
-        full: Verdict on the full box, shape (n,).
-        visible: Verdict on the visible box, fraction and visibility, shape (n,).
+        full: `Agreement` of the full boxes, shape (n,).
+        visible: `Agreement` of visible boxes, visible fractions and visibility, shape (n,).
         pixels_looked_at: Rows of which every pixel was checked, shape (n,).
     """
 
@@ -148,7 +148,7 @@ def _with_meshes(found: Comparison, known: Indices, outlines: Outlines) -> Compa
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     beside = np.zeros(count, dtype=bool)
     beside[first[unknown[second]]] = beside[second[unknown[first]]] = True
-    columns["full"][unknown] = columns["visible"][unknown | beside] = Verdict.NOT_COMPARABLE
+    columns["full"][unknown] = columns["visible"][unknown | beside] = Agreement.NOT_COMPARABLE
     columns["seen_differs"] &= ~beside
     columns["visible_side_px"][beside] = columns["fraction"][beside] = np.nan
     return Comparison(**columns)
@@ -175,7 +175,7 @@ def _compare_convex(
     visible_off &= ~unordered
     full_off, visible_off = full_off & outlines.boxed, visible_off & outlines.boxed
     full = np.zeros(len(outlines), dtype=np.int64)
-    visible = np.where(unordered, int(Verdict.INTERSECTING), 0)
+    visible = np.where(unordered, int(Agreement.INTERSECTING), 0)
     nobody = regions.silhouettes[:0]
     for row in np.flatnonzero(full_off | visible_off):
         masks = look_again(int(row))
@@ -184,7 +184,7 @@ def _compare_convex(
         )
         if full_off[row]:
             fits = same and mask_fits(masks.silhouette, masks, regions.silhouettes[row], nobody, supersample)
-            full[row] = _verdict(fits, rendered.full_boxes_px[row], analytic.full_boxes_px[row], Verdict.SHARP_TIP)
+            full[row] = _agreement(fits, rendered.full_boxes_px[row], analytic.full_boxes_px[row], Agreement.SHARP_TIP)
         if visible_off[row]:
             covers = regions.silhouettes[regions.hiding.hiders_of(int(row))]
             same &= counted_from(
@@ -192,19 +192,19 @@ def _compare_convex(
             )
             fits = same and mask_fits(masks.visible, masks, regions.silhouettes[row], covers, supersample)
             # A box that is short of what the silhouette's own tip takes is short by that tip.
-            kind = Verdict.SHARP_TIP if np.array_equal(visible_side[row], full_side[row]) else Verdict.SLIVER
-            visible[row] = _verdict(fits, rendered.visible_boxes_px[row], analytic.visible_boxes_px[row], kind)
+            kind = Agreement.SHARP_TIP if np.array_equal(visible_side[row], full_side[row]) else Agreement.SLIVER
+            visible[row] = _agreement(fits, rendered.visible_boxes_px[row], analytic.visible_boxes_px[row], kind)
     return Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, full_off | visible_off)
 
 
-def _verdict(fits: bool, rendered_box: Array, analytic_box: Array, smaller: Verdict) -> int:
+def _agreement(fits: bool, rendered_box: Array, analytic_box: Array, smaller: Agreement) -> int:
     """Why a box differs although, or because, its pixels do (not) fit the exact region."""
     if not fits:
-        return Verdict.UNEXPLAINED
+        return Agreement.UNEXPLAINED
     nothing_drawn, nothing_exact = bool(np.isnan(rendered_box[0])), bool(np.isnan(analytic_box[0]))
     outside = np.concatenate([analytic_box[:2] - rendered_box[:2], rendered_box[2:] - analytic_box[2:]])
     larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
-    return Verdict.BOUNDARY_ROUNDING if larger else smaller
+    return Agreement.BOUNDARY_ROUNDING if larger else smaller
 
 
 def counted_from(mask: Mask, place: PixelMasks, box_px: Array, count_px: float, supersample: int) -> bool:

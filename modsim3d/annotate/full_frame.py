@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from modsim3d.annotate.comparison import PixelMasks
+from modsim3d.annotate.occlusion import HiddenPixels, Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Hidden, Occlusion
 from modsim3d.annotate.triangles import Triangles, triangles_of
 from modsim3d.arrays import Array, Mask
 from modsim3d.camera import Intrinsics
@@ -70,7 +70,7 @@ def pixel_masks(
     frame = slice(*np.searchsorted(outlines.frame, (outlines.frame[row], outlines.frame[row] + 1)))
     region = drawing.region(slice(row, row + 1))
     silhouette = drawing.draw_in_tiles(slice(row, row + 1), region) > 0
-    visible = drawing.draw_in_tiles(frame, region) == outlines.vessel[row] + 1
+    visible = drawing.draw_in_tiles(frame, region) == outlines.occluder[row] + 1
     return PixelMasks(region.x, region.y, silhouette, visible)
 
 
@@ -89,11 +89,11 @@ class _Tally:
         nowhere = np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1))
         return cls(nowhere, nowhere.copy(), np.zeros(count), np.zeros(count), [Counter() for _ in range(count)])
 
-    def hidden(self, area: int) -> Hidden:
+    def hidden(self, area: int) -> HiddenPixels:
         """Who hides how much, in image pixels of `area` buffer pixels each."""
         entries = [(row, hider, px) for row, hiders in enumerate(self.hiders) for hider, px in hiders.items()]
         row, hider, px = np.array(entries, dtype=np.int64).reshape(-1, 3).T
-        return Hidden.of(row, hider, px / area)
+        return HiddenPixels.of(row, hider, px / area)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class _Drawing:
     def draw(self, rows: slice, region: Region) -> Ids:
         """Occluder index + 1 at each pixel."""
         chosen = slice(*np.searchsorted(self.triangles.row, (rows.start, rows.stop)))
-        ids = self.outlines.vessel[self.triangles.row[chosen]] + 1
+        ids = self.outlines.occluder[self.triangles.row[chosen]] + 1
         corners = self.triangles.corners_px[chosen] * self.supersample
         return self.renderer.draw(corners, self.triangles.inverse_depth[chosen], ids, region)
 
@@ -143,7 +143,7 @@ def _count(drawing: _Drawing, tally: _Tally, rows: slice, tile: Region) -> None:
         if not region.width or not region.height:
             continue
         seen = scene[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
-        mask = seen == drawing.outlines.vessel[row] + 1
+        mask = seen == drawing.outlines.occluder[row] + 1
         silhouette = drawing.draw(slice(row, row + 1), region) > 0 if _overlaps_another(boxes, row, rows) else mask
         mask |= silhouette & (seen == 0)  # far outside the buffer OpenGL cuts edges itself, here and there differently
         _add(tally.silhouette, tally.full, row, silhouette, region)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import sizes
 

@@ -42,7 +42,7 @@ class Outlines:
 
     Attributes:
         frame: Index into the run of frames, shape (n,).
-        vessel: Index into the scene's occluder names, of which vessels are the first, shape (n,).
+        occluder: Index into the scene's occluder names, of which vessels come first, shape (n,).
         boxed: Whether it is a vessel that gets a box; what only hides has none, shape (n,).
         boxes_px: Tight box of the silhouette, cut at the image edge, shape (n, 4).
         areas_px: Area of the silhouette in the image; NaN for a solid that is not convex, shape (n,).
@@ -53,7 +53,7 @@ class Outlines:
     """
 
     frame: Indices
-    vessel: Indices
+    occluder: Indices
     boxed: Mask
     boxes_px: Array
     areas_px: Array
@@ -86,7 +86,7 @@ class Outlines:
         return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
 
 
-_COLUMNS = ("frame", "vessel", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
+_COLUMNS = ("frame", "occluder", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
 
 
 def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies]) -> Outlines:
@@ -99,7 +99,7 @@ def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[
     """
     found = [_outline(intrinsics, camera_poses, some) for some in bodies]
     columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
-    order = np.lexsort((columns["vessel"], columns["frame"]))
+    order = np.lexsort((columns["occluder"], columns["frame"]))
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     parts, first = [], 0
@@ -113,7 +113,7 @@ def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[
 
 
 _NOTHING = {
-    **dict.fromkeys(("frame", "vessel"), np.empty(0, dtype=np.int64)),
+    **dict.fromkeys(("frame", "occluder"), np.empty(0, dtype=np.int64)),
     **dict.fromkeys(("boxed", "crosses_near"), np.empty(0, dtype=bool)),
     **dict.fromkeys(("areas_px", "in_frame_fraction", "depth_m"), np.empty(0)),
     "boxes_px": np.empty((0, 4)),
@@ -154,7 +154,7 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
         depth = camera_poses.to_camera(bodies.centres_world())[frame, body, 2][rows]
     columns = {
         "frame": frame[rows],
-        "vessel": bodies.occluder[body[rows]],
+        "occluder": bodies.occluder[body[rows]],
         "boxed": np.full(len(rows), bodies.boxed),
         "boxes_px": boxes[rows],
         "areas_px": areas[rows],

@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.annotate.full_frame import TILE_PX, full_frame_occlusion, pixel_masks
-from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.occlusion import HiddenPixels, Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Hidden, Occlusion
-from modsim3d.annotate.spans import (
+from modsim3d.annotate.scan_conversion import (
     Edges,
     Spans,
     concatenate_spans,
@@ -28,6 +27,7 @@ from modsim3d.annotate.spans import (
     spans_of_ids,
     spans_of_runs,
 )
+from modsim3d.annotate.separating_planes import overlapping_pairs
 from modsim3d.annotate.triangles import Triangles, triangles_of, within_guard
 from modsim3d.arrays import Array, Indices
 from modsim3d.camera import Intrinsics
@@ -112,8 +112,8 @@ def _occlusion(
     keys, which = np.unique(pair, return_inverse=True)
     pieces = np.bincount(which, np.concatenate([entry.px for entry in entries]), minlength=len(keys))
     row, hider = np.divmod(keys, max(count, 1))
-    hidden = Hidden.of(
-        row, outlines.vessel[hider], pieces.astype(np.float64)
+    hidden = HiddenPixels.of(
+        row, outlines.occluder[hider], pieces.astype(np.float64)
     )  # whole numbers: an obstacle's pieces add up exactly
     return Occlusion(
         full_boxes_px=np.where(whole_px[:, None] > 0, whole_boxes / scale, outlines.boxes_px),

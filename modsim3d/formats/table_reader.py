@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.block import Frame, FrameDetections, FrameTruth
 from modsim3d.boxes import corner_form

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.regions import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.polygon_occlusion import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.separating_planes import overlapping_pairs
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:
@@ -40,5 +40,5 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
         visible_boxes_px=boxes,
         silhouette_px=areas,
         visible_px=visible_px,
-        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, outlines.vessel, ties), outlines.vessel),
+        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, outlines.occluder, ties), outlines.occluder),
     )

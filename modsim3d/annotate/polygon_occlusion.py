@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.annotate.record import Hidden
+from modsim3d.annotate.occlusion import HiddenPixels
 from modsim3d.arrays import Array, Indices
 
 NOTHING_PX2 = 1e-6
@@ -75,7 +75,7 @@ def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Arra
     return boxes, np.where(whole, full_areas_px, np.where(seen, areas, 0.0))
 
 
-def hidden_areas(silhouettes: Polygons, hiding: Hiding, vessel: Indices, ties: Hiding | None = None) -> Array:
+def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties: Hiding | None = None) -> Array:
     """How much each hider hides of each hidden: every hidden point belongs to the front-most thing there, shape (m,).
 
     A solid that may hide the hider takes its part only where it also hides the hidden one, since being in front is an
@@ -85,7 +85,7 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, vessel: Indices, ties: H
     Args:
         silhouettes: Shape (n,).
         hiding: m pairs.
-        vessel: Vessel or obstacle of each row, shape (n,).
+        occluder: Vessel or obstacle of each row, as an index into the scene's occluder names, shape (n,).
         ties: Pairs that overlap without an order, as if one were in front: what both hide of a third must be counted
             once only.
     """
@@ -100,8 +100,8 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, vessel: Indices, ties: H
         rows += [k] * len(in_front)
         covers += in_front
     parts = less(shared, np.array(rows, dtype=np.int64), silhouettes[covers])
-    owners = np.stack([hiding.hidden, vessel[hiding.hiders]], axis=1)
-    _, first, piece_of, pieces = np.unique(owners, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    pairs = np.stack([hiding.hidden, occluder[hiding.hiders]], axis=1)
+    _, first, piece_of, pieces = np.unique(pairs, axis=0, return_index=True, return_inverse=True, return_counts=True)
     piece_of = piece_of.reshape(-1)
     areas: Array = np.where(pieces[piece_of] == 1, shapely.area(parts), 0.0)
     for group in np.flatnonzero(pieces > 1).tolist():
@@ -109,13 +109,13 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, vessel: Indices, ties: H
     return areas
 
 
-def hidden_by(hiding: Hiding, areas_px: Array, vessel: Indices) -> Hidden:
+def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixels:
     """Who hides how much of which row, leaving out rounding errors.
 
     Args:
         hiding: m pairs.
         areas_px: Shape (m,).
-        vessel: Vessel of each row, shape (n,).
+        occluder: As in `hidden_areas`, shape (n,).
     """
     real = areas_px > NOTHING_PX2
-    return Hidden.of(hiding.hidden[real], vessel[hiding.hiders[real]], areas_px[real])
+    return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])

@@ -116,7 +116,7 @@ def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
     with_vessel = np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))
     kept = np.union1d(np.flatnonzero(outlines.boxed), with_vessel)
     first, second = overlapping_pairs(outlines.frame[kept], outlines.boxes_px[kept])
-    others = outlines.vessel[kept[first]] != outlines.vessel[kept[second]]
+    others = outlines.occluder[kept[first]] != outlines.occluder[kept[second]]
     return kept[first[others]], kept[second[others]]
 
 

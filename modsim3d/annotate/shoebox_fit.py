@@ -72,12 +72,13 @@ def add_looseness(
         shoeboxes: The same frames with all vessels as shoeboxes; a mesh lies inside its shoebox, so that each of its
             rows is there too.
     """
-    place = {key: row for row, key in enumerate(zip(shoeboxes.frame.tolist(), shoeboxes.vessel.tolist(), strict=True))}
+    keys = zip(shoeboxes.frame.tolist(), shoeboxes.occluder.tolist(), strict=True)
+    place = {key: row for row, key in enumerate(keys)}
     for part in meshes.parts:
-        for index in np.unique(meshes.vessel[part.rows]).tolist():
+        for index in np.unique(meshes.occluder[part.rows]).tolist():
             if not vessels[index].has_mesh:
                 continue
-            rows = part.rows[meshes.vessel[part.rows] == index]
+            rows = part.rows[meshes.occluder[part.rows] == index]
             others = [place[frame, index] for frame in meshes.frame[rows].tolist()]
             boxes = shoeboxes.boxes_px[others]
             looseness.setdefault(vessels[index].name, Looseness()).add(meshes.boxes_px[rows], boxes)
