@@ -130,7 +130,7 @@ def shares(scene: str, looks: int = 25) -> Answer:
     Returns:
         The shares of vessels in images whose box overlaps another's; that are hidden in part or wholly; wholly.
     """
-    from modsim3d.annotate.separating_planes import overlapping_pairs
+    from modsim3d.annotate.overlaps import overlapping_pairs
     from modsim3d.scene_reader import load_scene
     from modsim3d.simulate import open_renderer, truth_block
 

@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import Agreement, compare_with_analytic
-from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.annotate.full_frame import pixel_masks
+from modsim3d.annotate.rendered import rendered_occlusion
 from tests.scenes import mirrored, moved, outlines_at, outlines_of, random_scene
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -11,8 +11,9 @@ import pytest
 import shapely
 from typer.testing import CliRunner
 
-from modsim3d.annotate.full_frame import full_frame_occlusion, mask_box
+from modsim3d.annotate.full_frame import full_frame_occlusion
 from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.pixel_masks import mask_box
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.annotate.silhouettes import silhouette_polygons
 from modsim3d.cli import app

@@ -10,9 +10,9 @@ from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.camera_inside import first_body_around
 from modsim3d.annotate.comparison import Agreement, compare_with_analytic
 from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
+from modsim3d.annotate.occlusion_order import order_of
 from modsim3d.annotate.outlines import outline
 from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.annotate.separating_planes import order_of
 from modsim3d.annotate.truth_record import COLUMNS, concatenate
 from modsim3d.bodies import vessel_bodies
 from modsim3d.camera import Intrinsics, Mount, poses_ashore

@@ -18,7 +18,7 @@ import pytest
 import shapely
 
 from modsim3d.annotate.analytic import image_silhouettes
-from modsim3d.annotate.comparison import ROUNDING_PX
+from modsim3d.annotate.pixel_masks import ROUNDING_PX
 from modsim3d.annotate.triangles import triangles_of
 from modsim3d.camera import Mount, poses_ashore
 from modsim3d.frames import world_R_vehicle

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.annotate.comparison import ROUNDING_PX
+from modsim3d.annotate.pixel_masks import ROUNDING_PX
 from modsim3d.errors import ModsimError
 from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours

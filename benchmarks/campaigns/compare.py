@@ -22,8 +22,9 @@ import numpy as np
 import shapely
 
 from modsim3d.annotate.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
+from modsim3d.annotate.full_frame import pixel_masks
 from modsim3d.annotate.occlusion import Occlusion
-from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.annotate.rendered import rendered_occlusion
 from tests.scenes import outlines_of, random_scene
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.annotate.occlusion import Occlusion
+from modsim3d.annotate.occlusion_order import Order, order_of
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.annotate.polygon_occlusion import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
-from modsim3d.annotate.separating_planes import Order, order_of
 from modsim3d.annotate.silhouettes import in_image, silhouette_polygons
 from modsim3d.camera import Intrinsics
 
 
 @dataclass(frozen=True, eq=False)
-class Regions:
+class VisibleRegions:
     """Silhouettes in the image and what is visible of them, as polygons.
 
     Attributes:
@@ -35,7 +35,7 @@ class Regions:
     order: Order
 
 
-def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> Regions:
+def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
     """What is visible of each silhouette: the silhouette less those of the solids that can hide it."""
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
@@ -43,7 +43,7 @@ def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> Regions:
         np.concatenate([order.second[order.first_can_hide], order.first[order.second_can_hide]]),
         np.concatenate([order.first[order.first_can_hide], order.second[order.second_can_hide]]),
     )
-    return Regions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
+    return VisibleRegions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
 
 
 def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
@@ -56,7 +56,7 @@ def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
     return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
 
 
-def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
+def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusion:
     """The truth columns of regions; see `analytic_occlusion`."""
     order = regions.order
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)

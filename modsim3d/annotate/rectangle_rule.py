@@ -12,8 +12,8 @@ import shapely
 
 from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.overlaps import overlapping_pairs
 from modsim3d.annotate.polygon_occlusion import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
-from modsim3d.annotate.separating_planes import overlapping_pairs
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:

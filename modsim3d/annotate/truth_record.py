@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, ranges
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +59,11 @@ class Truth:
         """The rows chosen, in the order given."""
         chosen = np.arange(len(self))[rows]
         counts = np.diff(self.occluder_offsets)[chosen]
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        starts = np.repeat(self.occluder_offsets[chosen] - offsets[:-1], counts)
-        entries = starts + np.arange(offsets[-1])
+        entries = ranges(self.occluder_offsets[chosen], counts)
         columns = {name: getattr(self, name)[chosen] for name in ROW_COLUMNS}
         return Truth(
             **columns,
-            occluder_offsets=offsets,
+            occluder_offsets=np.concatenate([[0], np.cumsum(counts)]),
             occluder=self.occluder[entries],
             occluder_px=self.occluder_px[entries],
             intersections=self.intersections,

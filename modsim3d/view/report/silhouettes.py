@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from modsim3d.annotate.occlusion_order import order_of_pairs
 from modsim3d.annotate.outlines import Outlines, Part
-from modsim3d.annotate.separating_planes import order_of_pairs, overlapping_pairs
+from modsim3d.annotate.overlaps import overlapping_pairs
 from modsim3d.annotate.triangles import triangles_of
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics
