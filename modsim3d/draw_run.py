@@ -9,7 +9,7 @@ from PIL import Image
 
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
 from modsim3d.block import frames_of
-from modsim3d.compare import Case
+from modsim3d.compare_findings import VesselDifference
 from modsim3d.detector.reference import Reference
 from modsim3d.render.id_pass import IdRenderer, Ids
 from modsim3d.render.plain_ids import PlainIds
@@ -31,7 +31,7 @@ def id_image(scene: Scene, camera_index: int, step: int, renderer: IdRenderer) -
     return solids.ids(Window(0.0, 0.0, 1.0, solids.intrinsics.image_size_px), renderer)
 
 
-def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
+def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Image.Image:
     """A case of a comparison: the boxes of all sources, and the pixels that differ."""
     solids = Solids.at(scene, scene.cameras[case.camera], case.step)
     outlines = solids.outlines
@@ -45,7 +45,7 @@ def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
     return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region)
 
 
-def describe_case(scene: Scene, case: Case) -> str:
+def describe_case(scene: Scene, case: VesselDifference) -> str:
     """What a case shows, where and when."""
     (time,) = scene.timestamps(case.step, case.step + 1)
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"

@@ -99,13 +99,13 @@ def test_nothing_is_written_unasked(monkeypatch, tmp_path, scene):
 )
 def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, options, steps):
     looked_at = []
-    compare_camera = compare._compare_camera
+    compare_frames = compare._compare_frames
 
     def watched(*arguments):
         looked_at.extend(arguments[-1])
-        compare_camera(*arguments)
+        return compare_frames(*arguments)
 
-    monkeypatch.setattr(compare, "_compare_camera", watched)
+    monkeypatch.setattr(compare, "_compare_frames", watched)
     _, found = figures_of(monkeypatch, tmp_path / "out", scene, *options)
     assert found["steps"] == steps
     named = dict(zip(options[::2], options[1::2], strict=True))

@@ -11,7 +11,7 @@ rasteriser's rounding of corners. The box and the count of the truth must be tho
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 
@@ -85,6 +85,14 @@ class Comparison:
     def worst(self) -> Indices:
         """The worse `Agreement` of full and visible, shape (n,)."""
         return np.maximum(self.full, self.visible)
+
+
+def concatenate_comparisons(parts: Sequence[Comparison]) -> Comparison:
+    """The rows of several comparisons, one after another."""
+    empty, empty_sides, none = np.empty(0), np.empty((0, 4)), np.empty(0, dtype=np.int64)
+    nothing = Comparison(empty_sides, empty_sides, empty, empty, none > 0, none, none, none > 0)
+    names = [field.name for field in fields(Comparison)]
+    return Comparison(*(np.concatenate([getattr(part, name) for part in (nothing, *parts)]) for name in names))
 
 
 def compare_with_analytic(

@@ -1,84 +1,84 @@
-"""How much looser a vessel's shoebox is than its mesh, as boxes in the image."""
+"""How well a vessel's shoebox fits its mesh, as boxes in the image."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from modsim3d.annotate.outlines import Outlines
 from modsim3d.arrays import Array
-from modsim3d.boxes import sizes
+from modsim3d.boxes import areas
 from modsim3d.vessels import Vessel
 
 
-@dataclass
-class Looseness:
-    """One vessel's full boxes of mesh and shoebox, summed over frames.
+@dataclass(frozen=True)
+class ShoeboxFit:
+    """One vessel's full boxes of mesh and shoebox, summed over frames. Fits of different frames add up.
 
     Attributes:
-        frames: In which the mesh is in the image.
-        ratio_sum: Of area of the shoebox's box over area of the mesh's.
-        ratio_max: The greatest.
-        side_max_px: By how much a side of the shoebox's box is farther out at most.
-        within_a_pixel: Frames in which no side is more than a pixel farther out.
+        frames: Number of frames in which the mesh is in the image.
+        ratio_sum: Sum over frames of the area of the shoebox's box over the area of the mesh's box.
+        ratio_max: The greatest of these ratios.
+        side_max_px: The greatest distance by which a side of the shoebox's box is farther out.
+        within_a_pixel: Number of frames in which no side is more than a pixel farther out.
     """
 
-    frames: int = 0
-    ratio_sum: float = 0.0
-    ratio_max: float = 0.0
-    side_max_px: float = 0.0
-    within_a_pixel: int = 0
+    frames: int
+    ratio_sum: float
+    ratio_max: float
+    side_max_px: float
+    within_a_pixel: int
 
-    def add(self, mesh_boxes_px: Array, shoebox_boxes_px: Array) -> None:
-        """Add frames: two boxes each, shapes (n, 4)."""
-        ratio = _areas(shoebox_boxes_px) / _areas(mesh_boxes_px)
-        out = np.concatenate(
-            [mesh_boxes_px[:, :2] - shoebox_boxes_px[:, :2], shoebox_boxes_px[:, 2:] - mesh_boxes_px[:, 2:]], axis=1
-        ).max(axis=1)
-        self.frames += len(ratio)
-        self.ratio_sum += float(ratio.sum())
-        self.ratio_max = max(self.ratio_max, float(ratio.max(initial=0.0)))
-        self.side_max_px = max(self.side_max_px, float(out.max(initial=0.0)))
-        self.within_a_pixel += int((out <= 1).sum())
+    @classmethod
+    def between(cls, mesh_boxes_px: Array, shoebox_boxes_px: Array) -> ShoeboxFit:
+        """The fit over n frames.
 
-    def figures(self) -> dict[str, Any]:
-        """As plain values; the ratio says how many times larger the shoebox's box is."""
-        return {
-            "frames": self.frames,
-            "mean_area_ratio": self.ratio_sum / max(self.frames, 1),
-            "max_area_ratio": self.ratio_max,
-            "max_side_px": self.side_max_px,
-            "within_a_pixel": self.within_a_pixel,
-        }
+        Args:
+            mesh_boxes_px: Full box of the mesh in each frame, shape (n, 4).
+            shoebox_boxes_px: Full box of the shoebox, shape (n, 4).
+        """
+        ratio = areas(shoebox_boxes_px) / areas(mesh_boxes_px)
+        out = ((shoebox_boxes_px - mesh_boxes_px) * (-1, -1, 1, 1)).max(axis=1)
+        return cls(
+            frames=len(ratio),
+            ratio_sum=float(ratio.sum()),
+            ratio_max=float(ratio.max(initial=0.0)),
+            side_max_px=float(out.max(initial=0.0)),
+            within_a_pixel=int((out <= 1).sum()),
+        )
+
+    def __add__(self, other: ShoeboxFit) -> ShoeboxFit:
+        """The fit over the frames of both."""
+        return ShoeboxFit(
+            self.frames + other.frames,
+            self.ratio_sum + other.ratio_sum,
+            max(self.ratio_max, other.ratio_max),
+            max(self.side_max_px, other.side_max_px),
+            self.within_a_pixel + other.within_a_pixel,
+        )
 
 
-def _areas(boxes_px: Array) -> Array:
-    areas: Array = sizes(boxes_px).prod(axis=1)
-    return areas
-
-
-def add_looseness(
-    looseness: dict[str, Looseness], vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outlines
-) -> None:
-    """Add the frames in which a vessel's mesh is in the image.
+def shoebox_fits(vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outlines) -> dict[str, ShoeboxFit]:
+    """The fit of each vessel with a mesh that is in an image.
 
     Args:
-        looseness: By vessel ID; grows.
-        vessels: Of the scene.
-        meshes: Rows of vessels as they are.
-        shoeboxes: The same frames with all vessels as shoeboxes; a mesh lies inside its shoebox, so that each of its
-            rows is there too.
+        vessels: Vessels of the scene.
+        meshes: Rows of vessels with their own shapes.
+        shoeboxes: The same frames with every vessel as its shoebox. A mesh lies inside its shoebox, so each of its rows
+            is there too.
+
+    Returns:
+        Vessel ID → fit.
     """
     keys = zip(shoeboxes.frame.tolist(), shoeboxes.occluder.tolist(), strict=True)
     place = {key: row for row, key in enumerate(keys)}
+    fits = {}
     for part in meshes.parts:
-        for index in np.unique(meshes.occluder[part.rows]).tolist():
-            if not vessels[index].has_mesh:
-                continue
-            rows = part.rows[meshes.occluder[part.rows] == index]
-            others = [place[frame, index] for frame in meshes.frame[rows].tolist()]
-            boxes = shoeboxes.boxes_px[others]
-            looseness.setdefault(vessels[index].name, Looseness()).add(meshes.boxes_px[rows], boxes)
+        for vessel in np.unique(meshes.occluder[part.rows]).tolist():
+            if vessels[vessel].has_mesh:
+                rows = part.rows[meshes.occluder[part.rows] == vessel]
+                same = [place[frame, vessel] for frame in meshes.frame[rows].tolist()]
+                fits[vessels[vessel].name] = ShoeboxFit.between(meshes.boxes_px[rows], shoeboxes.boxes_px[same])
+    return fits

@@ -40,18 +40,18 @@ def compare_command(
             raise ModsimError("the rendered source is needed to compare with")
         with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=None if loaded.live else -(-loaded.steps // every))
-            report = compare_sources(
+            comparison = compare_sources(
                 loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
             )
         if out is not None:
-            compare_report.write_report(report, loaded, renderer, out)
-    figures = report.figures()
+            compare_report.write_report(comparison, loaded, renderer, out)
+    figures = comparison.figures
     console = Console()
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),
         ("verdicts: full box, visible part", compare_report.verdict_rows(figures)),
         ("rectangle rule against rendered", compare_report.rule_rows(figures)),
-        ("shoebox against mesh", compare_report.looseness_rows(figures)),
+        ("shoebox against mesh", compare_report.shoebox_rows(figures)),
         ("time per frame", compare_report.time_rows(figures)),
         ("intersecting boxes", compare_report.intersection_rows(figures)),
     ):
@@ -59,5 +59,5 @@ def compare_command(
             print_rows(console, title, rows)
     if out is not None:
         console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
-    if report.unexplained:
+    if figures.unexplained:
         raise typer.Exit(1)
