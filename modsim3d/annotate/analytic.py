@@ -1,7 +1,7 @@
-"""Truth from geometry alone, without a renderer: exact occlusion of shoeboxes.
+"""Truth from geometry alone, without a renderer: exact occlusion of convex solids.
 
-The visible region of a vessel is its silhouette less the silhouettes of those that can hide it. Areas and boxes are
-of sub-pixel exactness. Intersecting boxes have no order; what is visible of them is left open (NaN).
+The visible region of a vessel is its silhouette minus the silhouettes of the solids that can hide it. Areas and boxes
+are exact, not rounded to pixels. Intersecting solids have no order, so what is visible of them is unknown (NaN).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class VisibleRegions:
     """Silhouettes in the image and what is visible of them, as polygons.
 
     Attributes:
-        silhouettes: Shape (n,).
-        visible: Shape (n,).
-        hiding: Who can hide whom.
-        order: Where that is known from.
+        silhouettes: Whole silhouettes, cut at the image edge, shape (n,).
+        visible: Their visible parts, shape (n,).
+        hiding: Which rows can hide which.
+        order: The order of solids that `hiding` follows from.
     """
 
     silhouettes: Polygons
@@ -36,7 +36,12 @@ class VisibleRegions:
 
 
 def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
-    """What is visible of each silhouette: the silhouette less those of the solids that can hide it."""
+    """What is visible of each silhouette: the silhouette minus those of the solids that can hide it.
+
+    Args:
+        outlines: Convex solids in front of the camera, n rows.
+        intrinsics: Intrinsics of the camera.
+    """
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
     hiding = Hiding.of(
@@ -50,14 +55,14 @@ def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
     """Full and visible boxes, areas and occluders of every outline.
 
     Args:
-        outlines: The convex solids in front of the camera.
-        intrinsics: Of the camera.
+        outlines: Convex solids in front of the camera.
+        intrinsics: Intrinsics of the camera.
     """
     return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
 
 
 def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusion:
-    """The truth columns of regions; see `analytic_occlusion`."""
+    """Boxes, areas and occluders of regions that are already cut; see `analytic_occlusion`."""
     order = regions.order
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
     touching = np.column_stack([order.first, order.second])[order.intersecting]
@@ -77,7 +82,7 @@ def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusi
 
 
 def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
-    """Silhouettes cut at the image edge, shape (n,)."""
+    """The silhouette of each row as a polygon, cut at the image edge, shape (n,)."""
     silhouettes = np.empty(len(outlines), dtype=object)
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]

@@ -1,4 +1,4 @@
-"""Regions of the image as polygons: what is left of each when others cover it, and who covers how much."""
+"""Occlusion of polygons by polygons: what remains visible of each, and who hides how much of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from modsim3d.annotate.occlusion import HiddenPixels
 from modsim3d.arrays import Array, Indices
 
 NOTHING_PX2 = 1e-6
-"""Regions smaller than this are rounding errors of cutting one polygon by another."""
+"""Smaller regions are rounding errors of cutting one polygon by another."""
 
 Polygons = NDArray[np.object_]
 
@@ -22,8 +22,8 @@ class Hiding:
     """Which rows may hide which, ordered by the hidden row.
 
     Attributes:
-        hidden: Shape (m,), non-decreasing.
-        hiders: Shape (m,).
+        hidden: Row that may be hidden, non-decreasing, shape (m,).
+        hiders: Row that may hide it, shape (m,).
     """
 
     hidden: Indices
@@ -31,22 +31,25 @@ class Hiding:
 
     @classmethod
     def of(cls, hidden: Indices, hiders: Indices) -> Hiding:
-        """Put pairs in order."""
+        """Sort pairs: `hiders[k]` may hide `hidden[k]`; both of shape (m,)."""
         ascending = np.lexsort((hiders, hidden))
         return cls(hidden[ascending], hiders[ascending])
 
     def hiders_of(self, row: int) -> Indices:
-        """Rows that may hide a row."""
+        """Rows that may hide a row, ascending, shape (k,)."""
         return self.hiders[slice(*np.searchsorted(self.hidden, (row, row + 1)))]
 
 
-def less(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
-    """Polygons less what covers them: each round takes one cover from every polygon that has one left.
+def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
+    """Polygons minus all that covers them. Each round subtracts one cover from every polygon that still has one.
 
     Args:
-        polygons: Shape (n,).
-        rows: The polygon that each cover is taken from, non-decreasing, shape (m,).
-        covers: Shape (m,).
+        polygons: Polygons, shape (n,).
+        rows: Index of the polygon that each cover is subtracted from, non-decreasing, shape (m,).
+        covers: Covering polygons, shape (m,).
+
+    Returns:
+        What is left of each polygon, shape (n,).
     """
     left = polygons.copy()
     turn = np.arange(len(rows)) - np.searchsorted(rows, rows)
@@ -57,17 +60,17 @@ def less(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
 
 
 def visible_of(silhouettes: Polygons, hiding: Hiding) -> Polygons:
-    """What is visible of each silhouette, shape (n,)."""
-    return less(silhouettes, hiding.hidden, silhouettes[hiding.hiders])
+    """What is visible of each silhouette (n,), shape (n,)."""
+    return subtract(silhouettes, hiding.hidden, silhouettes[hiding.hiders])
 
 
 def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Array) -> tuple[Array, Array]:
     """Bounding boxes (NaN where nothing is) and areas of visible regions, shapes (n, 4) and (n,).
 
     Args:
-        visible: Shape (n,).
-        full_boxes_px: Of the whole silhouettes; taken exactly where nothing is hidden, shape (n, 4).
-        full_areas_px: Shape (n,).
+        visible: Visible regions, shape (n,).
+        full_boxes_px: Boxes of the whole silhouettes, which are returned where nothing is hidden, shape (n, 4).
+        full_areas_px: Areas of the whole silhouettes, shape (n,).
     """
     areas: Array = shapely.area(visible)
     seen, whole = areas > NOTHING_PX2, areas >= full_areas_px - NOTHING_PX2
@@ -76,18 +79,18 @@ def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Arra
 
 
 def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties: Hiding | None = None) -> Array:
-    """How much each hider hides of each hidden: every hidden point belongs to the front-most thing there, shape (m,).
+    """How much each hider hides of each hidden row, in square pixels, shape (m,).
 
-    A solid that may hide the hider takes its part only where it also hides the hidden one, since being in front is an
-    order along a ray. So a hider's part is what the two silhouettes share, less the silhouettes in front of the hider.
-    What several pieces of an obstacle hide together stands at the first of them.
+    Every hidden point is counted for the front-most solid there. A hider's part is therefore what the two silhouettes
+    share, minus the silhouettes of everything that may hide the hider. What several pieces of an obstacle hide together
+    is entered for the first of them; the others get zero.
 
     Args:
-        silhouettes: Shape (n,).
-        hiding: m pairs.
+        silhouettes: Silhouettes of all rows, shape (n,).
+        hiding: The m pairs of hidden row and hider.
         occluder: Vessel or obstacle of each row, as an index into the scene's occluder names, shape (n,).
-        ties: Pairs that overlap without an order, as if one were in front: what both hide of a third must be counted
-            once only.
+        ties: Pairs that overlap but have no order. The hider of a pair counts as the one in front, so that what both
+            hide of a third row is counted once.
     """
     shared = shapely.intersection(silhouettes[hiding.hidden], silhouettes[hiding.hiders])
     rows: list[int] = []
@@ -99,7 +102,7 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties:
             in_front += sorted(also)
         rows += [k] * len(in_front)
         covers += in_front
-    parts = less(shared, np.array(rows, dtype=np.int64), silhouettes[covers])
+    parts = subtract(shared, np.array(rows, dtype=np.int64), silhouettes[covers])
     pairs = np.stack([hiding.hidden, occluder[hiding.hiders]], axis=1)
     _, first, piece_of, pieces = np.unique(pairs, axis=0, return_index=True, return_inverse=True, return_counts=True)
     piece_of = piece_of.reshape(-1)
@@ -110,11 +113,11 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties:
 
 
 def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixels:
-    """Who hides how much of which row, leaving out rounding errors.
+    """Who hides how much of which row, without rounding errors.
 
     Args:
-        hiding: m pairs.
-        areas_px: Shape (m,).
+        hiding: The m pairs of hidden row and hider.
+        areas_px: How much each hider hides, shape (m,).
         occluder: As in `hidden_areas`, shape (n,).
     """
     real = areas_px > NOTHING_PX2

@@ -17,20 +17,22 @@ class Truth:
     Boxes are x_min, y_min, x_max, y_max. Rows are in order of step, camera, vessel.
 
     Attributes:
-        step: Shape (n,).
+        step: Step of the scene, shape (n,).
         camera: Index into the scene's cameras, shape (n,).
         vessel: Index into the scene's vessels, shape (n,).
         full_boxes_px: Tight box of the whole silhouette, hidden parts too, cut at the image edge, shape (n, 4).
-        visible_boxes_px: Tight box of what is seen; NaN if nothing is, or if the source cannot tell, shape (n, 4).
-        silhouette_px: Pixels of the silhouette alone in the image, shape (n,).
-        visible_px: Pixels of those that are seen; NaN if the source cannot tell, shape (n,).
+        visible_boxes_px: Tight box of what is visible; NaN if nothing is, or if the source cannot tell, shape (n, 4).
+        silhouette_px: Number of pixels of the whole silhouette in the image, shape (n,).
+        visible_px: Number of these that are visible; NaN if the source cannot tell, shape (n,).
         visible_fraction: visible_px / silhouette_px; NaN if there is no silhouette pixel, shape (n,).
-        in_frame_fraction: Area in the image over area of the silhouette; NaN across the near plane, shape (n,).
+        in_frame_fraction: Share of the silhouette's area that is in the image; NaN if the near plane cuts the solid,
+            shape (n,).
         depth_m: Mean c3 of the corner points, shape (n,).
-        occluder_offsets: Row i is hidden by entries offsets[i] to offsets[i + 1] of the next two, shape (n + 1,).
-        occluder: Index into `occluder_names` of the scene, shape (m,).
-        occluder_px: How many of its pixels that one hides, shape (m,).
-        annotated: Whether the annotation mode and filters keep it, shape (n,).
+        occluder_offsets: Entries offsets[i] to offsets[i + 1] − 1 of the next two columns are what hides row i, shape
+            (n + 1,).
+        occluder: Index into the scene's occluder names, shape (m,).
+        occluder_px: Number of pixels of the row that this occluder hides, shape (m,).
+        annotated: Whether the annotation mode and filters keep the row, shape (n,).
         intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and in space, so
             that the analytic source cannot tell what is visible of them, shape (k, 4).
     """
@@ -56,7 +58,7 @@ class Truth:
         return len(self.step)
 
     def take(self, rows: Indices | Mask | slice) -> Truth:
-        """The rows chosen, in the order given."""
+        """The chosen rows, in the order given."""
         chosen = np.arange(len(self))[rows]
         counts = np.diff(self.occluder_offsets)[chosen]
         entries = ranges(self.occluder_offsets[chosen], counts)
@@ -70,11 +72,11 @@ class Truth:
         )
 
     def with_annotated(self, annotated: Mask) -> Truth:
-        """The same rows with another choice of what is annotated."""
+        """The same rows with another column `annotated`, shape (n,)."""
         return replace(self, annotated=annotated)
 
     def occluders_of(self, row: int) -> list[tuple[int, float]]:
-        """Who hides how many pixels of a row: (index into the scene's occluder names, pixels)."""
+        """Who hides how many pixels of a row, as pairs (index into the scene's occluder names, pixels)."""
         entries = slice(self.occluder_offsets[row], self.occluder_offsets[row + 1])
         return list(zip(self.occluder[entries].tolist(), self.occluder_px[entries].tolist(), strict=True))
 
@@ -86,7 +88,7 @@ ROW_COLUMNS = tuple(
 
 
 def no_truth() -> Truth:
-    """The record of no frame."""
+    """A record without rows."""
     integers, numbers, boxes = np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 4))
     return Truth(
         step=integers,
@@ -108,11 +110,7 @@ def no_truth() -> Truth:
 
 
 def concatenate(parts: Sequence[Truth]) -> Truth:
-    """The rows of several records in order of step, camera and vessel.
-
-    Args:
-        parts: At least one.
-    """
+    """The rows of several records, at least one, in order of step, camera and vessel."""
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ROW_COLUMNS}
     counts = np.concatenate([np.diff(part.occluder_offsets) for part in parts])
     truth = Truth(
