@@ -106,7 +106,7 @@ def test_each_pixel_shows_what_lies_in_its_direction(renderer):
             for row, silhouette in zip(part.rows.tolist(), straight, strict=True):
                 mask = pixel_masks(outlines, camera, renderer, row)
                 height, width = mask.silhouette.shape
-                x, y = np.meshgrid(mask.x + np.arange(width) + 0.5, mask.y + np.arange(height) + 0.5)
+                x, y = np.meshgrid(mask.region.x + np.arange(width) + 0.5, mask.region.y + np.arange(height) + 0.5)
                 centres = np.stack([x, y], axis=-1)
                 directions = camera.pinhole.project(camera.unproject(centres, np.full(centres.shape[:-1], 10.0)))
                 sure, perhaps = (
