@@ -32,9 +32,9 @@ def figure_rows(figures: Figures) -> Rows:
         ("full box, side differences", _sides(figures.full_box)),
         ("visible box, side differences", _sides(figures.visible_box)),
         ("visible fraction, differences", _up_to(fraction.max, fraction.p99, 4)),
-        ("above what the boundary explains", str(fraction.above_bound)),
-        ("seen by one source only", str(figures.visible_at_all_differs)),
-        ("every pixel looked at", f"{figures.pixels_looked_at} vessel-frames"),
+        ("fraction differences that boundary pixels do not explain", str(fraction.above_bound)),
+        ("visible to one source only", str(figures.visible_at_all_differs)),
+        ("every pixel checked", f"{figures.pixels_looked_at} vessel-frames"),
         ("UNEXPLAINED", str(figures.unexplained)),
     ]
 
@@ -44,10 +44,10 @@ def rule_rows(figures: Figures) -> Rows:
     rule = figures.rectangles_against_rendered
     return [
         ("occluded vessel-frames", str(rule.occluded)),
-        (f"box off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
+        (f"a side off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
         ("hidden vessel kept", _share(rule.hidden_vessel_kept, rule.occluded)),
         ("visible vessel dropped", _share(rule.visible_vessel_dropped, rule.occluded)),
-        ("wrong in all", f"{rule.wrong_share:.1%}"),
+        ("wrong in total", f"{rule.wrong_share:.1%}"),
     ]
 
 
@@ -56,8 +56,8 @@ def shoebox_rows(figures: Figures) -> list[tuple[str, str, str]]:
     return [
         (
             vessel,
-            f"its box is {fit.mean_area_ratio:.2f} times as large, {fit.max_area_ratio:.2f} at most",
-            f"a side up to {fit.max_side_px:.1f} px farther out, within a pixel in "
+            f"its box is {fit.mean_area_ratio:.2f} times as large on average, {fit.max_area_ratio:.2f} times at most",
+            f"sides are up to {fit.max_side_px:.1f} px farther out, and within a pixel in "
             f"{_share(fit.within_a_pixel, fit.frames)} frames",
         )
         for vessel, fit in figures.shoebox_against_mesh.items()
@@ -101,7 +101,7 @@ def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> s
         *_introduction(figures),
         page.heading("Rendered against analytic"),
         page.table(figure_rows(figures)),
-        page.table(verdict_rows(figures), ("Verdict", "Full box", "Visible part")),
+        page.table(verdict_rows(figures), ("Agreement", "Full box", "Visible part")),
         page.heading("The thesis's rectangle rule against rendered"),
         page.table(rule_rows(figures)),
         page.heading("Time per frame"),
@@ -126,14 +126,13 @@ def _introduction(figures: Figures) -> list[str]:
         answer = f"{figures.unexplained} differences between the rendered and the analytic truth are unexplained."
     else:
         answer = (
-            f"Every difference between the rendered and the analytic truth of {figures.vessel_frames} vessel-frames is "
-            "explained by where pixel centres lie."
+            "Pixel sampling explains every difference between the rendered and the analytic truth of "
+            f"{figures.vessel_frames} vessel-frames."
         )
     method = (
-        f"{figures.steps} steps, supersampling {figures.supersample}. Rendered: ID buffers with a depth "
-        "buffer. Analytic: silhouette polygons cut by those in front of them, in an order that comes from "
-        "separating planes. Where two boxes differ by more than a pixel, every pixel of the vessel was looked at: "
-        "all whose centre is "
-        "inside the exact region must be set and all others not."
+        f"{figures.steps} steps, supersampling {figures.supersample}. The rendered source draws ID buffers with a "
+        "depth buffer. The analytic source cuts silhouette polygons by those in front of them; separating planes say "
+        "which are in front. Where two boxes differ by more than a pixel, every pixel of the vessel was checked: it "
+        "must be set if its centre is inside the exact region, and only then."
     )
     return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]

@@ -83,7 +83,7 @@ def test_terminal_says_the_same_as_the_file(monkeypatch, tmp_path, scene, capsys
     said = re.sub(r"\s+", " ", capsys.readouterr().out)
     assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
     assert "UNEXPLAINED 0" in said
-    assert f"wrong in all {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
+    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
     assert "compare.json" in said
 
 

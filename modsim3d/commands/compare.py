@@ -16,7 +16,9 @@ def compare_command(
     scene: SceneArgument,
     steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Look at every K-th step.")] = 1,
-    supersample: Annotated[int | None, typer.Option(min=1, max=8, help="In place of the scene's.")] = None,
+    supersample: Annotated[
+        int | None, typer.Option(min=1, max=8, help="Buffer pixels per image pixel and axis, in place of the scene's.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Write compare.json and compare.html here.")] = None,
 ) -> None:
     """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
@@ -34,10 +36,10 @@ def compare_command(
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)  # better now than after all the work
+        out.mkdir(parents=True, exist_ok=True)  # fails before the work if it cannot be made
     with open_renderer(loaded) as renderer:
         if renderer is None:
-            raise ModsimError("the rendered source is needed to compare with")
+            raise ModsimError("compare needs the rendered source")
         with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=None if loaded.live else -(-loaded.steps // every))
             comparison = compare_sources(
@@ -49,7 +51,7 @@ def compare_command(
     console = Console()
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),
-        ("verdicts: full box, visible part", compare_report.verdict_rows(figures)),
+        ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
         ("rectangle rule against rendered", compare_report.rule_rows(figures)),
         ("shoebox against mesh", compare_report.shoebox_rows(figures)),
         ("time per frame", compare_report.time_rows(figures)),
