@@ -70,7 +70,7 @@ def test_the_cameras_run_at_their_own_rates(scene):
 
 
 def test_compare_finds_nothing_unexplained(scene, renderer):
-    report = compare_sources(scene, renderer, every=20)
-    assert report.frames == 15 + 8
-    assert report.vessel_frames > 80
-    assert report.unexplained == 0
+    figures = compare_sources(scene, renderer, every=20).figures
+    assert figures.frames == 15 + 8
+    assert figures.vessel_frames > 80
+    assert figures.unexplained == 0
