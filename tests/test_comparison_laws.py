@@ -42,8 +42,8 @@ def test_no_difference_between_pixels_and_geometry_is_unexplained(renderer, seed
     assert not (found.worst == Agreement.UNEXPLAINED).any()
     agree = found.full == Agreement.AGREE
     assert np.abs(found.full_side_px[agree]).max(initial=0) <= 1
-    told = ~np.isnan(found.fraction)
-    assert (np.abs(found.fraction) <= found.fraction_bound)[told & (found.visible == Agreement.AGREE)].all()
+    known = ~np.isnan(found.fraction)
+    assert (np.abs(found.fraction) <= found.fraction_bound)[known & (found.visible == Agreement.AGREE)].all()
 
 
 @law(25)

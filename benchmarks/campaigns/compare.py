@@ -100,10 +100,10 @@ def look_at(seeds: range, supersample: int) -> tuple[Tally, str]:
             outlines = outlines_of(places, intrinsics, mount)
             drawn = rendered_occlusion(outlines, intrinsics, renderer, supersample)
 
-            def look_again(row: int):
+            def draw_masks(row: int):
                 return pixel_masks(outlines, intrinsics, renderer, row, supersample)  # noqa: B023 (used at once)
 
-            found = compare_with_analytic(outlines, intrinsics, drawn, look_again, supersample)
+            found = compare_with_analytic(outlines, intrinsics, drawn, draw_masks, supersample)
             tally.add(seed, drawn, found, [places[i][0].name for i in outlines.occluder])
         return tally, context.description
 
@@ -177,13 +177,13 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, help="fewer than the campaign's own, for a try")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for compare.md and compare.json")
-    asked = parser.parse_args()
-    counts = {factor: min(count, asked.scenes or count) for factor, count in SCENES.items()}
+    options = parser.parse_args()
+    counts = {factor: min(count, options.scenes or count) for factor, count in SCENES.items()}
     work = [portion for factor, count in counts.items() for portion in portions(count, factor)]
     tallies = {factor: Tally() for factor in counts}
     drawn_by = set()
     # OpenGL must be loaded in each process for itself.
-    with ProcessPoolExecutor(asked.processes, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(options.processes, multiprocessing.get_context("spawn")) as pool:
         for (seeds, factor), (tally, renderer) in zip(work, pool.map(look_at, *zip(*work, strict=True)), strict=True):
             tallies[factor].join(tally)
             drawn_by.add(renderer)
@@ -195,10 +195,10 @@ def main() -> int:
         "shapely": f"{shapely.__version__} (GEOS {shapely.geos_version_string})",
         "renderer": " and ".join(sorted(drawn_by)),
     }
-    asked.out.mkdir(parents=True, exist_ok=True)
+    options.out.mkdir(parents=True, exist_ok=True)
     data = json.dumps({"format": 1, "versions": versions, "supersample": found}, indent=2)
-    (asked.out / "compare.json").write_text(data + "\n", encoding="utf-8")
-    (asked.out / "compare.md").write_text(page(found, versions), encoding="utf-8")
+    (options.out / "compare.json").write_text(data + "\n", encoding="utf-8")
+    (options.out / "compare.md").write_text(page(found, versions), encoding="utf-8")
     print(table(found))
     return int(any(column["unexplained"] for column in found.values()))
 

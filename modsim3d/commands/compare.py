@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modsim3d.commands.shared import SceneArgument, print_rows
 from modsim3d.errors import ModsimError
 from modsim3d.progress import progress_bar
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modsim3d.compare_figures import Figures
 
 
 def compare_command(
@@ -49,6 +54,17 @@ def compare_command(
             compare_report.write_report(comparison, loaded, renderer, out)
     figures = comparison.figures
     console = Console()
+    _print_figures(console, figures)
+    if out is not None:
+        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
+    if figures.unexplained:
+        raise typer.Exit(1)
+
+
+def _print_figures(console: Console, figures: Figures) -> None:
+    """Print the tables that have rows."""
+    from modsim3d import compare_report
+
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),
         ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
@@ -59,7 +75,3 @@ def compare_command(
     ):
         if rows:
             print_rows(console, title, rows)
-    if out is not None:
-        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
-    if figures.unexplained:
-        raise typer.Exit(1)
