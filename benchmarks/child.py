@@ -130,7 +130,7 @@ def shares(scene: str, looks: int = 25) -> Answer:
     Returns:
         The shares of vessels in images whose box overlaps another's; that are hidden in part or wholly; wholly.
     """
-    from modsim3d.annotate.ordering import overlapping_pairs
+    from modsim3d.annotate.overlaps import overlapping_pairs
     from modsim3d.scene_reader import load_scene
     from modsim3d.simulate import open_renderer, truth_block
 
@@ -242,7 +242,7 @@ class OurPass:
 
         scene, intrinsics = self._scene, self._scene.cameras[0].intrinsics
         outlines = sight.outlines()
-        return outlines.vessel, occlusion_by(outlines, intrinsics, scene.annotation, self._renderer)
+        return outlines.occluder, occlusion_by(outlines, intrinsics, scene.annotation, self._renderer)
 
 
 class PyrenderPass:

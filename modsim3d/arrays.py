@@ -15,3 +15,18 @@ def read_only(values: ArrayLike) -> Array:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
+
+
+def ranges(first: Indices, count: Indices) -> Indices:
+    """The numbers first, first + 1, … of each range, one range after another.
+
+    Args:
+        first: First number of each range, shape (k,).
+        count: How many numbers each range has, shape (k,).
+
+    Returns:
+        Shape (sum of the counts,).
+    """
+    before = np.cumsum(count) - count
+    numbers: Indices = np.arange(int(count.sum())) + np.repeat(first - before, count)
+    return numbers

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from modsim3d.annotate.modes import annotation_boxes
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.scene import Scene

@@ -1,29 +1,29 @@
 """The sources of truth side by side on a scene: the check that an auditor can run.
 
-The rendered truth is compared with the analytic one, every difference is given its reason, and the thesis's rectangle
-rule is held against the pixels.
+The rendered truth is compared with the analytic one and every difference is explained. The thesis's rectangle rule is
+compared with the rendered truth.
 """
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
+from modsim3d.annotate.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
 from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
-from modsim3d.annotate.looseness import Looseness, add_looseness
-from modsim3d.annotate.modes import SOURCES
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.rectangle_rule import rectangle_occlusion
 from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.annotate.shoebox_fit import shoebox_fits
 from modsim3d.arrays import Array, Indices
-from modsim3d.camera import Camera
+from modsim3d.compare_figures import Figures, figures_of
+from modsim3d.compare_findings import Findings, RectangleRuleCheck, VesselDifference
 from modsim3d.errors import ModsimError
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
@@ -31,150 +31,22 @@ from modsim3d.vessels import shoebox
 
 BLOCK_STEPS = 50
 WORST = 10
+"""Number of vessels that are shown because their differences are the largest."""
 RULE_OFF_PX = 2.0
 """The rectangle rule's box is called wrong when a side is off by more."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A vessel at a step that is worth a picture.
-
-    Attributes:
-        camera: Index into the scene's cameras.
-        step: Of the scene.
-        vessel: Index into the scene's vessels.
-        badness: What cases are ranked by.
-        reason: Why it is shown.
-        boxes_px: Name of a box → x_min, y_min, x_max, y_max.
-    """
-
-    camera: int
-    step: int
-    vessel: int
-    badness: float
-    reason: str
-    boxes_px: dict[str, list[float]]
-
-
-@dataclass
-class RectangleRule:
-    """How the thesis's rectangle rule does on vessels that something hides.
-
-    Attributes:
-        occluded: Vessel-frames with a hidden pixel.
-        off: Of those, seen by both, with a side more than 2 px off.
-        kept_hidden: Wholly hidden, yet kept by the rule.
-        dropped_visible: Visible, yet dropped by the rule.
-        worst: The largest mistake.
-    """
-
-    occluded: int = 0
-    off: int = 0
-    kept_hidden: int = 0
-    dropped_visible: int = 0
-    worst: Case | None = None
-
-    @property
-    def wrong_share(self) -> float:
-        """Share of occluded vessel-frames that the rule gets wrong."""
-        wrong = self.off + self.kept_hidden + self.dropped_visible
-        return wrong / self.occluded if self.occluded else 0.0
-
-
-@dataclass
-class Report:
+@dataclass(frozen=True, eq=False)
+class SourceComparison:
     """What `modsim3d compare` found.
 
     Attributes:
-        scene: Its name.
-        supersample: Of the rendered source.
-        steps: Steps that were looked at.
-        frames: Camera images.
-        vessel_frames: Vessels in them.
-        occluded: Of those, with a hidden pixel.
-        full: Verdict on full boxes → vessel-frames.
-        visible: Verdict on visible boxes, fractions and visibility → vessel-frames.
-        full_side_px: Largest side difference of each full box.
-        visible_side_px: The same of visible boxes.
-        fraction: Absolute differences of visible fractions.
-        fraction_bound: What the boundary of each can explain.
-        seen_differs: Vessel-frames that one source sees and the other does not.
-        pixels_looked_at: Vessel-frames of which every pixel was checked.
-        intersecting: Pairs of vessels whose boxes intersect → frames.
-        rule: The rectangle rule against the rendered source.
-        looseness: Vessel with a mesh → how much looser its shoebox is.
-        seconds: Source → time spent.
-        worst: The worst differences.
+        findings: What was found in all frames that were looked at.
+        figures: What `compare.json` holds.
     """
 
-    scene: str
-    supersample: int
-    steps: int = 0
-    frames: int = 0
-    vessel_frames: int = 0
-    occluded: int = 0
-    full: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
-    visible: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(Verdict, 0))
-    full_side_px: list[Array] = field(default_factory=list)
-    visible_side_px: list[Array] = field(default_factory=list)
-    fraction: list[Array] = field(default_factory=list)
-    fraction_bound: list[Array] = field(default_factory=list)
-    seen_differs: int = 0
-    pixels_looked_at: int = 0
-    intersecting: dict[str, int] = field(default_factory=dict)
-    rule: RectangleRule = field(default_factory=RectangleRule)
-    looseness: dict[str, Looseness] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0.0))
-    worst: list[Case] = field(default_factory=list)
-
-    @property
-    def unexplained(self) -> int:
-        """Vessel-frames with a difference that nothing explains, in full or visible boxes."""
-        return self.full[Verdict.UNEXPLAINED] + self.visible[Verdict.UNEXPLAINED]
-
-    def figures(self) -> dict[str, Any]:
-        """Everything but the pictures, as plain values for `compare.json`."""
-        full, visible = np.concatenate([[0.0], *self.full_side_px]), np.concatenate([[0.0], *self.visible_side_px])
-        fraction, bound = np.concatenate([[0.0], *self.fraction]), np.concatenate([[0.0], *self.fraction_bound])
-        frames = max(self.frames, 1)
-        return {
-            "format": 1,
-            "scene": self.scene,
-            "supersample": self.supersample,
-            "steps": self.steps,
-            "frames": self.frames,
-            "vessel_frames": self.vessel_frames,
-            "occluded": self.occluded,
-            "unexplained": self.unexplained,
-            "full_box": {**_spread(full), "verdicts": _named(self.full)},
-            "visible_box": {**_spread(visible), "verdicts": _named(self.visible)},
-            "visible_fraction": {
-                "max": float(fraction.max()),
-                "p99": float(np.quantile(fraction, 0.99)),
-                "above_bound": int((fraction > bound).sum()),
-                "largest_share_of_bound": float(np.max(fraction / np.where(bound > 0, bound, 1.0))),
-            },
-            "visible_at_all_differs": self.seen_differs,
-            "pixels_looked_at": self.pixels_looked_at,
-            "intersecting": self.intersecting,
-            "rectangles_against_rendered": {
-                "occluded": self.rule.occluded,
-                "box_off_by_more_than_2_px": self.rule.off,
-                "hidden_vessel_kept": self.rule.kept_hidden,
-                "visible_vessel_dropped": self.rule.dropped_visible,
-                "wrong_share": self.rule.wrong_share,
-            },
-            "shoebox_against_mesh": {name: loose.figures() for name, loose in sorted(self.looseness.items())},
-            "ms_per_frame": {source: 1e3 * seconds / frames for source, seconds in self.seconds.items()},
-        }
-
-
-def _spread(sides: Array) -> dict[str, float]:
-    return {"side_max_px": float(sides.max()), "side_p99_px": float(np.quantile(sides, 0.99))}
-
-
-def _named(verdicts: dict[Verdict, int]) -> dict[str, int]:
-    return {EXPLANATIONS[verdict]: count for verdict, count in verdicts.items()}
+    findings: Findings
+    figures: Figures
 
 
 def compare_sources(
@@ -183,7 +55,7 @@ def compare_sources(
     *,
     every: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
-) -> Report:
+) -> SourceComparison:
     """Compare rendered, analytic and rectangle truth on every camera of a scene.
 
     Args:
@@ -191,135 +63,148 @@ def compare_sources(
         renderer: Draws the ID buffers.
         every: Look at every K-th frame of each camera.
         progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The scene is live.
     """
     if scene.live:
         raise ModsimError(
-            f"scene {scene.path}: compare looks at a scene that is known, and a stream's steps are not: run it, and "
+            f"scene {scene.path}: compare needs a scene whose steps are known, and this one is live: run it, and "
             "compare a scene with poses: {file: poses.jsonl} of its run directory"
         )
-    report = Report(scene.name, scene.annotation.supersample)
     steps = np.arange(0, scene.steps, every)
     frames = [scene.frame_steps(camera, 0, scene.steps)[::every] for camera in scene.cameras]
     shoebox()  # loads what makes solids, which is no part of the time per frame
+    parts = []
     for start in range(0, len(steps), BLOCK_STEPS):
         chosen = steps[start : start + BLOCK_STEPS]
-        for index, camera in enumerate(scene.cameras):
-            low, high = np.searchsorted(frames[index], (chosen[0], chosen[-1] + every))
-            if low < high:
-                _compare_camera(report, scene, renderer, index, camera, frames[index][low:high])
-        report.steps += len(chosen)
-        report.worst = sorted(report.worst, key=lambda case: -case.badness)[:WORST]
+        for camera, taken in enumerate(frames):
+            some = taken[slice(*np.searchsorted(taken, (chosen[0], chosen[-1] + every)))]
+            if len(some):
+                parts.append(_compare_frames(scene, renderer, camera, some))
         progress(len(chosen))
-    return report
+    findings = Findings.total(parts, WORST)
+    return SourceComparison(findings, figures_of(findings, scene.name, scene.annotation.supersample, len(steps)))
 
 
-def _compare_camera(
-    report: Report,
-    scene: Scene,
-    renderer: IdRenderer,
-    index: int,
-    camera: Camera,
-    steps: Indices,
-) -> None:
+@dataclass(frozen=True, eq=False)
+class _Sources:
+    """What the three sources say about the same outlines, and the computing time of each."""
+
+    rendered: Occlusion
+    analytic: Occlusion
+    rectangles: Occlusion
+    seconds: dict[str, float]
+
+
+def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indices) -> Findings:
+    """Compare the sources on the frames that a camera takes at some steps."""
+    intrinsics, supersample = scene.cameras[camera].intrinsics, scene.annotation.supersample
     started = time.perf_counter()
-    sight = scene.sight(camera, steps)
-    everything = sight.outlines()
-    shared = time.perf_counter() - started
-    scale = scene.annotation.supersample
-    draw = full_frame_occlusion if scene.annotation.render == "full" else rendered_occlusion
-    known, boxed = np.flatnonzero(everything.convex), np.flatnonzero(everything.boxed)
-    sources: dict[str, Callable[[], Occlusion]] = {
-        "rendered": lambda: draw(everything, camera.intrinsics, renderer, scale),
-        "analytic": lambda: analytic_occlusion(everything.take(known), camera.intrinsics),
-        "rectangles": lambda: rectangle_occlusion(everything),
-    }
-    seen = {}
-    for name, source in sources.items():
-        started = time.perf_counter()
-        seen[name] = source()
-        report.seconds[name] += time.perf_counter() - started + shared
-    for first, second in everything.vessel[known][seen["analytic"].intersecting]:
-        pair = f"{scene.occluder_names[first]} and {scene.occluder_names[second]}"
-        report.intersecting[pair] = report.intersecting.get(pair, 0) + 1
-    found = compare_with_analytic(
-        everything,
-        camera.intrinsics,
-        seen["rendered"],
-        lambda row: pixel_masks(everything, camera.intrinsics, renderer, row, scale),
-        scale,
+    sight = scene.sight(scene.cameras[camera], steps)
+    outlines = sight.outlines()
+    sources = _computed(scene, renderer, camera, outlines, shared_s=time.perf_counter() - started)
+    differences = compare_with_analytic(
+        outlines,
+        intrinsics,
+        sources.rendered,
+        lambda row: pixel_masks(outlines, intrinsics, renderer, row, supersample),
+        supersample,
     )
-    seen["analytic"] = seen["analytic"].among(known, len(everything))
-    seen = {name: occlusion.take(boxed) for name, occlusion in seen.items()}
-    outlines = everything.take(boxed)
-    report.frames += len(steps)
-    report.vessel_frames += len(outlines)
-    report.occluded += int((seen["rendered"].visible_px < seen["rendered"].silhouette_px).sum())
-    _add_differences(report, found)
-    place = _Place(index, steps, outlines, seen)
-    _add_worst(report, found, place)
-    _add_rule(report.rule, place)
-    if len(known) < len(everything):
+    vessels = _Vessels.of(outlines, sources, camera, steps)
+    fits = {}
+    if not outlines.convex.all():
         shoeboxes = sight.outlines(as_shoeboxes=True)
-        add_looseness(report.looseness, scene.vessels, outlines, shoeboxes)
+        fits = shoebox_fits(scene.vessels, vessels.outlines, shoeboxes)
+    names = scene.occluder_names
+    pairs = outlines.occluder[sources.analytic.intersecting].tolist()
+    return Findings(
+        frames=len(steps),
+        differences=differences,
+        rule=_check_rule(vessels),
+        intersecting=Counter(f"{names[first]} and {names[second]}" for first, second in pairs),
+        shoebox_fits=fits,
+        seconds=sources.seconds,
+        worst=_worst(differences, vessels),
+    )
 
 
-def _add_differences(report: Report, found: Comparison) -> None:
-    for verdict in Verdict:
-        report.full[verdict] += int((found.full == verdict).sum())
-        report.visible[verdict] += int((found.visible == verdict).sum())
-    for kept, sides in (
-        (report.full_side_px, np.abs(found.full_side_px)),
-        (report.visible_side_px, np.abs(found.visible_side_px)),
-    ):
-        kept.append(sides[~np.isnan(sides).any(axis=1)].max(axis=1, initial=0.0))
-    told = ~np.isnan(found.fraction)
-    report.fraction.append(np.abs(found.fraction[told]))
-    report.fraction_bound.append(found.fraction_bound[told])
-    report.seen_differs += int((found.seen_differs & (found.visible != Verdict.INTERSECTING)).sum())
-    report.pixels_looked_at += int(found.pixels_looked_at.sum())
+def _computed(scene: Scene, renderer: IdRenderer, camera: int, outlines: Outlines, shared_s: float) -> _Sources:
+    """Compute the truth of outlines from each source; the time for the outlines counts for each of them."""
+    intrinsics, annotation = scene.cameras[camera].intrinsics, scene.annotation
+    draw = full_frame_occlusion if annotation.render == "full" else rendered_occlusion
+    seconds = {}
+
+    def timed(source: str, compute: Callable[[], Occlusion]) -> Occlusion:
+        started = time.perf_counter()
+        occlusion = compute()
+        seconds[source] = time.perf_counter() - started + shared_s
+        return occlusion
+
+    convex = np.flatnonzero(outlines.convex)  # the analytic source knows no others
+    rendered = timed("rendered", lambda: draw(outlines, intrinsics, renderer, annotation.supersample))
+    analytic = timed("analytic", lambda: analytic_occlusion(outlines.take(convex), intrinsics))
+    rectangles = timed("rectangles", lambda: rectangle_occlusion(outlines))
+    return _Sources(rendered, analytic.among(convex, len(outlines)), rectangles, seconds)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where the rows of a comparison are, and what each source said of them."""
+@dataclass(frozen=True, eq=False)
+class _Vessels:
+    """The vessels in a camera's frames, and what each source says about them."""
 
     camera: int
     steps: Indices
     outlines: Outlines
-    seen: dict[str, Occlusion]
+    rendered: Occlusion
+    analytic: Occlusion
+    rectangles: Occlusion
 
-    def case(self, row: int, badness: float, reason: str) -> Case:
-        boxes = {
-            f"{source} {kind}": getattr(self.seen[source], f"{kind}_boxes_px")[row].tolist()
-            for source in ("rendered", "analytic", "rectangles")
-            for kind in ("full", "visible")
-        }
-        step = int(self.steps[self.outlines.frame[row]])
-        return Case(self.camera, step, int(self.outlines.vessel[row]), badness, reason, boxes)
+    @classmethod
+    def of(cls, outlines: Outlines, sources: _Sources, camera: int, steps: Indices) -> _Vessels:
+        rows = np.flatnonzero(outlines.boxed)
+        seen = (occlusion.take(rows) for occlusion in (sources.rendered, sources.analytic, sources.rectangles))
+        return cls(camera, steps, outlines.take(rows), *seen)
 
-
-def _add_worst(report: Report, found: Comparison, place: _Place) -> None:
-    """Unexplained differences come first, then the largest; what the analytic source cannot tell comes last."""
-    sides = np.abs(np.concatenate([found.full_side_px, found.visible_side_px], axis=1))
-    size = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(found.seen_differs, 1.0, 0.0)
-    size[(found.visible == Verdict.INTERSECTING) | (found.worst == Verdict.NOT_COMPARABLE)] *= 1e-3
-    badness = size + 1e6 * (found.worst == Verdict.UNEXPLAINED)
-    for row in np.argsort(-badness)[:WORST]:
-        reason = EXPLANATIONS[Verdict(int(found.worst[row]))]
-        report.worst.append(place.case(int(row), float(badness[row]), f"{reason}: {size[row]:.2f} px"))
+    def difference(self, row: int, badness: float, reason: str) -> VesselDifference:
+        """A row with the boxes of all sources."""
+        boxes = {}
+        for source in ("rendered", "analytic", "rectangles"):
+            occlusion: Occlusion = getattr(self, source)
+            boxes[f"{source} full"] = occlusion.full_boxes_px[row].tolist()
+            boxes[f"{source} visible"] = occlusion.visible_boxes_px[row].tolist()
+        step, vessel = int(self.steps[self.outlines.frame[row]]), int(self.outlines.occluder[row])
+        return VesselDifference(self.camera, step, vessel, badness, reason, boxes)
 
 
-def _add_rule(rule: RectangleRule, place: _Place) -> None:
-    rendered, rectangles = place.seen["rendered"], place.seen["rectangles"]
+def _worst(differences: Comparison, vessels: _Vessels) -> tuple[VesselDifference, ...]:
+    """The largest differences: unexplained ones first, those that the analytic source cannot tell last."""
+    sides = np.abs(np.concatenate([differences.full_side_px, differences.visible_side_px], axis=1))
+    size_px: Array = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(differences.seen_differs, 1.0, 0.0)
+    unknown = (differences.visible == Agreement.INTERSECTING) | (differences.worst == Agreement.NOT_COMPARABLE)
+    size_px[unknown] *= 1e-3
+    badness = size_px + 1e6 * (differences.worst == Agreement.UNEXPLAINED)
+    reasons = [EXPLANATIONS[Agreement(reason)] for reason in differences.worst.tolist()]
+    return tuple(
+        vessels.difference(row, float(badness[row]), f"{reasons[row]}: {size_px[row]:.2f} px")
+        for row in np.argsort(-badness)[:WORST].tolist()
+    )
+
+
+def _check_rule(vessels: _Vessels) -> RectangleRuleCheck:
+    """Check the rectangle rule's visible boxes of occluded vessels against those from pixels."""
+    rendered, rectangles = vessels.rendered, vessels.rectangles
     occluded = rendered.visible_px < rendered.silhouette_px
-    drawn, kept = rendered.visible_px > 0, rectangles.visible_px > 0
-    off = np.abs(rendered.visible_boxes_px - rectangles.visible_boxes_px)
-    off = np.where(drawn & kept, np.nan_to_num(off).max(axis=1, initial=0.0), 0.0)
-    rule.occluded += int(occluded.sum())
-    rule.off += int((occluded & (off > RULE_OFF_PX)).sum())
-    rule.kept_hidden += int((occluded & ~drawn & kept).sum())
-    rule.dropped_visible += int((occluded & drawn & ~kept).sum())
+    visible, kept = rendered.visible_px > 0, rectangles.visible_px > 0
+    off_px = np.nan_to_num(np.abs(rendered.visible_boxes_px - rectangles.visible_boxes_px)).max(axis=1, initial=0.0)
+    off_px = np.where(visible & kept, off_px, 0.0)
+    worst = None
     if occluded.any():
-        row = int(np.argmax(np.where(occluded, off, -1.0)))
-        if rule.worst is None or off[row] > rule.worst.badness:
-            rule.worst = place.case(row, float(off[row]), f"the rectangle rule is {off[row]:.0f} px off")
+        row = int(np.argmax(np.where(occluded, off_px, -1.0)))
+        worst = vessels.difference(row, float(off_px[row]), f"the rectangle rule is {off_px[row]:.0f} px off")
+    return RectangleRuleCheck(
+        occluded=int(occluded.sum()),
+        off=int((occluded & (off_px > RULE_OFF_PX)).sum()),
+        kept_hidden=int((occluded & ~visible & kept).sum()),
+        dropped_visible=int((occluded & visible & ~kept).sum()),
+        worst=worst,
+    )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import orjson
 
-from modsim3d.compare import RULE_OFF_PX, Report
+from modsim3d.compare import RULE_OFF_PX, SourceComparison
+from modsim3d.compare_figures import BoxFigures, Figures
 from modsim3d.draw_run import describe_case, draw_case
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
@@ -16,70 +16,66 @@ from modsim3d.view import page
 Rows = list[tuple[str, str]]
 
 
-def verdict_rows(figures: dict[str, Any]) -> list[tuple[str, str, str]]:
+def verdict_rows(figures: Figures) -> list[tuple[str, str, str]]:
     """How many full and visible boxes agree, or why they do not."""
-    full, visible = figures["full_box"]["verdicts"], figures["visible_box"]["verdicts"]
-    whole = figures["vessel_frames"]
+    full, visible = figures.full_box.verdicts, figures.visible_box.verdicts
+    whole = figures.vessel_frames
     return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
 
 
-def figure_rows(figures: dict[str, Any]) -> Rows:
+def figure_rows(figures: Figures) -> Rows:
     """The figures of rendered against analytic."""
-    fraction = figures["visible_fraction"]
+    fraction = figures.visible_fraction
     return [
-        ("vessel-frames compared", f"{figures['vessel_frames']} in {figures['frames']} frames"),
-        ("partly or wholly hidden", _share(figures["occluded"], figures["vessel_frames"])),
-        ("full box, side differences", _spread(figures["full_box"])),
-        ("visible box, side differences", _spread(figures["visible_box"])),
-        (
-            "visible fraction, differences",
-            _up_to(fraction["max"], fraction["p99"], 4),
-        ),
-        ("above what the boundary explains", str(fraction["above_bound"])),
-        ("seen by one source only", str(figures["visible_at_all_differs"])),
-        ("every pixel looked at", f"{figures['pixels_looked_at']} vessel-frames"),
-        ("UNEXPLAINED", str(figures["unexplained"])),
+        ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
+        ("partly or wholly hidden", _share(figures.occluded, figures.vessel_frames)),
+        ("full box, side differences", _sides(figures.full_box)),
+        ("visible box, side differences", _sides(figures.visible_box)),
+        ("visible fraction, differences", _up_to(fraction.max, fraction.p99, 4)),
+        ("fraction differences that boundary pixels do not explain", str(fraction.above_bound)),
+        ("visible to one source only", str(figures.visible_at_all_differs)),
+        ("every pixel checked", f"{figures.pixels_looked_at} vessel-frames"),
+        ("UNEXPLAINED", str(figures.unexplained)),
     ]
 
 
-def rule_rows(figures: dict[str, Any]) -> Rows:
+def rule_rows(figures: Figures) -> Rows:
     """The rectangle rule against the rendered source."""
-    rule = figures["rectangles_against_rendered"]
-    whole = rule["occluded"]
+    rule = figures.rectangles_against_rendered
     return [
-        ("occluded vessel-frames", str(whole)),
-        (f"box off by more than {RULE_OFF_PX:g} px", _share(rule["box_off_by_more_than_2_px"], whole)),
-        ("hidden vessel kept", _share(rule["hidden_vessel_kept"], whole)),
-        ("visible vessel dropped", _share(rule["visible_vessel_dropped"], whole)),
-        ("wrong in all", f"{rule['wrong_share']:.1%}"),
+        ("occluded vessel-frames", str(rule.occluded)),
+        (f"a side off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
+        ("hidden vessel kept", _share(rule.hidden_vessel_kept, rule.occluded)),
+        ("visible vessel dropped", _share(rule.visible_vessel_dropped, rule.occluded)),
+        ("wrong in total", f"{rule.wrong_share:.1%}"),
     ]
 
 
-def looseness_rows(figures: dict[str, Any]) -> list[tuple[str, str, str]]:
+def shoebox_rows(figures: Figures) -> list[tuple[str, str, str]]:
     """How much looser the shoebox of each vessel with a mesh is."""
     return [
         (
             vessel,
-            f"its box is {loose['mean_area_ratio']:.2f} times as large, {loose['max_area_ratio']:.2f} at most",
-            f"a side up to {loose['max_side_px']:.1f} px farther out, within a pixel in "
-            f"{_share(loose['within_a_pixel'], loose['frames'])} frames",
+            f"its box is {fit.mean_area_ratio:.2f} times as large on average, {fit.max_area_ratio:.2f} times at most",
+            f"sides are up to {fit.max_side_px:.1f} px farther out, and within a pixel in "
+            f"{_share(fit.within_a_pixel, fit.frames)} frames",
         )
-        for vessel, loose in figures["shoebox_against_mesh"].items()
+        for vessel, fit in figures.shoebox_against_mesh.items()
     ]
 
 
-def time_rows(figures: dict[str, Any]) -> Rows:
+def time_rows(figures: Figures) -> Rows:
     """Time per frame of each source."""
-    return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures["ms_per_frame"].items()]
+    return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
 
 
-def intersection_rows(figures: dict[str, Any]) -> Rows:
+def intersection_rows(figures: Figures) -> Rows:
     """Pairs of vessels whose boxes intersect."""
-    return [(pair, f"{frames} frames") for pair, frames in figures["intersecting"].items()]
+    return [(pair, f"{frames} frames") for pair, frames in figures.intersecting.items()]
 
 
-def _spread(box: dict[str, Any]) -> str:
-    return _up_to(box["side_max_px"], box["side_p99_px"], 2, " px")
+def _sides(box: BoxFigures) -> str:
+    return _up_to(box.side_max_px, box.side_p99_px, 2, " px")
 
 
 def _up_to(greatest: float, p99: float, digits: int, unit: str = "") -> str:
@@ -90,50 +86,53 @@ def _share(part: int, whole: int) -> str:
     return f"{part} ({part / whole:.1%})" if whole else str(part)
 
 
-def write_report(report: Report, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
+def write_report(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
     """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder."""
-    figures = report.figures()
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "compare.json").write_bytes(orjson.dumps(figures, option=orjson.OPT_INDENT_2) + b"\n")
-    (folder / "compare.html").write_text(_page(report, figures, scene, renderer), encoding="utf-8")
-    if report.rule.worst is not None:
-        draw_case(scene, report.rule.worst, renderer).save(folder / "rectangle_rule.png")
+    (folder / "compare.json").write_bytes(orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n")
+    (folder / "compare.html").write_text(_page(comparison, scene, renderer), encoding="utf-8")
+    if worst := comparison.findings.rule.worst:
+        draw_case(scene, worst, renderer).save(folder / "rectangle_rule.png")
 
 
-def _page(report: Report, figures: dict[str, Any], scene: Scene, renderer: IdRenderer) -> str:
-    nothing = figures["unexplained"] == 0
-    lead = (
-        f"Every difference between the rendered and the analytic truth of {figures['vessel_frames']} vessel-frames is "
-        "explained by where pixel centres lie."
-        if nothing
-        else f"{figures['unexplained']} differences between the rendered and the analytic truth are unexplained."
-    )
+def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> str:
+    figures, findings = comparison.figures, comparison.findings
     body = [
-        page.paragraph(lead, "lead" if nothing else "bad"),
-        page.paragraph(
-            f"{figures['steps']} steps, supersampling {figures['supersample']}. Rendered: ID buffers with a depth "
-            "buffer. Analytic: silhouette polygons cut by those in front of them, in an order that comes from "
-            "separating planes. Where two boxes differ by more than a pixel, every pixel of the vessel was looked at: "
-            "all whose centre is "
-            "inside the exact region must be set and all others not.",
-            "soft",
-        ),
+        *_introduction(figures),
         page.heading("Rendered against analytic"),
         page.table(figure_rows(figures)),
-        page.table(verdict_rows(figures), ("Verdict", "Full box", "Visible part")),
+        page.table(verdict_rows(figures), ("Agreement", "Full box", "Visible part")),
         page.heading("The thesis's rectangle rule against rendered"),
         page.table(rule_rows(figures)),
         page.heading("Time per frame"),
         page.table(time_rows(figures)),
     ]
-    if figures["intersecting"]:
+    if figures.intersecting:
         body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
-    if figures["shoebox_against_mesh"]:
-        body += [page.heading("Shoebox against mesh"), page.table(looseness_rows(figures))]
-    if report.rule.worst is not None:
-        worst = report.rule.worst
-        body += [page.heading("The rectangle rule's worst mistake")]
-        body += [page.picture(draw_case(scene, worst, renderer), describe_case(scene, worst))]
-    body.append(page.heading("The largest differences between rendered and analytic"))
-    body += [page.picture(draw_case(scene, case, renderer), describe_case(scene, case)) for case in report.worst]
+    if figures.shoebox_against_mesh:
+        body += [page.heading("Shoebox against mesh"), page.table(shoebox_rows(figures))]
+    shown = [("The largest differences between rendered and analytic", findings.worst)]
+    if worst := findings.rule.worst:
+        shown.insert(0, ("The rectangle rule's worst mistake", (worst,)))
+    for title, cases in shown:
+        body.append(page.heading(title))
+        body += [page.picture(draw_case(scene, case, renderer), describe_case(scene, case)) for case in cases]
     return page.page(f"{scene.name}: sources of truth compared", body)
+
+
+def _introduction(figures: Figures) -> list[str]:
+    """The answer, and how it was found."""
+    if figures.unexplained:
+        answer = f"{figures.unexplained} differences between the rendered and the analytic truth are unexplained."
+    else:
+        answer = (
+            "Pixel sampling explains every difference between the rendered and the analytic truth of "
+            f"{figures.vessel_frames} vessel-frames."
+        )
+    method = (
+        f"{figures.steps} steps, supersampling {figures.supersample}. The rendered source draws ID buffers with a "
+        "depth buffer. The analytic source cuts silhouette polygons by those in front of them; separating planes say "
+        "which are in front. Where two boxes differ by more than a pixel, every pixel of the vessel was checked: it "
+        "must be set if its centre is inside the exact region, and only then."
+    )
+    return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from modsim3d.annotate.record import Truth, concatenate
+from modsim3d.annotate.truth_record import Truth, concatenate
 from modsim3d.detector.census import take_census
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.model import DetectorModel

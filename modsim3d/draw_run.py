@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
-from modsim3d.compare import Case
+from modsim3d.compare_findings import VesselDifference
 from modsim3d.draw_film import open_drawer
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
@@ -22,11 +22,11 @@ from modsim3d.view.solids import Solids
 SHEET_FILE = "contact_sheet.png"
 
 
-def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
+def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Image.Image:
     """A case of a comparison: the boxes of all sources, and the pixels that differ."""
     solids = Solids.at(scene, scene.cameras[case.camera], case.step)
     outlines = solids.outlines
-    (row,) = np.flatnonzero((outlines.vessel == case.vessel) & outlines.boxed)
+    (row,) = np.flatnonzero((outlines.occluder == case.vessel) & outlines.boxed)
     if outlines.convex[row]:
         known = np.flatnonzero(outlines.convex)
         exact = visible_regions(outlines.take(known), solids.intrinsics).visible[known.searchsorted(row)]
@@ -36,7 +36,7 @@ def draw_case(scene: Scene, case: Case, renderer: IdRenderer) -> Image.Image:
     return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region)
 
 
-def describe_case(scene: Scene, case: Case) -> str:
+def describe_case(scene: Scene, case: VesselDifference) -> str:
     """What a case shows, where and when."""
     (time,) = scene.timestamps(case.step, case.step + 1)
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"

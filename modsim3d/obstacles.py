@@ -123,20 +123,20 @@ def obstacle_bodies(
     solids: dict[int, tuple[Solid, list[int], list[Array]]] = {}
     for index, obstacle in enumerate(obstacles):
         for solid, vertices in obstacle.solids:
-            _, owners, members = solids.setdefault(id(solid), (solid, [], []))
-            owners.append(first_occluder + index)
+            _, occluders, members = solids.setdefault(id(solid), (solid, [], []))
+            occluders.append(first_occluder + index)
             members.append(vertices)
     bodies = []
-    for solid, owners, members in solids.values():
-        vertices, count = np.stack(members), len(owners)
+    for solid, occluders, members in solids.values():
+        vertices, count = np.stack(members), len(occluders)
         positions = np.zeros((steps, count, 3))
         if cameras_m is not None:
-            centres = np.array([obstacles[owner - first_occluder].centre_m for owner in owners])
+            centres = np.array([obstacles[occluder - first_occluder].centre_m for occluder in occluders])
             positions[..., 2] -= drop_m(centres, cameras_m[:, None])
         bodies.append(
             Bodies(
                 solid=solid,
-                occluder=np.array(owners),
+                occluder=np.array(occluders),
                 boxed=False,
                 vertices_m=vertices,
                 centres_m=(vertices.min(axis=1) + vertices.max(axis=1)) / 2,

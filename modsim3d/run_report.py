@@ -109,7 +109,7 @@ class _Sights:
     Attributes:
         horizons: Sea half plane of each frame, shape (F, 3).
         frame: Index of the frame of each shape, ascending, shape (s,).
-        owner: Of each shape, as an index into the scene's occluder names, shape (s,).
+        occluder: Of each shape, as an index into the scene's occluder names, shape (s,).
         outline: Of each shape, as an index into the outlines; what stands still before a camera ashore needs one.
         lines: Of each outline, shape (o,).
         corner_count: Of each line, shape (l,).
@@ -118,7 +118,7 @@ class _Sights:
 
     horizons: Array
     frame: Indices
-    owner: Indices
+    occluder: Indices
     outline: Indices
     lines: Indices
     corner_count: NDArray[np.uint32]
@@ -135,9 +135,9 @@ def _sights(rows: RunRows, taken: Indices, frames: Indices, quantum: float, prog
         quantum: Of lengths in the image.
         progress: Called with the number of steps done.
     """
-    scene, cameras, owners = rows.scene, len(rows.scene.cameras), len(rows.scene.occluder_names)
+    scene, cameras, occluder_count = rows.scene, len(rows.scene.cameras), len(rows.scene.occluder_names)
     horizons = np.empty((len(frames), 3))
-    hides = _hides(rows, owners)
+    hides = _hides(rows, occluder_count)
     done = [NOBODY] * cameras
     outlines: dict[tuple[bytes, bytes], int] = {}
     drawn: list[tuple[int, int, int]] = []
@@ -154,18 +154,18 @@ def _sights(rows: RunRows, taken: Indices, frames: Indices, quantum: float, prog
             horizons[here] = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
             before = sight.outlines()
             numbered = replace(before, frame=(looked_at * cameras + index)[before.frame])
-            for shape in shapes(numbered, camera.intrinsics, quantum, owners, hides):
+            for shape in shapes(numbered, camera.intrinsics, quantum, occluder_count, hides):
                 key = shape.count.tobytes(), shape.corners.tobytes()
-                drawn.append((shape.frame, shape.owner, outlines.setdefault(key, len(outlines))))
+                drawn.append((shape.frame, shape.occluder, outlines.setdefault(key, len(outlines))))
         progress(len(some))
     table = np.array(drawn, dtype=np.int64).reshape(-1, 3)
-    number, owner, outline = table[np.argsort(table[:, 0], kind="stable")].T
+    number, occluder, outline = table[np.argsort(table[:, 0], kind="stable")].T
     lines = np.array([len(count) // 4 for count, _ in outlines], dtype=np.int64)
     counts, corners = (b"".join(part) for part in zip(*outlines, strict=True)) if outlines else (b"", b"")
     return _Sights(
         horizons,
         np.searchsorted(frames, number),
-        owner,
+        occluder,
         outline,
         lines,
         np.frombuffer(counts, np.uint32),
@@ -173,11 +173,11 @@ def _sights(rows: RunRows, taken: Indices, frames: Indices, quantum: float, prog
     )
 
 
-def _hides(rows: RunRows, owners: int) -> Indices:
+def _hides(rows: RunRows, occluder_count: int) -> Indices:
     """What hides what in the truth, as `shapes` wants it."""
     occluders = rows.occluders()
     frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
-    keys: Indices = (frame * owners + hidden) * owners + occluders.name
+    keys: Indices = (frame * occluder_count + hidden) * occluder_count + occluders.name
     return keys
 
 
@@ -203,7 +203,7 @@ def _recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Re
         "state": state.astype(np.uint8),
         "horizon": horizons.astype(np.float32),
         "shapeStart": starts(sights.frame, pages),
-        "owner": sights.owner.astype(np.uint16),
+        "owner": sights.occluder.astype(np.uint16),
         "outline": sights.outline.astype(np.uint32),
         "lineCount": sights.lines.astype(np.uint32),
         "cornerCount": sights.corner_count,

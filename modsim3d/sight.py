@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.annotate.inside import first_body_around
+from modsim3d.annotate.camera_inside import first_body_around
 from modsim3d.annotate.outlines import Outlines, outline
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.bodies import Bodies, vessel_bodies

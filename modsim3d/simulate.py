@@ -12,9 +12,10 @@ import numpy as np
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion, Truth, concatenate, no_truth
-from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.rectangle_rule import rectangle_occlusion
+from modsim3d.annotate.truth_record import Truth, concatenate, no_truth
 from modsim3d.arrays import Indices
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
@@ -74,8 +75,7 @@ def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, rend
     sight = scene.sight(camera, steps)
     outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
     occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
-    truth = occlusion.truth(steps[outlines.frame], index, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m)
-    truth = truth.take(outlines.boxed)
+    truth = occlusion.truth(outlines, steps, index)
     return truth.with_annotated(annotated_rows(truth, scene.annotation))
 
 

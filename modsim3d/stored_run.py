@@ -11,7 +11,7 @@ from typing import Any
 import orjson
 import pyarrow as pa
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.block import Block, Frame, frames_of
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.formats.block_files import TABLES, finished_truth

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.box_sample import BoxSample
 from modsim3d.counts import Counts
 from modsim3d.detector.census import TargetCensus

@@ -120,10 +120,10 @@ def test_own_ship_rolls_the_same_for_both_cameras():
 @pytest.mark.parametrize("name", ["simulation_2", "simulation_3"])
 def test_rendered_and_analytic_truth_agree_in_the_basin(renderer, name):
     scene = load_scene(name, steps=1500, mode=2)
-    report = compare_sources(scene, renderer, every=15)
-    assert report.vessel_frames > 50
-    assert report.occluded > 0
-    assert report.unexplained == 0
+    figures = compare_sources(scene, renderer, every=15).figures
+    assert figures.vessel_frames > 50
+    assert figures.occluded > 0
+    assert figures.unexplained == 0
 
 
 def test_waves_of_all_vessels_turn_their_boxes(tmp_path):

@@ -10,6 +10,9 @@ import pytest
 from shapely import affinity, box, intersects
 
 from benchmarks import bench, child, scenes
+from benchmarks.figures import differing_files
+from benchmarks.growth import COUNTS
+from benchmarks.measured import Bench, significant
 from modsim3d.rotations import world_R_vehicle
 from modsim3d.scene_reader import load_scene
 
@@ -18,7 +21,7 @@ FILES = {"small": scenes.small, "dense": scenes.dense}
 
 
 def looked_at(name: str, text: str, tmp_path) -> dict[str, float]:
-    trial = bench.Bench(quick=True, folder=tmp_path, bytes_per_s=1.0)
+    trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1.0)
     return child.shares(trial.scene(name, text))
 
 
@@ -78,7 +81,7 @@ def test_vessels_never_touch():
 
 
 def test_share_of_overlapping_boats_stays_as_they_become_more(renderer, tmp_path):
-    found = {count: looked_at(f"small{count}", scenes.small(count), tmp_path) for count in bench.COUNTS}
+    found = {count: looked_at(f"small{count}", scenes.small(count), tmp_path) for count in COUNTS}
     for count, shares in found.items():
         assert shares["in_image"] == count
         assert 0.10 < shares["overlapping"] < 0.15
@@ -102,7 +105,7 @@ def test_boxes_in_an_id_image_are_half_open_and_none_where_an_id_is_not():
 
 
 def test_times_the_limit_is_the_time_over_that_of_filling_what_was_drawn(tmp_path):
-    trial = bench.Bench(quick=True, folder=tmp_path, bytes_per_s=1e9)
+    trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1e9)
     assert trial.times_limit(3.0, 2e9) == "1.50"
     assert trial.times_limit(3.0, 0) == "nothing is drawn"
 
@@ -114,7 +117,7 @@ def test_files_that_differ_or_are_missing_are_found(tmp_path):
         (tmp_path / name / "run.log").write_text(name)
         (tmp_path / name / "inner" / "other").write_text(name)
     (tmp_path / "a" / "alone").write_text("x")
-    assert bench.differing_files(tmp_path / "a", tmp_path / "b") == {"alone", "inner/other"}
+    assert differing_files(tmp_path / "a", tmp_path / "b") == {"alone", "inner/other"}
 
 
 @pytest.mark.parametrize(
@@ -122,7 +125,7 @@ def test_files_that_differ_or_are_missing_are_found(tmp_path):
     [(0, "0"), (0.0123456, "0.0123"), (1.5, "1.50"), (68.04, "68.0"), (123.4, "123"), (12345, "12,300")],
 )
 def test_numbers_have_three_digits(value, text):
-    assert bench.significant(value) == text
+    assert significant(value) == text
 
 
 def test_a_quick_trial_prints_a_row_and_writes_nothing():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modsim3d.annotate.record import COLUMNS, concatenate
+from modsim3d.annotate.truth_record import COLUMNS, concatenate
 from modsim3d.camera import Intrinsics
 from modsim3d.detector import TargetCensus
 from modsim3d.rotations import camera_R_parent

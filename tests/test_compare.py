@@ -13,8 +13,8 @@ import pytest
 
 from modsim3d import cli, compare
 from modsim3d.annotate import full_frame, rendered
-from modsim3d.annotate.comparison import EXPLANATIONS, Verdict
-from modsim3d.annotate.record import Hidden
+from modsim3d.annotate.comparison import EXPLANATIONS, Agreement
+from modsim3d.annotate.occlusion import HiddenPixels
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,7 +83,7 @@ def test_terminal_says_the_same_as_the_file(monkeypatch, tmp_path, scene, capsys
     said = re.sub(r"\s+", " ", capsys.readouterr().out)
     assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
     assert "UNEXPLAINED 0" in said
-    assert f"wrong in all {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
+    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
     assert "compare.json" in said
 
 
@@ -99,13 +99,13 @@ def test_nothing_is_written_unasked(monkeypatch, tmp_path, scene):
 )
 def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, options, steps):
     looked_at = []
-    compare_camera = compare._compare_camera
+    compare_frames = compare._compare_frames
 
     def watched(*arguments):
         looked_at.extend(arguments[-1])
-        compare_camera(*arguments)
+        return compare_frames(*arguments)
 
-    monkeypatch.setattr(compare, "_compare_camera", watched)
+    monkeypatch.setattr(compare, "_compare_frames", watched)
     _, found = figures_of(monkeypatch, tmp_path / "out", scene, *options)
     assert found["steps"] == steps
     named = dict(zip(options[::2], options[1::2], strict=True))
@@ -157,7 +157,7 @@ def nobody_hides(seen):
         seen,
         visible_px=seen.silhouette_px,
         visible_boxes_px=seen.full_boxes_px,
-        hidden=Hidden(none, none, none.astype(float)),
+        hidden=HiddenPixels(none, none, none.astype(float)),
     )
 
 
@@ -200,7 +200,7 @@ def test_planted_error_in_what_was_counted_is_unexplained(monkeypatch, tmp_path,
     assert status == 1
     assert found["unexplained"] >= 1
     assert found["unexplained"] == sum(
-        found[kind]["verdicts"][EXPLANATIONS[Verdict.UNEXPLAINED]] for kind in ("full_box", "visible_box")
+        found[kind]["verdicts"][EXPLANATIONS[Agreement.UNEXPLAINED]] for kind in ("full_box", "visible_box")
     )
     page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
     assert "are unexplained" in page
@@ -223,7 +223,7 @@ def test_reversed_depth_test_is_unexplained(monkeypatch, tmp_path, scene):
     status, found = figures_of(monkeypatch, tmp_path / "out", scene)
     assert status == 1
     assert found["unexplained"] >= 4
-    assert found["full_box"]["verdicts"][EXPLANATIONS[Verdict.UNEXPLAINED]] == 0
+    assert found["full_box"]["verdicts"][EXPLANATIONS[Agreement.UNEXPLAINED]] == 0
 
 
 def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_path, capsys):
@@ -236,7 +236,7 @@ def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_p
     assert status == 0
     assert found["unexplained"] == 0
     assert found["intersecting"] == {"rafted1 and rafted2": 4}
-    assert found["visible_box"]["verdicts"][EXPLANATIONS[Verdict.INTERSECTING]] == 8
+    assert found["visible_box"]["verdicts"][EXPLANATIONS[Agreement.INTERSECTING]] == 8
     assert found["visible_at_all_differs"] == 0
     assert "rafted1 and rafted2" in capsys.readouterr().out
     assert "rafted1 and rafted2" in (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")

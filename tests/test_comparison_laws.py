@@ -5,8 +5,9 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Verdict, compare_with_analytic
-from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.annotate.comparison import Agreement, compare_with_analytic
+from modsim3d.annotate.full_frame import pixel_masks
+from modsim3d.annotate.rendered import rendered_occlusion
 from tests.scenes import mirrored, moved, outlines_at, outlines_of, random_scene
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -38,11 +39,11 @@ def test_no_difference_between_pixels_and_geometry_is_unexplained(renderer, seed
     _, _, lens, _, outlines = scene_of(seed)
     drawn = rendered_occlusion(outlines, lens, renderer)
     found = compare_with_analytic(outlines, lens, drawn, lambda row: pixel_masks(outlines, lens, renderer, row))
-    assert not (found.worst == Verdict.UNEXPLAINED).any()
-    agree = found.full == Verdict.AGREE
+    assert not (found.worst == Agreement.UNEXPLAINED).any()
+    agree = found.full == Agreement.AGREE
     assert np.abs(found.full_side_px[agree]).max(initial=0) <= 1
-    told = ~np.isnan(found.fraction)
-    assert (np.abs(found.fraction) <= found.fraction_bound)[told & (found.visible == Verdict.AGREE)].all()
+    known = ~np.isnan(found.fraction)
+    assert (np.abs(found.fraction) <= found.fraction_bound)[known & (found.visible == Agreement.AGREE)].all()
 
 
 @law(25)
@@ -52,7 +53,7 @@ def test_who_hides_whom_is_told_alike(renderer, seed):
     _, _, lens, _, outlines = scene_of(seed)
     drawn, exact = rendered_occlusion(outlines, lens, renderer), analytic_occlusion(outlines, lens)
     around = 2 * (exact.full_boxes_px[:, 2:] - exact.full_boxes_px[:, :2]).sum(axis=1) + 24
-    by_vessel = dict(zip(outlines.vessel.tolist(), around.tolist(), strict=True))
+    by_vessel = dict(zip(outlines.occluder.tolist(), around.tolist(), strict=True))
     for row in range(len(outlines)):
         counted, area = dict(drawn.occluders[row]), dict(exact.occluders[row])
         bound = around[row] + sum(by_vessel[hider] for hider in counted.keys() | area.keys())
@@ -66,8 +67,8 @@ def test_order_in_which_vessels_are_named_does_not_matter(renderer, seed):
     rng, places, lens, mount, outlines = scene_of(seed)
     shuffle = rng.permutation(len(places))
     other = outlines_of([places[i] for i in shuffle], lens, mount)
-    back = np.argsort(shuffle[other.vessel])
-    np.testing.assert_array_equal(shuffle[other.vessel][back], outlines.vessel)
+    back = np.argsort(shuffle[other.occluder])
+    np.testing.assert_array_equal(shuffle[other.occluder][back], outlines.occluder)
     for source in (lambda o: analytic_occlusion(o, lens), lambda o: rendered_occlusion(o, lens, renderer)):
         one, two = source(outlines), source(other)
         np.testing.assert_allclose(two.full_boxes_px[back], one.full_boxes_px, atol=ROUNDING_PX)
@@ -82,7 +83,7 @@ def test_moving_world_and_camera_together_changes_nothing(seed):
     rng, places, lens, mount, outlines = scene_of(seed)
     boxes, camera = moved(places, mount, rng.uniform(-np.pi, np.pi), tuple(rng.normal(0, 1000, 3)))
     there = outlines_at(boxes, lens, camera)
-    np.testing.assert_array_equal(there.vessel, outlines.vessel)
+    np.testing.assert_array_equal(there.occluder, outlines.occluder)
     one, two = analytic_occlusion(outlines, lens), analytic_occlusion(there, lens)
     np.testing.assert_allclose(two.full_boxes_px, one.full_boxes_px, atol=ROUNDING_PX)
     np.testing.assert_allclose(two.visible_boxes_px, one.visible_boxes_px, atol=ROUNDING_PX)
@@ -97,7 +98,7 @@ def test_mirrored_scene_gives_mirrored_boxes(renderer, seed):
     _, places, lens, mount, outlines = scene_of(seed)
     places, other_lens, camera = mirrored(places, lens, mount)
     there = outlines_of(places, other_lens, camera)
-    np.testing.assert_array_equal(there.vessel, outlines.vessel)
+    np.testing.assert_array_equal(there.occluder, outlines.occluder)
 
     def turned(boxes_px):
         width = lens.image_size_px[0]
@@ -122,7 +123,7 @@ def test_one_more_vessel_never_adds_visible_pixels(renderer, seed):
     assume(len(places) > 1)
     without = outlines_of(places[:-1], lens, mount)
     rows = slice(0, len(without))
-    np.testing.assert_array_equal(with_it.vessel[rows], without.vessel)
+    np.testing.assert_array_equal(with_it.occluder[rows], without.occluder)
     for source in (lambda o: analytic_occlusion(o, lens), lambda o: rendered_occlusion(o, lens, renderer)):
         before, after = source(without), source(with_it)
         np.testing.assert_allclose(after.silhouette_px[rows], before.silhouette_px, rtol=1e-12)

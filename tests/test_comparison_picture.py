@@ -37,7 +37,7 @@ def test_a_region_beyond_the_image_is_cut_at_its_edge():
 def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
     scene = load_scene(crossing(tmp_path))
     solids = Solids.at(scene, scene.cameras[0], 0)
-    vessel = int(solids.owners[0])
+    vessel = int(solids.occluders[0])
     box = solids.outlines.boxes_px[0]
     shifted = shapely.box(*(box + np.array([3.0, 0.0, 3.0, 0.0])))
     names = ("rendered full", "analytic full", "rendered visible", "analytic visible", "rectangles visible")

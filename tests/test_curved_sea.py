@@ -87,10 +87,10 @@ def test_obstacles_are_lowered_by_their_centre_and_own_ship_is_not(tmp_path):
 def test_sources_agree_on_a_curved_sea(tmp_path, renderer):
     island = {"polygon_m": [[3000, -200], [3030, -200], [3010, 30]], "height_m": 9}
     keys = {"sea": "curved", "obstacles": {"rock": island}, "annotation": {"mode": 2, "source": "rendered"}}
-    report = compare_sources(load_scene(far_scene(tmp_path, **keys)), renderer)
-    assert report.vessel_frames == 8
-    assert report.occluded > 0
-    assert report.unexplained == 0
+    figures = compare_sources(load_scene(far_scene(tmp_path, **keys)), renderer).figures
+    assert figures.vessel_frames == 8
+    assert figures.occluded > 0
+    assert figures.unexplained == 0
 
 
 def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys):

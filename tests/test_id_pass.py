@@ -90,7 +90,7 @@ def test_depth_orders_boxes_a_metre_apart_at_five_kilometres_beside_a_boat_at_fi
     places = [(back, (5011.0, 0.0), 0.0), (front, (5000.0, 0.0), 0.0), (boat, (5.0, 0.06), 0.0)]
     outlines = outlines_of(places, lens)
     occlusion = rendered_occlusion(outlines, lens, renderer)
-    by_name = dict(zip(outlines.vessel.tolist(), occlusion.visible_px / occlusion.silhouette_px, strict=True))
+    by_name = dict(zip(outlines.occluder.tolist(), occlusion.visible_px / occlusion.silhouette_px, strict=True))
     assert by_name[1] > 0.5
     assert by_name[0] < 0.02  # the front one, 1 m nearer and of one size, leaves at most a rim
     assert by_name[2] == 1
@@ -109,7 +109,7 @@ def id_images(backend: str) -> bytes:
         "    for seed in range(12):\n"
         "        outlines = outlines_of(random_places(np.random.default_rng(seed), 25))\n"
         "        t = triangles_of(outlines, INTRINSICS)\n"
-        "        ids = outlines.vessel[t.row] + 1\n"
+        "        ids = outlines.occluder[t.row] + 1\n"
         "        image = renderer.draw(t.corners_px, t.inverse_depth, ids, Region(0, 0, 800, 600))\n"
         "        sys.stdout.buffer.write(image.tobytes())\n"
     )
@@ -155,5 +155,5 @@ def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
 
     outlines = outlines_of(random_places(np.random.default_rng(seed), 10))
     triangles = triangles_of(outlines, INTRINSICS)
-    image = renderer.draw(triangles.corners_px, triangles.inverse_depth, outlines.vessel[triangles.row] + 1, WHOLE)
-    assert set(np.unique(image)) <= {0, *(outlines.vessel + 1)}
+    image = renderer.draw(triangles.corners_px, triangles.inverse_depth, outlines.occluder[triangles.row] + 1, WHOLE)
+    assert set(np.unique(image)) <= {0, *(outlines.occluder + 1)}

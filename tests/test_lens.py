@@ -9,7 +9,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Verdict, compare_with_analytic
+from modsim3d.annotate.comparison import Agreement, compare_with_analytic
 from modsim3d.annotate.full_frame import pixel_masks
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.annotate.silhouettes import silhouette_polygons
@@ -92,7 +92,7 @@ def test_pixels_and_geometry_agree_through_a_lens(renderer, seed):
     outlines, camera = through(seed, (BARREL, PINCUSHION)[seed % 2])
     rendered = rendered_occlusion(outlines, camera, renderer)
     found = compare_with_analytic(outlines, camera, rendered, lambda row: pixel_masks(outlines, camera, renderer, row))
-    assert (found.worst < Verdict.INTERSECTING).all()
+    assert (found.worst < Agreement.INTERSECTING).all()
 
 
 def test_each_pixel_shows_what_lies_in_its_direction(renderer):
@@ -106,7 +106,7 @@ def test_each_pixel_shows_what_lies_in_its_direction(renderer):
             for row, silhouette in zip(part.rows.tolist(), straight, strict=True):
                 mask = pixel_masks(outlines, camera, renderer, row)
                 height, width = mask.silhouette.shape
-                x, y = np.meshgrid(mask.x + np.arange(width) + 0.5, mask.y + np.arange(height) + 0.5)
+                x, y = np.meshgrid(mask.region.x + np.arange(width) + 0.5, mask.region.y + np.arange(height) + 0.5)
                 centres = np.stack([x, y], axis=-1)
                 directions = camera.pinhole.project(camera.unproject(centres, np.full(centres.shape[:-1], 10.0)))
                 sure, perhaps = (

@@ -92,7 +92,7 @@ def test_what_the_camera_sees_is_in_its_field_of_view(birds_eye):
     at, looks = view_of(scene, scene.cameras[0], 5)
     wedge = shapely.Polygon([at, *(at + 1e4 * looks)])
     outlines = scene.sight(scene.cameras[0], np.array([5])).outlines()
-    seen = {scene.occluder_names[index] for index in outlines.vessel.tolist()}
+    seen = {scene.occluder_names[index] for index in outlines.occluder.tolist()}
     for vessel, place in zip(scene.vessels, scene.poses.poses(5, 6).positions_m[0], strict=True):
         if wedge.contains(shapely.Point(place[:2])):
             assert vessel.name in seen

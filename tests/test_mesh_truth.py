@@ -11,8 +11,9 @@ import pytest
 import shapely
 from typer.testing import CliRunner
 
-from modsim3d.annotate.full_frame import full_frame_occlusion, mask_box
+from modsim3d.annotate.full_frame import full_frame_occlusion
 from modsim3d.annotate.outlines import Outlines
+from modsim3d.annotate.pixel_masks import mask_box
 from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.annotate.silhouettes import silhouette_polygons
 from modsim3d.cli import app
@@ -54,7 +55,7 @@ def test_shoebox_as_a_mesh_gives_the_truth_of_the_shoebox(renderer, seed):
     places, intrinsics, mount = random_scene(np.random.default_rng(70_000 + seed))
     boxes = outlines_of(places, intrinsics, mount)
     meshes = outlines_of(with_solids(places, [box_as_mesh(), shoebox()]), intrinsics, mount)
-    np.testing.assert_array_equal(meshes.vessel, boxes.vessel)
+    np.testing.assert_array_equal(meshes.occluder, boxes.occluder)
     np.testing.assert_allclose(meshes.boxes_px, boxes.boxes_px, rtol=0, atol=1e-6)
     np.testing.assert_allclose(meshes.depth_m, boxes.depth_m)
     np.testing.assert_allclose(meshes.in_frame_fraction, boxes.in_frame_fraction, rtol=1e-6)

@@ -7,13 +7,13 @@ import pytest
 import shapely
 
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Verdict, compare_with_analytic
+from modsim3d.annotate.camera_inside import first_body_around
+from modsim3d.annotate.comparison import Agreement, compare_with_analytic
 from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
-from modsim3d.annotate.inside import first_body_around
-from modsim3d.annotate.ordering import order_of
+from modsim3d.annotate.occlusion_order import order_of
 from modsim3d.annotate.outlines import outline
-from modsim3d.annotate.record import COLUMNS, concatenate
 from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.annotate.truth_record import COLUMNS, concatenate
 from modsim3d.bodies import vessel_bodies
 from modsim3d.camera import Intrinsics
 from modsim3d.camera_poses import Mount, poses_ashore
@@ -78,7 +78,7 @@ def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
         outlines, intrinsics, rendered, lambda row: pixel_masks(outlines, intrinsics, renderer, row)
     )
     assert len(found.full) == outlines.boxed.sum()
-    assert (found.worst < Verdict.INTERSECTING).all()
+    assert (found.worst < Agreement.INTERSECTING).all()
     exact = analytic_occlusion(outlines, intrinsics)
     for row in np.flatnonzero(outlines.boxed):
         drawn, cut = dict(rendered.occluders[row]), dict(exact.occluders[row])

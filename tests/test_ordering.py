@@ -9,8 +9,8 @@ from scipy.optimize import linprog
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.comparison import compare_with_analytic
-from modsim3d.annotate.ordering import order_of
-from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.occlusion_order import order_of
+from modsim3d.annotate.rectangle_rule import rectangle_occlusion
 from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
 from modsim3d.rotations import rotation, world_R_vehicle
 from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
@@ -133,7 +133,7 @@ def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_the
     hidden = sum(px for _, px in seen.occluders[0])
     assert 0 < hidden == pytest.approx(seen.silhouette_px[0] - seen.visible_px[0])
     assert {vessel for vessel, _ in seen.occluders[0]} == {vessel for vessel, _ in drawn.occluders[0]} == {1, 2}
-    truth = seen.truth(np.zeros(4, dtype=int) + 7, 3, outlines.vessel, outlines.in_frame_fraction, outlines.depth_m)
+    truth = seen.truth(outlines, np.array([7]), 3)
     np.testing.assert_array_equal(truth.intersections, [[7, 3, 1, 2]])
 
 

@@ -207,8 +207,8 @@ def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):
 def test_silhouette_mask_covers_what_the_truth_counts(subjects):
     for subject in subjects:
         truth, solids = subject.frame.truth, subject.solids
-        for row, owner in enumerate(solids.owners.tolist()):
-            i = truth.vessels.index(subject.vessels[owner])
+        for row, occluder in enumerate(solids.occluders.tolist()):
+            i = truth.vessels.index(subject.vessels[occluder])
             _, mask = silhouette_mask(solids, row, Window(0, 0, 1, (800, 600)))
             box = truth.full_boxes_px[i]
             boundary = 2 * (box[2] - box[0] + box[3] - box[1])

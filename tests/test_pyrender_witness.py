@@ -18,7 +18,7 @@ import pytest
 import shapely
 
 from modsim3d.annotate.analytic import image_silhouettes
-from modsim3d.annotate.comparison import ROUNDING_PX
+from modsim3d.annotate.pixel_masks import ROUNDING_PX
 from modsim3d.annotate.triangles import triangles_of
 from modsim3d.camera_poses import Mount, poses_ashore
 from modsim3d.render.id_pass import Region
@@ -110,7 +110,7 @@ def id_image(renderer, name, faces=None):
     return renderer.draw(
         triangles.corners_px[some],
         triangles.inverse_depth[some],
-        (outlines.vessel[triangles.row] + 1)[some],
+        (outlines.occluder[triangles.row] + 1)[some],
         WHOLE,
     )
 

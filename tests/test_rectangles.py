@@ -11,7 +11,7 @@ import pytest
 
 from modsim3d.annotate.analytic import analytic_occlusion
 from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
-from modsim3d.annotate.rectangles import rectangle_occlusion
+from modsim3d.annotate.rectangle_rule import rectangle_occlusion
 from tests.scenes import INTRINSICS, outlines_of, vessel
 
 B = (100.0, 100.0, 200.0, 200.0)  # the box that is looked at; everything else is before it unless its depth says not
@@ -26,8 +26,8 @@ def seen_of(boxes, depths=None):
 
 def annotated_box(seen, mode):
     """The box of the first vessel that a mode annotates, or None."""
-    zero = np.zeros(len(seen.visible_px), dtype=int)
-    truth = seen.truth(zero, 0, zero, zero + 1.0, zero + 100.0)
+    outlines = outlines_of([(vessel(f"v{i}"), (100.0, 0.0), 0.0) for i in range(len(seen.visible_px))])
+    truth = seen.truth(outlines, np.zeros(1, dtype=int), 0)
     if not annotated_rows(truth, Annotation(mode=mode, source="rectangles"))[0]:
         return None
     return tuple(annotation_boxes(truth, mode)[0])

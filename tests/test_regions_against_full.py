@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from modsim3d.annotate.full_frame import full_frame_occlusion
-from modsim3d.annotate.record import COLUMNS
+from modsim3d.annotate.pixel_spans import Spans, counts_and_boxes, spans_of_ids
 from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.annotate.spans import Edges, Spans, counts_and_boxes, facing, scan_convert, spans_of_ids
+from modsim3d.annotate.scan_conversion import facing, scan_convert
 from modsim3d.annotate.triangles import within_guard
+from modsim3d.annotate.truth_record import COLUMNS
 from modsim3d.render.id_pass import Region
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import truth_block
@@ -80,7 +81,7 @@ def test_scan_conversion_fills_the_pixels_that_the_rasteriser_fills(renderer, se
     width, height = intrinsics.image_size_px
     for part in outlines.parts:
         vertices = part.vertices_px[rows]
-        spans, odd = scan_convert(vertices, part.solid, Edges.of(part.solid), (width, height))
+        spans, odd = scan_convert(vertices, part.solid, (width, height))
         for i in sorted(set(range(len(rows))) - set(odd.tolist()))[:12]:
             corners = vertices[i][part.solid.faces]
             drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, width, height))
@@ -109,7 +110,7 @@ def flat_box(left: float, top: float, right: float, bottom: float) -> np.ndarray
 )
 def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer, box, expected):
     vertices = flat_box(*box)
-    spans, odd = scan_convert(vertices, shoebox(), Edges.of(shoebox()), (40, 40))
+    spans, odd = scan_convert(vertices, shoebox(), (40, 40))
     assert not len(odd)
     pixels, boxes = counts_and_boxes(spans, 1)
     np.testing.assert_array_equal(boxes[0], expected)
@@ -121,7 +122,7 @@ def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer, box, exp
 
 def test_box_smaller_than_a_pixel_has_no_span_between_centres_and_one_on_a_centre():
     for x, expected in ((10.6, 0), (10.45, 1)):
-        spans, _ = scan_convert(flat_box(x, 10.45, x + 0.1, 10.55), shoebox(), Edges.of(shoebox()), (40, 40))
+        spans, _ = scan_convert(flat_box(x, 10.45, x + 0.1, 10.55), shoebox(), (40, 40))
         assert counts_and_boxes(spans, 1)[0][0] == expected
 
 

@@ -17,7 +17,7 @@ def test_box_in_front_hides_exactly_the_columns_it_should(renderer):
     """Back: front face at 200 m, 20 m wide: columns 350–450. Front: at 100 m, from w2 = −3 to 5: columns 350–430."""
     back, front = vessel("back", 2, 20, 10), vessel("front", 2, 8, 30)
     outlines, seen = truth_of(renderer, [(back, (201, 0), 0), (front, (101, 1), 0)])
-    assert outlines.vessel.tolist() == [0, 1]
+    assert outlines.occluder.tolist() == [0, 1]
     np.testing.assert_array_equal(seen.full_boxes_px[0][[0, 2]], [350, 450])
     np.testing.assert_array_equal(seen.full_boxes_px[1][[0, 2]], [350, 430])
     np.testing.assert_array_equal(seen.visible_boxes_px[0][[0, 2]], [430, 450])
@@ -133,7 +133,7 @@ def test_order_of_vessels_does_not_matter(renderer, seed):
     places = random_places(np.random.default_rng(seed), 25, far_m=400.0)
     a, seen = truth_of(renderer, places)
     b, mirrored = truth_of(renderer, places[::-1])
-    order = np.argsort(len(places) - 1 - b.vessel)
-    np.testing.assert_array_equal(a.vessel, (len(places) - 1 - b.vessel)[order])
+    order = np.argsort(len(places) - 1 - b.occluder)
+    np.testing.assert_array_equal(a.occluder, (len(places) - 1 - b.occluder)[order])
     np.testing.assert_array_equal(seen.visible_px, mirrored.visible_px[order])
     np.testing.assert_array_equal(seen.full_boxes_px, mirrored.full_boxes_px[order])

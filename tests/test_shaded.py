@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.annotate.comparison import ROUNDING_PX
+from modsim3d.annotate.pixel_masks import ROUNDING_PX
 from modsim3d.errors import ModsimError
 from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
@@ -77,7 +77,7 @@ def vessel_pixels(painter, solids, window, monkeypatch):
     pictures = []
     monkeypatch.setattr(shaded_picture, "REFLECTION", 0.0)
     for colour in ((0, 0, 0), (255, 255, 255)):
-        monkeypatch.setattr(shaded_picture, "owner_colour", lambda owner, vessels, colour=colour: colour)
+        monkeypatch.setattr(shaded_picture, "occluder_colour", lambda occluder, vessels, colour=colour: colour)
         pictures.append(np.asarray(painter.picture(solids, window, samples=1)).astype(int))
     return np.abs(pictures[1] - pictures[0]).max(axis=-1) > 0
 
@@ -100,7 +100,7 @@ def test_each_vessel_shows_where_its_id_is(renderer, shaded, solids):
     """Every vessel in a colour of its own, without lamps: who is in front is who has the pixel."""
     window = Window.whole((800, 600), 800)
     ids = solids.ids(window, renderer)
-    own = np.linspace(0, 1, 7)[solids.owners[solids.triangles.row] + 1]
+    own = np.linspace(0, 1, 7)[solids.occluders[solids.triangles.row] + 1]
     faces = replace(shaded_picture.lit_faces(solids), colours=np.column_stack([own, own, own]))
     matrix, near = solids.intrinsics.matrix, solids.intrinsics.near_clip_m
     lit = shaded.draw(faces, matrix, near, (800, 600), [], (1.0, 1.0, 1.0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.annotate.record import COLUMNS
+from modsim3d.annotate.truth_record import COLUMNS
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene

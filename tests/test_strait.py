@@ -58,7 +58,7 @@ def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, rend
     assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
     bow = scene.cameras[0]
     outlines = scene.sight(bow, np.arange(3)).outlines()
-    own = outlines.vessel == scene.vessel_names.index("own")
+    own = outlines.occluder == scene.vessel_names.index("own")
     assert own.sum() == 3  # its own foredeck, in each frame
     assert not outlines.boxed[own].any()
 
@@ -70,7 +70,7 @@ def test_the_cameras_run_at_their_own_rates(scene):
 
 
 def test_compare_finds_nothing_unexplained(scene, renderer):
-    report = compare_sources(scene, renderer, every=20)
-    assert report.frames == 15 + 8
-    assert report.vessel_frames > 80
-    assert report.unexplained == 0
+    figures = compare_sources(scene, renderer, every=20).figures
+    assert figures.frames == 15 + 8
+    assert figures.vessel_frames > 80
+    assert figures.unexplained == 0

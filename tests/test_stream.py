@@ -382,7 +382,7 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
     [
         (("run", "--workers", "2"), "leave --workers out"),
         (("run", "--resume"), "--resume needs poses that can be read again"),
-        (("compare",), "compare looks at a scene that is known"),
+        (("compare",), "compare needs a scene whose steps are known"),
     ],
 )
 def test_what_a_stream_cannot_do_is_refused_in_one_message(tmp_path, monkeypatch, capsys, arguments, part):

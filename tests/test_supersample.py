@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from modsim3d.annotate import full_frame, rendered
+from modsim3d.annotate import buffer_drawing
 from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Verdict, compare_with_analytic
-from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.annotate.comparison import Agreement, compare_with_analytic
+from modsim3d.annotate.full_frame import pixel_masks
+from modsim3d.annotate.rendered import rendered_occlusion
 from modsim3d.camera import Intrinsics
 from tests.scenes import INTRINSICS, outlines_of, random_places, random_scene, vessel
 
@@ -53,8 +54,8 @@ def test_full_boxes_are_within_three_tenths_of_a_pixel_at_four_but_for_tips_with
             outlines, lens, drawn, lambda row, o=outlines, k=lens: pixel_masks(o, k, renderer, row, 4), 4
         )
         off = np.abs(found.full_side_px).max(axis=1) > 0.3
-        assert (found.full[off] == Verdict.SHARP_TIP).all()
-        assert not (found.worst == Verdict.UNEXPLAINED).any()
+        assert (found.full[off] == Agreement.SHARP_TIP).all()
+        assert not (found.worst == Agreement.UNEXPLAINED).any()
         rows, tips = rows + len(outlines), tips + int(off.sum())
     assert rows > 150
     assert tips < 0.03 * rows
@@ -93,8 +94,7 @@ def test_box_between_pixels_is_told_to_an_eighth_of_a_pixel(renderer):
 def test_buffer_drawn_in_tiles_gives_the_same_as_in_one(renderer, monkeypatch, factor, tile):
     outlines = outlines_of(random_places(np.random.default_rng(4), 25, far_m=400.0), SMALL)
     whole = rendered_occlusion(outlines, SMALL, renderer, factor)
-    monkeypatch.setattr(full_frame, "TILE_PX", tile)
-    monkeypatch.setattr(rendered, "TILE_PX", tile)
+    monkeypatch.setattr(buffer_drawing, "TILE_PX", tile)
     tiled = rendered_occlusion(outlines, SMALL, renderer, factor)
     for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
         np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.annotate.comparison import EXPLANATIONS, Comparison, Verdict, compare_with_analytic
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.rendered import pixel_masks, rendered_occlusion
+from modsim3d.annotate.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
+from modsim3d.annotate.full_frame import pixel_masks
+from modsim3d.annotate.occlusion import Occlusion
+from modsim3d.annotate.rendered import rendered_occlusion
 from tests.scenes import outlines_of, random_scene
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
@@ -59,17 +60,17 @@ class Tally:
             self.full[reason] += int((found.full == verdict).sum())
             self.visible[reason] += int((found.visible == verdict).sum())
         self.largest_agreed_full_side_px = max(
-            self.largest_agreed_full_side_px, largest(found.full_side_px[found.full == Verdict.AGREE])
+            self.largest_agreed_full_side_px, largest(found.full_side_px[found.full == Agreement.AGREE])
         )
         self.largest_agreed_visible_side_px = max(
-            self.largest_agreed_visible_side_px, largest(found.visible_side_px[found.visible == Verdict.AGREE])
+            self.largest_agreed_visible_side_px, largest(found.visible_side_px[found.visible == Agreement.AGREE])
         )
         self.largest_side_at_a_tip_px = max(
-            self.largest_side_at_a_tip_px, largest(found.full_side_px[found.full == Verdict.SHARP_TIP])
+            self.largest_side_at_a_tip_px, largest(found.full_side_px[found.full == Agreement.SHARP_TIP])
         )
         self.visible_at_all_differs += int(found.seen_differs.sum())
         self.pixels_looked_at += int(found.pixels_looked_at.sum())
-        for row in np.flatnonzero(found.worst == Verdict.UNEXPLAINED):
+        for row in np.flatnonzero(found.worst == Agreement.UNEXPLAINED):
             self.unexplained.append({"seed": seed, "vessel": names[row]})
 
     def join(self, other: Tally) -> None:
@@ -99,11 +100,11 @@ def look_at(seeds: range, supersample: int) -> tuple[Tally, str]:
             outlines = outlines_of(places, intrinsics, mount)
             drawn = rendered_occlusion(outlines, intrinsics, renderer, supersample)
 
-            def look_again(row: int):
+            def draw_masks(row: int):
                 return pixel_masks(outlines, intrinsics, renderer, row, supersample)  # noqa: B023 (used at once)
 
-            found = compare_with_analytic(outlines, intrinsics, drawn, look_again, supersample)
-            tally.add(seed, drawn, found, [places[i][0].name for i in outlines.vessel])
+            found = compare_with_analytic(outlines, intrinsics, drawn, draw_masks, supersample)
+            tally.add(seed, drawn, found, [places[i][0].name for i in outlines.occluder])
         return tally, context.description
 
 
@@ -116,7 +117,7 @@ def figures(tally: Tally) -> dict[str, Any]:
     """A tally for the JSON file, with shares."""
     frames = max(tally.vessel_frames, 1)
     hidden = tally.hidden_in_part + tally.hidden_wholly
-    tips = tally.full[EXPLANATIONS[Verdict.SHARP_TIP]]
+    tips = tally.full[EXPLANATIONS[Agreement.SHARP_TIP]]
     return {**vars(tally), "hidden_share": hidden / frames, "sharp_tip_share": tips / frames}
 
 
@@ -176,13 +177,13 @@ def main() -> int:
     parser.add_argument("--scenes", type=int, help="fewer than the campaign's own, for a try")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for compare.md and compare.json")
-    asked = parser.parse_args()
-    counts = {factor: min(count, asked.scenes or count) for factor, count in SCENES.items()}
+    options = parser.parse_args()
+    counts = {factor: min(count, options.scenes or count) for factor, count in SCENES.items()}
     work = [portion for factor, count in counts.items() for portion in portions(count, factor)]
     tallies = {factor: Tally() for factor in counts}
     drawn_by = set()
     # OpenGL must be loaded in each process for itself.
-    with ProcessPoolExecutor(asked.processes, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(options.processes, multiprocessing.get_context("spawn")) as pool:
         for (seeds, factor), (tally, renderer) in zip(work, pool.map(look_at, *zip(*work, strict=True)), strict=True):
             tallies[factor].join(tally)
             drawn_by.add(renderer)
@@ -194,10 +195,10 @@ def main() -> int:
         "shapely": f"{shapely.__version__} (GEOS {shapely.geos_version_string})",
         "renderer": " and ".join(sorted(drawn_by)),
     }
-    asked.out.mkdir(parents=True, exist_ok=True)
+    options.out.mkdir(parents=True, exist_ok=True)
     data = json.dumps({"format": 1, "versions": versions, "supersample": found}, indent=2)
-    (asked.out / "compare.json").write_text(data + "\n", encoding="utf-8")
-    (asked.out / "compare.md").write_text(page(found, versions), encoding="utf-8")
+    (options.out / "compare.json").write_text(data + "\n", encoding="utf-8")
+    (options.out / "compare.md").write_text(page(found, versions), encoding="utf-8")
     print(table(found))
     return int(any(column["unexplained"] for column in found.values()))
 

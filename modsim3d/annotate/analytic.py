@@ -1,7 +1,7 @@
-"""Truth from geometry alone, without a renderer: exact occlusion of shoeboxes.
+"""Truth from geometry alone, without a renderer: exact occlusion of convex solids.
 
-The visible region of a vessel is its silhouette less the silhouettes of those that can hide it. Areas and boxes are
-of sub-pixel exactness. Intersecting boxes have no order; what is visible of them is left open (NaN).
+The visible region of a vessel is its silhouette minus the silhouettes of the solids that can hide it. Areas and boxes
+are exact, not rounded to pixels. Intersecting solids have no order, so what is visible of them is unknown (NaN).
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.annotate.ordering import Order, order_of
+from modsim3d.annotate.occlusion import Occlusion
+from modsim3d.annotate.occlusion_order import Order, order_of
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.regions import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.polygon_occlusion import Hiding, Polygons, boxes_and_areas, hidden_areas, hidden_by, visible_of
 from modsim3d.annotate.silhouettes import in_image, silhouette_polygons
 from modsim3d.camera import Intrinsics
 
 
 @dataclass(frozen=True, eq=False)
-class Regions:
+class VisibleRegions:
     """Silhouettes in the image and what is visible of them, as polygons.
 
     Attributes:
-        silhouettes: Shape (n,).
-        visible: Shape (n,).
-        hiding: Who can hide whom.
-        order: Where that is known from.
+        silhouettes: Whole silhouettes, cut at the image edge, shape (n,).
+        visible: Their visible parts, shape (n,).
+        hiding: Which rows can hide which.
+        order: The order of solids that `hiding` follows from.
     """
 
     silhouettes: Polygons
@@ -35,29 +35,34 @@ class Regions:
     order: Order
 
 
-def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> Regions:
-    """What is visible of each silhouette: the silhouette less those of the solids that can hide it."""
+def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
+    """What is visible of each silhouette: the silhouette minus those of the solids that can hide it.
+
+    Args:
+        outlines: Convex solids in front of the camera, n rows.
+        intrinsics: Intrinsics of the camera.
+    """
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
     hiding = Hiding.of(
         np.concatenate([order.second[order.first_can_hide], order.first[order.second_can_hide]]),
         np.concatenate([order.first[order.first_can_hide], order.second[order.second_can_hide]]),
     )
-    return Regions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
+    return VisibleRegions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
 
 
 def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
     """Full and visible boxes, areas and occluders of every outline.
 
     Args:
-        outlines: The convex solids in front of the camera.
-        intrinsics: Of the camera.
+        outlines: Convex solids in front of the camera.
+        intrinsics: Intrinsics of the camera.
     """
     return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
 
 
-def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
-    """The truth columns of regions; see `analytic_occlusion`."""
+def occlusion_of_regions(outlines: Outlines, regions: VisibleRegions) -> Occlusion:
+    """Boxes, areas and occluders of regions that are already cut; see `analytic_occlusion`."""
     order = regions.order
     boxes, visible_px = boxes_and_areas(regions.visible, outlines.boxes_px, outlines.areas_px)
     touching = np.column_stack([order.first, order.second])[order.intersecting]
@@ -65,19 +70,19 @@ def occlusion_of_regions(outlines: Outlines, regions: Regions) -> Occlusion:
     ties = Hiding.of(farther, touching.sum(axis=1) - farther) if len(touching) else None
     pairs = touching[outlines.boxed[touching].any(axis=1)]  # a bridge may stand on a quay
     boxes[pairs.ravel()], visible_px[pairs.ravel()] = np.nan, np.nan
-    areas = hidden_areas(regions.silhouettes, regions.hiding, outlines.vessel, ties)
+    areas = hidden_areas(regions.silhouettes, regions.hiding, outlines.occluder, ties)
     return Occlusion(
         full_boxes_px=outlines.boxes_px,
         visible_boxes_px=boxes,
         silhouette_px=outlines.areas_px,
         visible_px=visible_px,
-        hidden=hidden_by(regions.hiding, areas, outlines.vessel),
+        hidden=hidden_by(regions.hiding, areas, outlines.occluder),
         intersecting=pairs,
     )
 
 
 def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
-    """Silhouettes cut at the image edge, shape (n,)."""
+    """The silhouette of each row as a polygon, cut at the image edge, shape (n,)."""
     silhouettes = np.empty(len(outlines), dtype=object)
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]

@@ -1,36 +1,34 @@
-"""Does the rendered truth agree with the analytic one, and if not, why not.
+"""Whether the rendered truth agrees with the analytic truth, and if it does not, why.
 
-Two independent computations look at the same outlines: an ID buffer with a depth buffer, and polygons cut by polygons
-in an order that comes from separating planes. Pixels sample regions at their centres, so the two may differ by what
-that sampling loses and by nothing else. Where a difference is larger than a pixel, every pixel of the vessel is looked
-at: each one whose centre is inside the exact region must be set and each one outside must not be, but for a band along
-the boundary that is as wide as the rasteriser's rounding of corners; and the box and the count in question must be
-those of these pixels.
+Both sources start from the same outlines and are otherwise independent. The rendered source uses an ID buffer with a
+depth buffer. The analytic source cuts polygons by polygons, in an order that comes from separating planes. They may
+differ only because pixels sample regions at their centres.
+
+Where they differ by more than a pixel, all pixels of the vessel are drawn again and checked. Each pixel must be set if
+its centre is inside the exact region, and only then, except in a band along the boundary that is as wide as the
+rasteriser's rounding of corners. The box and the count of the truth must be those of these pixels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
-import shapely
-from numpy.typing import NDArray
 
-from modsim3d.annotate.analytic import Regions, occlusion_of_regions, visible_regions
-from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.analytic import VisibleRegions, occlusion_of_regions, visible_regions
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
+from modsim3d.annotate.overlaps import overlapping_pairs
+from modsim3d.annotate.pixel_masks import PixelMasks, counted_from, mask_fits
+from modsim3d.annotate.sampling_bounds import boundary_pixels, fraction_bound
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics
 
-ROUNDING_PX = 1 / 128
-"""Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""
 
-
-class Verdict(IntEnum):
-    """Why two boxes differ, or that they do not; the worst of several is the greatest."""
+class Agreement(IntEnum):
+    """Whether two sources agree on a vessel, or why they do not. The greater, the worse."""
 
     AGREE = 0
     SHARP_TIP = 1
@@ -42,35 +40,17 @@ class Verdict(IntEnum):
 
 
 EXPLANATIONS = {
-    Verdict.AGREE: "agree within a pixel",
-    Verdict.SHARP_TIP: "sharp tip without a pixel centre",
-    Verdict.SLIVER: "sliver thinner than a pixel",
-    Verdict.BOUNDARY_ROUNDING: "boundary rounding",
-    Verdict.INTERSECTING: "intersecting boxes: only the rendered source decides",
-    Verdict.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
-    Verdict.UNEXPLAINED: "unexplained",
+    Agreement.AGREE: "agree within a pixel",
+    Agreement.SHARP_TIP: "sharp tip without a pixel centre",
+    Agreement.SLIVER: "sliver thinner than a pixel",
+    Agreement.BOUNDARY_ROUNDING: "boundary rounding",
+    Agreement.INTERSECTING: "intersecting boxes: only the rendered source decides",
+    Agreement.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
+    Agreement.UNEXPLAINED: "unexplained",
 }
 
-
-@dataclass(frozen=True, eq=False)
-class PixelMasks:
-    """The pixels of one vessel.
-
-    Attributes:
-        x: Column of the masks' left edge, in buffer pixels.
-        y: Row of their top edge.
-        silhouette: Of the vessel alone, shape (h, w).
-        visible: Those that are seen, shape (h, w).
-    """
-
-    x: int
-    y: int
-    silhouette: Mask
-    visible: Mask
-
-
-LookAgain = Callable[[int], PixelMasks]
-"""Draws a row of the outlines once more."""
+DrawMasks = Callable[[int], PixelMasks]
+"""Draws the masks of a row of the outlines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +58,14 @@ class Comparison:
     """How two sources differ on n outlines.
 
     Attributes:
-        full_side_px: Rendered less analytic, side by side, shape (n, 4).
-        visible_side_px: The same of the visible boxes; NaN where either has none, shape (n, 4).
-        fraction: Rendered less analytic visible fraction; NaN where either has none, shape (n,).
-        fraction_bound: What the boundary pixels of the silhouette and of its visible part can explain, shape (n,).
-        seen_differs: Whether one sees the vessel and the other does not, shape (n,).
-        full: Verdict on the full box, shape (n,).
-        visible: Verdict on the visible box, fraction and visibility, shape (n,).
-        pixels_looked_at: Rows of which every pixel was checked, shape (n,).
+        full_side_px: Sides of full boxes, rendered minus analytic, shape (n, 4).
+        visible_side_px: Sides of visible boxes, rendered minus analytic; NaN where either has none, shape (n, 4).
+        fraction: Visible fraction, rendered minus analytic; NaN where either has none, shape (n,).
+        fraction_bound: Largest difference of fractions that pixels on the boundary can explain, shape (n,).
+        seen_differs: Whether the vessel is visible to one source only, shape (n,).
+        full: `Agreement` of the full boxes, shape (n,).
+        visible: `Agreement` of visible boxes, visible fractions and visibility, shape (n,).
+        pixels_looked_at: Whether all pixels of the row were checked, shape (n,).
     """
 
     full_side_px: Array
@@ -98,64 +78,74 @@ class Comparison:
     pixels_looked_at: Mask
 
     def take(self, rows: Indices) -> Comparison:
-        """The rows chosen."""
+        """The chosen rows."""
         return Comparison(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
     def worst(self) -> Indices:
-        """The greater of a row's two verdicts, shape (n,)."""
+        """The worse `Agreement` of full and visible, shape (n,)."""
         return np.maximum(self.full, self.visible)
+
+
+def concatenate_comparisons(parts: Sequence[Comparison]) -> Comparison:
+    """The rows of several comparisons, one after another."""
+    empty, empty_sides, none = np.empty(0), np.empty((0, 4)), np.empty(0, dtype=np.int64)
+    nothing = Comparison(empty_sides, empty_sides, empty, empty, none > 0, none, none, none > 0)
+    names = [field.name for field in fields(Comparison)]
+    return Comparison(*(np.concatenate([getattr(part, name) for part in (nothing, *parts)]) for name in names))
 
 
 def compare_with_analytic(
     outlines: Outlines,
     intrinsics: Intrinsics,
     rendered: Occlusion,
-    look_again: LookAgain,
+    draw_masks: DrawMasks,
     supersample: int = 1,
 ) -> Comparison:
-    """Compare rendered truth with the analytic one, vessel by vessel.
+    """Compare rendered truth with the analytic truth, vessel by vessel.
 
-    The analytic source knows convex solids only: of a mesh, and of what is visible of a vessel in front of or behind
-    one, it can say nothing.
+    The analytic source knows convex solids only. It says nothing about a mesh, nor about what is visible of a vessel
+    that overlaps a mesh in the image.
 
     Args:
-        outlines: What both looked at; n of its rows get a box.
-        intrinsics: Of the camera.
-        rendered: What the pixels said.
-        look_again: Gives the masks of a row of `outlines`, where its boxes differ by more than a pixel.
-        supersample: Buffer pixels for each image pixel and axis.
+        outlines: What both sources started from; n of its rows are vessels.
+        intrinsics: Intrinsics of the camera.
+        rendered: What the rendered source found, for all rows.
+        draw_masks: Draws the pixels of a row of `outlines`; called where the sources differ by more than a pixel.
+        supersample: Buffer pixels per image pixel and axis.
+
+    Returns:
+        The comparison of the n vessels.
     """
-    known = np.flatnonzero(outlines.convex)
+    convex = np.flatnonzero(outlines.convex)
     found = _compare_convex(
-        outlines.take(known), intrinsics, rendered.take(known), lambda row: look_again(int(known[row])), supersample
+        outlines.take(convex), intrinsics, rendered.take(convex), lambda row: draw_masks(int(convex[row])), supersample
     )
-    if len(known) == len(outlines):
-        return found.take(np.flatnonzero(outlines.boxed))
-    return _with_meshes(found, known, outlines).take(np.flatnonzero(outlines.boxed))
+    if len(convex) < len(outlines):
+        found = _with_meshes(found, convex, outlines)
+    return found.take(np.flatnonzero(outlines.boxed))
 
 
-def _with_meshes(found: Comparison, known: Indices, outlines: Outlines) -> Comparison:
-    """The comparison of some rows as one of all; the others, and what is seen of those beside them, are not known."""
-    count, unknown = len(outlines), ~outlines.convex
+def _with_meshes(found: Comparison, convex: Indices, outlines: Outlines) -> Comparison:
+    """Spread the comparison of the convex rows over all rows; meshes and what overlaps them are not comparable."""
+    count, mesh = len(outlines), ~outlines.convex
     columns = {}
     for field in fields(Comparison):
         column = getattr(found, field.name)
         nothing = np.nan if column.dtype == np.float64 else 0
-        whole = np.full((count, *column.shape[1:]), nothing, dtype=column.dtype)
-        whole[known] = column
-        columns[field.name] = whole
+        columns[field.name] = np.full((count, *column.shape[1:]), nothing, dtype=column.dtype)
+        columns[field.name][convex] = column
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     beside = np.zeros(count, dtype=bool)
-    beside[first[unknown[second]]] = beside[second[unknown[first]]] = True
-    columns["full"][unknown] = columns["visible"][unknown | beside] = Verdict.NOT_COMPARABLE
+    beside[first[mesh[second]]] = beside[second[mesh[first]]] = True
+    columns["full"][mesh] = columns["visible"][mesh | beside] = Agreement.NOT_COMPARABLE
     columns["seen_differs"] &= ~beside
     columns["visible_side_px"][beside] = columns["fraction"][beside] = np.nan
     return Comparison(**columns)
 
 
 def _compare_convex(
-    outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, look_again: LookAgain, supersample: int
+    outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, draw_masks: DrawMasks, supersample: int
 ) -> Comparison:
     regions = visible_regions(outlines, intrinsics)
     analytic = occlusion_of_regions(outlines, regions)
@@ -164,128 +154,78 @@ def _compare_convex(
     fraction = rendered.visible_fraction() - analytic.visible_fraction()
     bound = fraction_bound(regions, analytic, supersample)
     seen_differs = (rendered.visible_px > 0) != (analytic.visible_px > 0)
-    unordered = np.zeros(len(outlines), dtype=bool)
-    unordered[analytic.intersecting.ravel()] = True
-    pixel = 1 / supersample
-    full_off = np.any(np.abs(full_side) > pixel, axis=1)
-    full_off |= np.abs(rendered.silhouette_px - analytic.silhouette_px) > (
-        boundary_pixels(regions.silhouettes, supersample) / supersample**2
-    )
-    visible_off = np.any(np.abs(visible_side) > pixel, axis=1) | seen_differs | (np.abs(fraction) > bound)
-    visible_off &= ~unordered
-    full_off, visible_off = full_off & outlines.boxed, visible_off & outlines.boxed
+    intersecting = np.zeros(len(outlines), dtype=bool)
+    intersecting[analytic.intersecting.ravel()] = True
+    explained_px = boundary_pixels(regions.silhouettes, supersample) / supersample**2
+    full_off = _off(full_side, supersample) | (np.abs(rendered.silhouette_px - analytic.silhouette_px) > explained_px)
+    visible_off = _off(visible_side, supersample) | seen_differs | (np.abs(fraction) > bound)
+    full_off, visible_off = full_off & outlines.boxed, visible_off & ~intersecting & outlines.boxed
     full = np.zeros(len(outlines), dtype=np.int64)
-    visible = np.where(unordered, int(Verdict.INTERSECTING), 0)
-    nobody = regions.silhouettes[:0]
-    for row in np.flatnonzero(full_off | visible_off):
-        masks = look_again(int(row))
-        same = counted_from(
-            masks.silhouette, masks, rendered.full_boxes_px[row], rendered.silhouette_px[row], supersample
-        )
+    visible = np.where(intersecting, int(Agreement.INTERSECTING), 0)
+    check = _PixelCheck(regions, rendered, analytic, supersample)
+    for row in np.flatnonzero(full_off | visible_off).tolist():
+        masks = draw_masks(row)
         if full_off[row]:
-            fits = same and mask_fits(masks.silhouette, masks, regions.silhouettes[row], nobody, supersample)
-            full[row] = _verdict(fits, rendered.full_boxes_px[row], analytic.full_boxes_px[row], Verdict.SHARP_TIP)
+            full[row] = check.full(row, masks)
         if visible_off[row]:
-            covers = regions.silhouettes[regions.hiding.hiders_of(int(row))]
-            same &= counted_from(
-                masks.visible, masks, rendered.visible_boxes_px[row], rendered.visible_px[row], supersample
-            )
-            fits = same and mask_fits(masks.visible, masks, regions.silhouettes[row], covers, supersample)
-            # A box that is short of what the silhouette's own tip takes is short by that tip.
-            kind = Verdict.SHARP_TIP if np.array_equal(visible_side[row], full_side[row]) else Verdict.SLIVER
-            visible[row] = _verdict(fits, rendered.visible_boxes_px[row], analytic.visible_boxes_px[row], kind)
+            # A visible box that is short by what the full box is short by misses the silhouette's own tip.
+            tip = np.array_equal(visible_side[row], full_side[row])
+            visible[row] = check.visible(row, masks, Agreement.SHARP_TIP if tip else Agreement.SLIVER)
     return Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, full_off | visible_off)
 
 
-def _verdict(fits: bool, rendered_box: Array, analytic_box: Array, smaller: Verdict) -> int:
-    """Why a box differs although, or because, its pixels do (not) fit the exact region."""
+def _off(sides_px: Array, supersample: int) -> Mask:
+    """Whether a side (n, 4) is off by more than a buffer pixel, shape (n,)."""
+    off: Mask = np.any(np.abs(sides_px) > 1 / supersample, axis=1)
+    return off
+
+
+@dataclass(frozen=True, eq=False)
+class _PixelCheck:
+    """Explains the differences of a row from its pixels."""
+
+    regions: VisibleRegions
+    rendered: Occlusion
+    analytic: Occlusion
+    supersample: int
+
+    def full(self, row: int, masks: PixelMasks) -> Agreement:
+        """Why the full boxes differ."""
+        silhouettes = self.regions.silhouettes
+        fits = self._full_counted(row, masks) and mask_fits(
+            masks.silhouette, masks.region, silhouettes[row], silhouettes[:0], self.supersample
+        )
+        boxes = self.rendered.full_boxes_px[row], self.analytic.full_boxes_px[row]
+        return _agreement(fits, *boxes, if_smaller=Agreement.SHARP_TIP)
+
+    def visible(self, row: int, masks: PixelMasks, if_smaller: Agreement) -> Agreement:
+        """Why the visible boxes or fractions differ."""
+        silhouettes, box, px = self.regions.silhouettes, self.rendered.visible_boxes_px[row], self.rendered.visible_px
+        covers = silhouettes[self.regions.hiding.hiders_of(row)]
+        fits = (
+            self._full_counted(row, masks)
+            and counted_from(masks.visible, masks.region, box, px[row], self.supersample)
+            and mask_fits(masks.visible, masks.region, silhouettes[row], covers, self.supersample)
+        )
+        return _agreement(fits, box, self.analytic.visible_boxes_px[row], if_smaller)
+
+    def _full_counted(self, row: int, masks: PixelMasks) -> bool:
+        box, px = self.rendered.full_boxes_px[row], self.rendered.silhouette_px[row]
+        return counted_from(masks.silhouette, masks.region, box, px, self.supersample)
+
+
+def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: Agreement) -> Agreement:
+    """Why two boxes (4,) differ, given whether the pixels fit the exact region.
+
+    Args:
+        fits: Whether they do.
+        rendered_px: Box from pixels.
+        analytic_px: Exact box.
+        if_smaller: The reason if the box from pixels is the smaller one.
+    """
     if not fits:
-        return Verdict.UNEXPLAINED
-    nothing_drawn, nothing_exact = bool(np.isnan(rendered_box[0])), bool(np.isnan(analytic_box[0]))
-    outside = np.concatenate([analytic_box[:2] - rendered_box[:2], rendered_box[2:] - analytic_box[2:]])
+        return Agreement.UNEXPLAINED
+    nothing_drawn, nothing_exact = bool(np.isnan(rendered_px[0])), bool(np.isnan(analytic_px[0]))
+    outside = np.concatenate([analytic_px[:2] - rendered_px[:2], rendered_px[2:] - analytic_px[2:]])
     larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
-    return Verdict.BOUNDARY_ROUNDING if larger else smaller
-
-
-def counted_from(mask: Mask, place: PixelMasks, box_px: Array, count_px: float, supersample: int) -> bool:
-    """Whether a box and a count are those of a mask: pixels that are right explain nothing if other ones were counted.
-
-    Args:
-        mask: Shape (h, w), in buffer pixels.
-        place: Where the mask lies.
-        box_px: x_min, y_min, x_max, y_max in image pixels; not looked at if the mask is empty.
-        count_px: In image pixels.
-        supersample: Buffer pixels for each image pixel and axis.
-    """
-    if np.count_nonzero(mask) != round(count_px * supersample**2):
-        return False
-    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    if not len(columns):
-        return True
-    columns, rows = columns + place.x, rows + place.y
-    box = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
-    return bool(np.array_equal(box / supersample, box_px))
-
-
-def mask_fits(
-    mask: Mask, place: PixelMasks, silhouette: shapely.Geometry, covers: NDArray[np.object_], supersample: int
-) -> bool:
-    """Whether every pixel is set or not as its centre says, outside a narrow band along every boundary.
-
-    Args:
-        mask: Shape (h, w), in buffer pixels.
-        place: Where the mask lies.
-        silhouette: Exact, in image pixels.
-        covers: Exact silhouettes of what can hide it, in image pixels, shape (k,).
-        supersample: Buffer pixels for each image pixel and axis.
-    """
-    height, width = mask.shape
-    columns, rows = np.arange(width) + place.x + 0.5, np.arange(height) + place.y + 0.5
-    x, y = np.meshgrid(columns / supersample, rows / supersample)
-    band = ROUNDING_PX / supersample
-    surely = _within(silhouette, -band, x, y)
-    perhaps = _within(silhouette, band, x, y)
-    for cover in covers:
-        surely &= ~_within(cover, band, x, y)
-        perhaps &= ~_within(cover, -band, x, y)
-    return not ((surely & ~mask).any() or (mask & ~perhaps).any())
-
-
-def _within(polygon: shapely.Geometry, band_px: float, x: Array, y: Array) -> Mask:
-    """Whether points are in a polygon that was grown by a band (or shrunk, if it is negative)."""
-    grown = shapely.buffer(polygon, band_px)
-    shapely.prepare(grown)
-    inside: Mask = shapely.contains_xy(grown, x, y)
-    return inside
-
-
-def boundary_pixels(regions: NDArray[np.object_], supersample: int) -> Array:
-    """How many pixels the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
-
-    Only these can be counted otherwise than their share of the area, each by less than one.
-
-    Args:
-        regions: Polygons in image pixels, shape (n,).
-        supersample: Buffer pixels for each image pixel and axis.
-    """
-    boundaries = shapely.boundary(regions)
-    points, row = shapely.get_coordinates(boundaries, return_index=True)
-    steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
-    steps[row[1:] != row[:-1]] = 0.0
-    crossed: Array = np.bincount(row[1:], steps, minlength=len(regions)).astype(np.float64)
-    return crossed
-
-
-def fraction_bound(regions: Regions, analytic: Occlusion, supersample: int) -> Array:
-    """The greatest difference of visible fractions that boundary pixels can explain, shape (n,).
-
-    With N pixels counted for an area of A, |N − A| is less than the number B of pixels on the boundary. The fraction
-    then lies between (V − Bv) / (S + Bs) and (V + Bv) / (S − Bs).
-    """
-    scale = supersample**2
-    whole, seen = analytic.silhouette_px * scale, analytic.visible_px * scale
-    edge, seen_edge = (boundary_pixels(r, supersample) for r in (regions.silhouettes, regions.visible))
-    fraction = analytic.visible_fraction()
-    least = np.maximum(seen - seen_edge, 0) / (whole + edge)
-    greatest = np.where(whole > edge, (seen + seen_edge) / np.maximum(whole - edge, 1e-9), 1.0)
-    return np.maximum(fraction - least, np.minimum(greatest, 1.0) - fraction)
+    return Agreement.BOUNDARY_ROUNDING if larger else if_smaller

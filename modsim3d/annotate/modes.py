@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import sizes
 
@@ -22,11 +22,11 @@ class Annotation:
         mode: 0: the full box of every vessel in the image, hidden or not; 1: the full box of every vessel with a
             visible pixel; 2: the visible box of every vessel with a visible pixel.
         source: Where the truth comes from: one of `SOURCES`.
-        supersample: ID buffer pixels for each image pixel and axis (rendered source).
-        render: `regions` draws only where vessels overlap, `full` whole images; the truth is the same.
-        min_visible_px: Least number of visible pixels.
-        min_visible_fraction: Least visible fraction.
-        min_box_px: Least width and height of the annotated box.
+        supersample: Buffer pixels per image pixel and axis (rendered source).
+        render: `regions` draws only where vessels overlap, `full` draws whole images; the truth is the same.
+        min_visible_px: A vessel with fewer visible pixels is not annotated.
+        min_visible_fraction: A vessel with a smaller visible fraction is not annotated.
+        min_box_px: A vessel whose box is narrower or lower is not annotated.
         allow_camera_inside: Whether a camera may be inside another vessel's volume.
     """
 
@@ -41,16 +41,16 @@ class Annotation:
 
 
 def annotation_boxes(truth: Truth, mode: int) -> Array:
-    """The box that a mode annotates for each row, in pixels, shape (n, 4); NaN where it has none."""
+    """The box that a mode annotates in each of n rows, in pixels, shape (n, 4); NaN where there is none."""
     return truth.visible_boxes_px if mode == 2 else truth.full_boxes_px
 
 
 def annotated_rows(truth: Truth, annotation: Annotation) -> Mask:
-    """Whether the mode and the filters keep each row, shape (n,)."""
+    """Whether the mode and the filters keep each of n rows, shape (n,)."""
     boxes = annotation_boxes(truth, annotation.mode)
-    big_enough = sizes(boxes) >= annotation.min_box_px  # a missing box is NaN: not kept
+    big_enough = sizes(boxes) >= annotation.min_box_px  # false for a missing box, which is NaN
     keep: Mask = np.all(big_enough, axis=1)
-    # What cannot be told (NaN) is kept only if nobody asks.
+    # An unknown value (NaN) fails a filter, so it is compared only if the filter is set.
     if annotation.min_visible_px > 0:
         keep &= truth.visible_px >= annotation.min_visible_px
     if annotation.min_visible_fraction > 0:

@@ -1,7 +1,7 @@
-"""Bodies in front of a camera: their solids in camera coordinates, projected, clipped, boxed.
+"""Bodies in front of a camera: their solids in camera coordinates, projected, clipped, and their boxes.
 
-This is corner projection: exact, and it needs no renderer. Both the analytic and the rendered source start from it;
-only the rendered one then asks the pixels.
+This is corner projection. It is exact and needs no renderer. The analytic and the rendered source both start from it;
+only the rendered source then counts pixels.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Part:
 
     Attributes:
         solid: The faces that the vertices span.
-        rows: Ascending, shape (m,).
-        vertices_camera: In CCF, shape (m, K, 3).
-        vertices_px: In the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2).
+        rows: Row of each solid, ascending, shape (m,).
+        vertices_camera: Vertices in CCF, in metres, shape (m, K, 3).
+        vertices_px: Vertices in the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2).
     """
 
     solid: Solid
@@ -44,18 +44,18 @@ class Outlines:
 
     Attributes:
         frame: Index into the run of frames, shape (n,).
-        vessel: Index into the scene's occluder names, of which vessels are the first, shape (n,).
-        boxed: Whether it is a vessel that gets a box; what only hides has none, shape (n,).
+        occluder: Index into the scene's occluder names, of which vessels come first, shape (n,).
+        boxed: Whether it is a vessel that gets a box; an obstacle only hides, shape (n,).
         boxes_px: Tight box of the silhouette, cut at the image edge, shape (n, 4).
         areas_px: Area of the silhouette in the image; NaN for a solid that is not convex, shape (n,).
         in_frame_fraction: Area in the image over whole area; NaN where the near plane cuts, shape (n,).
-        depth_m: Mean c3 of the corner points of the bounding box, shape (n,).
+        depth_m: Mean c3 of the corner points of the body's bounding box, shape (n,).
         crosses_near: Whether the near plane cuts the solid, shape (n,).
-        parts: The rows by solid.
+        parts: The solids of the rows, those with the same faces together.
     """
 
     frame: Indices
-    vessel: Indices
+    occluder: Indices
     boxed: Mask
     boxes_px: Array
     areas_px: Array
@@ -77,7 +77,7 @@ class Outlines:
         return convex
 
     def take(self, rows: Indices) -> Outlines:
-        """The rows chosen, which ascend."""
+        """The chosen rows, which ascend."""
         place = np.full(len(self), -1)
         place[rows] = np.arange(len(rows))
         parts = []
@@ -88,20 +88,20 @@ class Outlines:
         return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
 
 
-_COLUMNS = ("frame", "vessel", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
+_COLUMNS = ("frame", "occluder", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
 
 
 def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies]) -> Outlines:
     """Project all bodies at S steps and keep those whose silhouette overlaps the image.
 
     Args:
-        intrinsics: Of the camera.
-        camera_poses: S poses.
-        bodies: At those steps.
+        intrinsics: Intrinsics of the camera.
+        camera_poses: Poses of the camera at S steps.
+        bodies: All bodies at the same steps.
     """
     found = [_outline(intrinsics, camera_poses, some) for some in bodies]
     columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
-    order = np.lexsort((columns["vessel"], columns["frame"]))
+    order = np.lexsort((columns["occluder"], columns["frame"]))
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     parts, first = [], 0
@@ -115,7 +115,7 @@ def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[
 
 
 _NOTHING = {
-    **dict.fromkeys(("frame", "vessel"), np.empty(0, dtype=np.int64)),
+    **dict.fromkeys(("frame", "occluder"), np.empty(0, dtype=np.int64)),
     **dict.fromkeys(("boxed", "crosses_near"), np.empty(0, dtype=bool)),
     **dict.fromkeys(("areas_px", "in_frame_fraction", "depth_m"), np.empty(0)),
     "boxes_px": np.empty((0, 4)),
@@ -123,7 +123,7 @@ _NOTHING = {
 
 
 def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) -> tuple[dict[str, Array], Part]:
-    """The columns of some bodies' rows, and the part that they are."""
+    """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
     solid, pinhole = bodies.solid, intrinsics.pinhole
     camera = camera_poses.to_camera(bodies.vertices_world())
     in_front = camera[..., 2] >= intrinsics.near_clip_m
@@ -139,7 +139,7 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
     whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
     cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
     if not (solid.convex or bodies.boxed):
-        for row in cut.tolist():  # nobody asks for its area, and a box may be too large
+        for row in cut.tolist():  # of an obstacle only a box is needed, which may be too large
             boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], pinhole, solid), intrinsics)
         touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
         fractions[cut] = np.nan
@@ -156,7 +156,7 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
         depth = camera_poses.to_camera(bodies.centres_world())[frame, body, 2][rows]
     columns = {
         "frame": frame[rows],
-        "vessel": bodies.occluder[body[rows]],
+        "occluder": bodies.occluder[body[rows]],
         "boxed": np.full(len(rows), bodies.boxed),
         "boxes_px": boxes[rows],
         "areas_px": areas[rows],
@@ -168,7 +168,10 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
 
 
 def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
-    """A box around what triangles in front of the near plane show in the image, shape (4,); inside out if nothing."""
+    """A box around what triangles (T, 3, 3) in front of the near plane show in the image, shape (4,).
+
+    If they show nothing, the box is (inf, inf, −inf, −inf).
+    """
     pinhole = intrinsics.pinhole
     seen = clip_triangles(triangles_camera, guard_planes(pinhole, 0.0)).reshape(-1, 3)
     if not len(seen):
@@ -180,15 +183,23 @@ def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
 
 
 def _least(pixels: Array) -> Array:
-    """Least column and row of each vertex set; of those in front where the near plane cuts, shape (n, 2)."""
+    """Least column and row of the projected vertices (n, K, 2) of each solid; NaN is left out, shape (n, 2)."""
     least: Array = np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
     return least
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:
-    """Area of each silhouette: every ray that meets a convex solid meets two of its faces, shape (n,)."""
+    """Area of each silhouette: half that of its faces, as a ray through a convex solid meets two of them.
+
+    Args:
+        pixels: Projected vertices, shape (n, K, 2).
+        solid: Has the faces that the vertices span.
+
+    Returns:
+        Square pixels, shape (n,).
+    """
     a, b, c = np.moveaxis(pixels[:, solid.faces], 2, 0)
     doubled = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
-    # In order of memory, or the sum is rounded differently for one silhouette and for many.
+    # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
     areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas

@@ -1,4 +1,4 @@
-"""Silhouettes as polygons, beyond the image too: hulls of convex solids, unions of faces of all others."""
+"""Silhouettes as polygons, not yet cut at the image edge: hulls of convex solids, unions of faces of other solids."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from modsim3d.clipping import clip_triangles, near_plane
 from modsim3d.vessels import Solid
 
 NO_AREA_PX2 = 1e-9
-"""A face that is seen edge-on adds nothing to a silhouette, and would only make a polygon that is none."""
+"""A face with a smaller area is seen edge-on. It adds nothing to a silhouette, and its polygon would be invalid."""
 
 
 def silhouette_polygons(
@@ -21,11 +21,11 @@ def silhouette_polygons(
     """Whole silhouettes as polygons, cut at the near plane.
 
     Args:
-        intrinsics: Of the camera.
-        vertices: In CCF, shape (n, K, 3).
-        pixels: The same projected, shape (n, K, 2).
-        crosses: Whether the near plane cuts each, shape (n,).
-        solid: Its faces.
+        intrinsics: Intrinsics of the camera.
+        vertices: Vertices of n solids in CCF, shape (n, K, 3).
+        pixels: The same vertices projected, shape (n, K, 2).
+        crosses: Whether the near plane cuts each solid, shape (n,).
+        solid: Has the faces that the vertices span.
 
     Returns:
         Polygons, shape (n,).
@@ -47,18 +47,18 @@ def silhouette_polygons(
 
 
 def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArray[np.object_]:
-    """What of silhouettes is in the image, through the lens if it distorts.
+    """The parts of silhouettes that are in the image, seen through the lens if it distorts, shape (n,).
 
     Args:
-        silhouettes: In the image of the camera's pinhole, shape (n,).
-        intrinsics: Of the camera.
+        silhouettes: Polygons in the image of the camera's pinhole, shape (n,).
+        intrinsics: Intrinsics of the camera.
     """
     seen: NDArray[np.object_] = shapely.intersection(silhouettes, _image(intrinsics.pinhole))
     if intrinsics.distortion is None:
         return seen
 
     def bend(points_px: Array) -> Array:
-        # Each point once: the first and the last of a ring must stay the same to the last bit.
+        # Each distinct point is computed once: the first and the last of a ring must stay exactly equal.
         points, which = np.unique(points_px, axis=0, return_inverse=True)
         return intrinsics.through_lens(points)[which.reshape(-1)]
 
@@ -67,7 +67,7 @@ def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArra
 
 
 def share_in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
-    """How much of each silhouette's area is in the image, measured before the lens distorts it, shape (n,)."""
+    """Share of each silhouette's area (n,) that is in the image, measured before the lens distorts it, shape (n,)."""
     image = _image(intrinsics)
     if intrinsics.distortion is not None:
         border = intrinsics.image_border()
@@ -82,11 +82,11 @@ def _image(intrinsics: Intrinsics) -> shapely.Polygon:
 
 
 def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
-    """What triangles cover together.
+    """The region that triangles cover together.
 
     Args:
-        triangles_px: Shape (T, 3, 2).
-        both_sides: Whether those turned away from the camera are needed; of a closed solid they add nothing.
+        triangles_px: Projected triangles, shape (T, 3, 2).
+        both_sides: Whether triangles turned away from the camera count. Those of a closed solid add nothing.
     """
     a, b, c = np.moveaxis(triangles_px, 1, 0)
     # Rows run downwards: the area of a face turned to the camera is positive this way round.
@@ -97,19 +97,19 @@ def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometr
 def cut_near(triangles_camera: Array, intrinsics: Intrinsics, solid: Solid) -> Array:
     """The triangles of a solid beyond the near plane, and the section that closes it there if it was closed.
 
-    Without the section one would look into the solid, and see the faces of what touches it from behind.
+    Without the section the camera would look into the solid, and see the faces of what touches it from behind.
 
     Args:
-        triangles_camera: In CCF, shape (T, 3, 3).
-        intrinsics: Of the camera.
-        solid: That they are the faces of.
+        triangles_camera: Faces of the solid in CCF, shape (T, 3, 3).
+        intrinsics: Intrinsics of the camera.
+        solid: Says whether it is closed and convex.
 
     Returns:
         Triangles in CCF, shape (T', 3, 3).
     """
     near = intrinsics.near_clip_m
     clipped = clip_triangles(triangles_camera, near_plane(intrinsics))
-    # A corner put on the plane by the cut comes out a rounding error before or behind it.
+    # A corner that the cut puts on the plane is off it by a rounding error.
     clipped[..., 2][clipped[..., 2] < near * (1 + 1e-9)] = near
     if not solid.closed:
         return clipped
@@ -118,7 +118,7 @@ def cut_near(triangles_camera: Array, intrinsics: Intrinsics, solid: Solid) -> A
 
 
 def _convex_section(clipped: Array, near: float) -> Array:
-    """The fan around the corners on the plane, shape (k, 3, 3)."""
+    """A fan of triangles between the corners on the near plane, shape (k, 3, 3)."""
     section = np.unique(clipped[clipped[..., 2] == near], axis=0)
     offset = section - section.mean(axis=0) if len(section) else section
     around = section[np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))]
@@ -127,7 +127,7 @@ def _convex_section(clipped: Array, near: float) -> Array:
 
 
 def _section(clipped: Array, near: float) -> Array:
-    """Triangles that fill what the edges on the plane bound, shape (k, 3, 3); holes stay open."""
+    """Triangles that fill what the edges on the near plane enclose, except holes, shape (k, 3, 3)."""
     on_plane = clipped[..., 2] == near
     cut = clipped[on_plane.sum(axis=1) == 2]
     if not len(cut):

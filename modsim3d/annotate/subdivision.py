@@ -1,4 +1,4 @@
-"""Triangles cut into smaller ones, so that a lens may bend them corner by corner."""
+"""Triangles cut into small ones, so that a lens can be applied to their corners alone."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from modsim3d.camera import Intrinsics
 
 
 def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> Array:
-    """The same surface in triangles without an edge that is longer in the image.
+    """The same surface as triangles whose edges are short in the image.
 
-    An edge is cut in two if it is too long, by itself: both triangles at it are cut alike, and no gap can open.
+    Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore cut alike, and no
+    gap opens between them.
 
     Args:
-        triangles_camera: In front of the near plane, in CCF, shape (T, 3, 3).
-        intrinsics: Of a pinhole.
-        longest_px: In its image.
+        triangles_camera: Triangles in front of the near plane, in CCF, shape (T, 3, 3).
+        intrinsics: Intrinsics of a pinhole camera.
+        longest_px: Greatest length of an edge in its image.
 
     Returns:
-        Triangles in CCF, shape (T', 3, 3); orientation kept.
+        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3).
     """
     waiting, done = triangles_camera, [triangles_camera[:0]]
     while len(waiting):
@@ -33,7 +34,7 @@ def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: floa
 
 
 def _cut(triangles: Array, long: Array, count: int) -> Array:
-    """Triangles of which `count` edges are long, cut at the middles of these."""
+    """Triangles with `count` long edges each, cut at the middles of these edges."""
     # Turn each so that its edge 0 is the one long edge, or its edge 2 the one short edge.
     first = np.zeros(len(long), dtype=np.int64)
     if count == 1:

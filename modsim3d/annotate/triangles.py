@@ -1,4 +1,4 @@
-"""What is drawn for outlines: triangles in pixels, clipped where OpenGL would have to cut them itself."""
+"""The triangles that are drawn for outlines, in pixels, clipped where OpenGL would have to cut them itself."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from modsim3d.camera import Intrinsics
 from modsim3d.clipping import clip_triangles, guard_planes
 
 GUARD_PX = 2048.0
-"""Triangles that reach further beyond the image are cut there, in double precision, before they are drawn. Counted in
-buffer pixels, as it keeps corners where OpenGL does not cut them itself."""
+"""Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
+buffer pixels, because it keeps corners inside the viewport, beyond which OpenGL would cut edges itself."""
 LENS_GUARD_PX = 1.0
-"""The same for a lens that distorts, beyond whose image nothing may be projected: it might be folded back into it."""
+"""The same for a lens that distorts. Points far outside its image must not be projected: the lens formula could fold
+them back into the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +26,10 @@ class Triangles:
     """What is drawn for the rows of `Outlines`: T triangles, ordered by row.
 
     Attributes:
-        row: Shape (T,).
-        corners_px: Shape (T, 3, 2).
-        inverse_depth: near / c3 in (0, 1], shape (T, 3).
-        of_whole: Whether it is a face of a closed solid that nothing was cut off, shape (T,).
+        row: Row of the outlines, shape (T,).
+        corners_px: Corners in image pixels, shape (T, 3, 2).
+        inverse_depth: near / c3 of the corners, in (0, 1], shape (T, 3).
+        of_whole: Whether the triangle is a face of a closed solid that is not clipped, shape (T,).
     """
 
     row: Indices
@@ -37,21 +38,28 @@ class Triangles:
     of_whole: Mask
 
     def take(self, chosen: Mask) -> Triangles:
-        """The triangles chosen."""
+        """The chosen triangles."""
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 
 def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX) -> Mask:
-    """Whether each row can be drawn as it is, shape (n,).
+    """Whether each row can be drawn without clipping, shape (n,).
 
-    Its vertices are in front of the near plane and not far outside the image, and the lens keeps its edges straight.
+    It can if its vertices are in front of the near plane and not far outside the image, and the lens keeps straight
+    edges straight.
+
+    Args:
+        outlines: Bodies in front of the camera, n rows.
+        intrinsics: Intrinsics of the camera.
+        supersample: Buffer pixels per image pixel and axis.
+        guard_px: How far outside the image vertices may be, in buffer pixels.
     """
     guard, size = guard_px / supersample, np.array(intrinsics.image_size_px)
     inside = np.zeros(len(outlines), dtype=bool)
     if intrinsics.distortion is not None:
         return inside  # every face is bent
     for part in outlines.parts:
-        near = (part.vertices_px >= -guard) & (part.vertices_px <= size + guard)  # NaN is not
+        near = (part.vertices_px >= -guard) & (part.vertices_px <= size + guard)  # false for NaN
         inside[part.rows] = np.all(near, axis=(1, 2))
     return inside
 
@@ -62,10 +70,10 @@ def triangles_of(
     """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
 
     Args:
-        outlines: The bodies in front of the camera.
-        intrinsics: Of the camera.
-        supersample: Buffer pixels for each image pixel and axis.
-        guard_px: How far outside, in buffer pixels; at most `LENS_GUARD_PX` if the lens distorts.
+        outlines: Bodies in front of the camera.
+        intrinsics: Intrinsics of the camera.
+        supersample: Buffer pixels per image pixel and axis.
+        guard_px: How far outside the image triangles may reach, in buffer pixels; `LENS_GUARD_PX` if the lens distorts.
     """
     inside = within_guard(outlines, intrinsics, supersample, guard_px)
     bent = intrinsics.distortion is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,12 +11,19 @@ from modsim3d.commands.shared import SceneArgument, print_rows
 from modsim3d.errors import ModsimError
 from modsim3d.progress import progress_bar
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from modsim3d.compare_figures import Figures
+
 
 def compare_command(
     scene: SceneArgument,
     steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Look at every K-th step.")] = 1,
-    supersample: Annotated[int | None, typer.Option(min=1, max=8, help="In place of the scene's.")] = None,
+    supersample: Annotated[
+        int | None, typer.Option(min=1, max=8, help="Buffer pixels per image pixel and axis, in place of the scene's.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Write compare.json and compare.html here.")] = None,
 ) -> None:
     """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
@@ -34,30 +41,37 @@ def compare_command(
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)  # better now than after all the work
+        out.mkdir(parents=True, exist_ok=True)  # fails before the work if it cannot be made
     with open_renderer(loaded) as renderer:
         if renderer is None:
-            raise ModsimError("the rendered source is needed to compare with")
+            raise ModsimError("compare needs the rendered source")
         with progress_bar() as bar:
             task = bar.add_task(loaded.name, total=None if loaded.live else -(-loaded.steps // every))
-            report = compare_sources(
+            comparison = compare_sources(
                 loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
             )
         if out is not None:
-            compare_report.write_report(report, loaded, renderer, out)
-    figures = report.figures()
+            compare_report.write_report(comparison, loaded, renderer, out)
+    figures = comparison.figures
     console = Console()
+    _print_figures(console, figures)
+    if out is not None:
+        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
+    if figures.unexplained:
+        raise typer.Exit(1)
+
+
+def _print_figures(console: Console, figures: Figures) -> None:
+    """Print the tables that have rows."""
+    from modsim3d import compare_report
+
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),
-        ("verdicts: full box, visible part", compare_report.verdict_rows(figures)),
+        ("agreement: full box, visible part", compare_report.verdict_rows(figures)),
         ("rectangle rule against rendered", compare_report.rule_rows(figures)),
-        ("shoebox against mesh", compare_report.looseness_rows(figures)),
+        ("shoebox against mesh", compare_report.shoebox_rows(figures)),
         ("time per frame", compare_report.time_rows(figures)),
         ("intersecting boxes", compare_report.intersection_rows(figures)),
     ):
         if rows:
             print_rows(console, title, rows)
-    if out is not None:
-        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
-    if report.unexplained:
-        raise typer.Exit(1)

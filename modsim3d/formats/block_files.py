@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.annotate.record import COLUMNS, Truth
+from modsim3d.annotate.truth_record import COLUMNS, Truth
 from modsim3d.block import Block
 from modsim3d.formats import ownship_table, tables, thesis_json
 from modsim3d.scene import Scene

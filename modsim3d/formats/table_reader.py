@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.annotate.record import Truth
+from modsim3d.annotate.truth_record import Truth
 from modsim3d.formats.columns import (
     Occluders,
     flags,

@@ -1,9 +1,9 @@
 """ID buffers: which solid is front-most at each pixel centre.
 
-Solids are projected in double precision before they get here, so OpenGL is a plain rasteriser with a depth
-buffer: it is given corners in pixels and the reciprocal of their depth, which is linear in the image. Corners are
-rounded to the 1/256 px that Mesa rasterises at; an offset by whole pixels then changes nothing, and a region of the
-image holds the very pixels that the whole image would.
+Solids are projected in double precision before they get here. OpenGL is only a rasteriser with a depth buffer: it gets
+corners in pixels and the reciprocal of their depth, which is linear in the image. Corners are rounded to 1/256 px, the
+precision of Mesa's rasteriser. An offset by whole pixels then changes nothing, so a region of the image holds exactly
+the pixels that the whole image would hold there.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from modsim3d.render.context import GLContext
 
 SUBPIXELS = 256
 VIEWPORT_PX = 16384
-"""The viewport is a power of two wide, so that pixels map to it exactly, and is put where it holds the corners of what
-is drawn, so that OpenGL moves none by cutting edges itself. With images up to 12,000 px and corners at most 2048 px
-outside them it holds them all; of a supersampled image that is wider, edges far outside a tile may be cut."""
+"""Side of the viewport. It is a power of two, so that pixels map to it exactly. It is placed so that it contains the
+corners of what is drawn: OpenGL then cuts no edges, which would move corners. Images of up to 12,000 px with corners at
+most 2048 px outside fit; in a wider supersampled image, edges far outside a tile may be cut."""
 MAX_REGION_PX = 12_288
 SMALLEST_BUFFER_PX = 64
 KEPT_BUFFERS_PX = 12_000_000
-"""Buffers are kept for the next region of their size until all together hold more pixels than this."""
+"""Buffers are kept and used again until together they have more pixels than this."""
 
 _VERTEX = np.dtype([("position", np.float32, 3), ("id", np.uint32)])
 
@@ -48,7 +48,7 @@ Ids = NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of whole pixels: columns [x, x + width), rows [y, y + height)."""
+    """A rectangle of whole pixels: columns [x, x + width) and rows [y, y + height)."""
 
     x: int
     y: int
@@ -57,10 +57,10 @@ class Region:
 
     @classmethod
     def around(cls, box_px: Array, image_size_px: tuple[int, int], margin_px: int = 1) -> Region:
-        """The pixels of an image that a box touches, and a margin; empty if there are none.
+        """The pixels of an image that a box touches, with a margin; empty if there are none.
 
         Args:
-            box_px: x_min, y_min, x_max, y_max.
+            box_px: x_min, y_min, x_max, y_max, shape (4,).
             image_size_px: Width and height.
             margin_px: Added on each side, within the image.
         """
@@ -70,7 +70,7 @@ class Region:
         return cls(int(low[0]), int(low[1]), int(width), int(height))
 
     def common(self, other: Region) -> Region:
-        """The pixels of both; empty if there are none."""
+        """The pixels that both regions contain; empty if there are none."""
         x, y = max(self.x, other.x), max(self.y, other.y)
         right = min(self.x + self.width, other.x + other.width)
         bottom = min(self.y + self.height, other.y + other.height)
@@ -80,13 +80,13 @@ class Region:
 class IdRenderer:
     """Draws triangles into ID buffers of 32-bit integers with a float depth buffer.
 
-    Integer buffers cannot be blended, dithered or converted, and 32 bits hold more IDs than a scene can. The
-    depth is near/c3, front-most greatest, so its precision is relative: two boxes a metre apart are in order at
-    any distance, whatever else is in the image.
+    Integer buffers are never blended, dithered or converted, and 32 bits hold more IDs than a scene can have. The depth
+    is near/c3, greatest at the front. Its precision is therefore relative: two boxes a metre apart are drawn in the
+    right order at any distance.
     """
 
     def __init__(self, context: GLContext) -> None:
-        """Compile the program and set the state that every drawing shares."""
+        """Compile the shaders and set the state that all drawings share."""
         self.context = context
         gl = context.gl
         self._buffers: dict[tuple[int, int], tuple[int, Any]] = {}
@@ -108,18 +108,21 @@ class IdRenderer:
         Args:
             corners_px: Columns and rows of triangles in image pixels, shape (T, 3, 2).
             inverse_depth: near / c3 of the corners, in (0, 1], shape (T, 3).
-            ids: ID of each triangle's solid, positive, shape (T,).
-            region: What to draw.
+            ids: Positive ID of each triangle's solid, shape (T,).
+            region: Part of the image to draw.
 
         Returns:
             IDs, shape (region.height, region.width).
+
+        Raises:
+            RendererError: The region is larger than a buffer may be.
         """
         out = np.zeros((region.height, region.width), dtype=np.uint32)
         if not len(ids) or not out.size:
             return out
         if max(region.width, region.height) > MAX_REGION_PX:
             raise RendererError(
-                f"an ID buffer of {region.width} × {region.height} px was asked for; {MAX_REGION_PX} a side is the most"
+                f"an ID buffer of {region.width} × {region.height} px is too large: at most {MAX_REGION_PX} px a side"
             )
         vertices, origin = self._vertices(corners_px, inverse_depth, ids, region)
         gl = self.context.gl
@@ -135,10 +138,10 @@ class IdRenderer:
     def _vertices(
         self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region
     ) -> tuple[NDArray[np.void], list[int]]:
-        """The vertex buffer: row 0 of the region is row 0 in memory, which is OpenGL's lowest."""
+        """The vertices and the origin of the viewport. Row 0 of the region is row 0 in memory, OpenGL's lowest."""
         vertices = np.empty((len(ids), 3), dtype=_VERTEX)
         snapped = np.rint(corners_px * SUBPIXELS) / SUBPIXELS - (region.x, region.y)
-        # Where the viewport begins: at the least corner, or as far from it as the region allows.
+        # The viewport begins at the least corner, or as near to it as it can while containing the region.
         side = np.array([region.width, region.height])
         origin = np.clip(np.floor(snapped.min(axis=(0, 1))), side - VIEWPORT_PX, 0)
         vertices["position"][..., :2] = (snapped - origin) * (2 / VIEWPORT_PX) - 1
@@ -147,11 +150,11 @@ class IdRenderer:
         return vertices.reshape(-1), origin.astype(int).tolist()
 
     def _bind_buffer(self, width: int, height: int) -> None:
-        """Bind a buffer little larger than a region, as all of it is cleared; made at first use."""
+        """Bind a buffer that is little larger than a region, since all of it is cleared; make it at first use."""
         size = _buffer_side(width), _buffer_side(height)
         gl = self.context.gl
         if size in self._buffers:
-            self._buffers[size] = self._buffers.pop(size)  # now the one used last
+            self._buffers[size] = self._buffers.pop(size)  # which makes it the last used
         else:
             while self._buffers and sum(w * h for w, h in (*self._buffers, size)) > KEPT_BUFFERS_PX:
                 framebuffer, storages = self._buffers.pop(next(iter(self._buffers)))
@@ -170,12 +173,14 @@ class IdRenderer:
             gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, *size)
             gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, attachment, gl.GL_RENDERBUFFER, storage)
         if gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER) != gl.GL_FRAMEBUFFER_COMPLETE:
-            raise RendererError(f"the renderer offers no integer buffer of {size[0]} × {size[1]} px with float depth")
+            raise RendererError(
+                f"the renderer cannot draw an integer buffer of {size[0]} × {size[1]} px with float depth"
+            )
         return framebuffer, storages
 
 
 def _buffer_side(pixels: int) -> int:
-    """A side at most a quarter larger, from few sizes: four between each power of two and the next."""
+    """A buffer side that is at most a quarter larger, out of four sizes between a power of two and the next."""
     step = max(SMALLEST_BUFFER_PX, (1 << (pixels - 1).bit_length()) // 8)
     return -(-pixels // step) * step
 

@@ -21,7 +21,7 @@ class IdDrawer(Protocol):
 class PlainIds:
     """Draws triangle by triangle with a depth buffer, in NumPy.
 
-    A pixel whose centre is exactly on an edge belongs to the triangles on both sides of it; OpenGL gives it to one.
+    A pixel whose centre is exactly on an edge belongs to the triangles on both sides; OpenGL gives it to one of them.
     """
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
@@ -46,7 +46,7 @@ class PlainIds:
 
 
 def _barycentric(triangle: Array, x: Array, y: Array) -> tuple[Array, Array, Array] | None:
-    """Barycentric coordinates of points; None for a triangle that is seen from its edge."""
+    """Barycentric coordinates of points in a triangle (3, 2); None if the triangle is seen edge-on."""
     (ax, ay), (bx, by), (cx, cy) = triangle
     doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if doubled == 0:

@@ -1,7 +1,7 @@
 """pyrender, imported in the one way that works on a machine without a screen.
 
-`import pyrender` also imports its window, which needs pyglet, which needs libGL and an X library that a server has no
-use for. Only the offscreen renderer is wanted here, so an empty module stands in for the window.
+`import pyrender` also imports its window. The window needs pyglet, which needs libGL and an X library that servers do
+not have. Only the offscreen renderer is used here, so an empty module replaces the window.
 """
 
 from __future__ import annotations

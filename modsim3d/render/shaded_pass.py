@@ -1,9 +1,9 @@
 """Solids in the light of lamps, drawn by pyrender in the process's one OpenGL context.
 
-pyrender's own cameras know no skew, and its buffers blend the edges of what they show. So it is given what the ID pass
-is given: triangles that are cut already, the projection of the camera itself, and a buffer without multisampling whose
-depth is floating-point and reversed. A pixel then shows a solid exactly where the ID pass says so, but for centres
-that single precision puts on the other side of an edge.
+pyrender's own cameras have no skew, and its buffers blend the edges of solids. Therefore pyrender gets what the ID pass
+gets: triangles that are already clipped, the projection of the camera itself, and a buffer without multisampling whose
+depth is floating-point and reversed. A pixel then shows the solid that the ID pass finds there, except where single
+precision puts a pixel centre on the other side of an edge.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from modsim3d.render.id_pass import MAX_REGION_PX
 from modsim3d.render.shaded import import_pyrender
 
 GAMMA = 2.2
-"""From what a screen is given to light, near enough to the curve of sRGB."""
+"""Exponent from screen values to light, close enough to the curve of sRGB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +58,11 @@ class Lamp:
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """What was drawn.
+    """A picture of w × h pixels.
 
     Attributes:
         colour: sRGB, zero where nothing is, shape (h, w, 3).
-        depth_m: c3; infinite where nothing is, shape (h, w).
+        depth_m: Distance c3 along the viewing direction, infinite where nothing is, shape (h, w).
     """
 
     colour: NDArray[np.uint8]
@@ -70,22 +70,24 @@ class Lit:
 
     @property
     def drawn(self) -> Mask:
-        """Where something is."""
+        """Whether each pixel shows a solid, shape (h, w)."""
         return np.isfinite(self.depth_m)
 
 
 class ShadedRenderer:
-    """Draws lit faces. The context's state is as before after each picture, so that ID buffers can be drawn too."""
+    """Draws lit faces and restores the state of the context after each picture, so that ID buffers can be drawn too."""
 
     def __init__(self, context: GLContext) -> None:
-        """Import pyrender, for the context that is open."""
+        """Import pyrender and prepare it for the open context."""
         self._context = context
         self._pyrender = import_pyrender()
+        from modsim3d.render.pyrender_classes import ProjectionCamera, SharpRenderer  # they need pyrender
+
         self._material = self._pyrender.MetallicRoughnessMaterial(
             baseColorFactor=[1.0, 1.0, 1.0, 1.0], doubleSided=True
         )
-        self._camera_type = _camera_type(self._pyrender)
-        self._drawer = _renderer_type(context)(1, 1)
+        self._camera_type = ProjectionCamera
+        self._drawer = SharpRenderer(1, 1)
 
     def draw(
         self,
@@ -99,19 +101,24 @@ class ShadedRenderer:
         """Draw faces.
 
         Args:
-            faces: What to draw.
-            pixels: From CCF to homogeneous columns and rows of the picture: K with a window's scale and place,
-                shape (3, 3).
-            near_m: No corner is nearer.
+            faces: T faces.
+            pixels: From CCF to homogeneous columns and rows of the picture, shape (3, 3): K, scaled and shifted to the
+                window that the picture shows.
+            near_m: Depth of the near plane; no corner is nearer.
             size: Width and height of the picture.
-            lamps: From far away.
-            ambient: Light from everywhere: a face shows this share of its colour whatever the lamps.
+            lamps: Directed light.
+            ambient: Red, green and blue of the light from all directions, as shares of a face's colour.
+
+        Raises:
+            RendererError: The picture is larger than a buffer may be.
         """
         if not len(faces.colours) or not min(size):
             shape = (size[1], size[0])
             return Lit(np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32))
         if max(size) > MAX_REGION_PX:
-            raise RendererError(f"a picture of {size[0]} × {size[1]} px was asked for; {MAX_REGION_PX} a side is most")
+            raise RendererError(
+                f"a picture of {size[0]} × {size[1]} px is too large: at most {MAX_REGION_PX} px a side"
+            )
         scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
         scene.add(self._camera_type(_clip(pixels, near_m, size)))
         scene.add(self._mesh(faces, lit_colours(faces, lamps, ambient)))
@@ -123,12 +130,12 @@ class ShadedRenderer:
             return Lit(drawn, np.float32(near_m) / inverse)
 
     def close(self) -> None:
-        """Free what the context holds for it."""
+        """Free the buffers and textures in the context."""
         with _kept_state(self._context.gl):
             self._drawer.delete()
 
     def _mesh(self, faces: LitFaces, colours: Array) -> Any:
-        nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # what is behind is then not drawn
+        nearest_first = np.argsort(faces.corners_camera[..., 2].min(axis=1))  # pixels behind are then not shaded
         opaque = np.column_stack([colours, np.ones(len(colours))])
         primitive = self._pyrender.Primitive(
             positions=faces.corners_camera[nearest_first].reshape(-1, 3),
@@ -150,10 +157,10 @@ def _clip(pixels: Array, near_m: float, size: tuple[int, int]) -> Array:
 
 
 def lit_colours(faces: LitFaces, lamps: Sequence[Lamp], ambient: tuple[float, float, float]) -> Array:
-    """The colour of each face in the light of lamps, as a screen has it: Lambert's law, shape (T, 3).
+    """The sRGB colour of each face in the light of lamps, by Lambert's law, shape (T, 3).
 
-    A flat face in light from far away has one colour, so it is found here once and not at each pixel of a buffer,
-    where it took most of the time of a picture (benchmarks/drawing.py).
+    In light from far away a flat face has one colour. It is computed here once per face, because computing it at each
+    pixel took most of the time of a picture (benchmarks/drawing.py).
     """
     light = np.tile(np.array(ambient, dtype=np.float64), (len(faces.colours), 1))
     for lamp in lamps:
@@ -164,78 +171,9 @@ def lit_colours(faces: LitFaces, lamps: Sequence[Lamp], ambient: tuple[float, fl
     return colours
 
 
-def _camera_type(pyrender: Any) -> Any:
-    class Projection(pyrender.Camera):  # type: ignore[misc]
-        """A camera that is nothing but its matrix."""
-
-        def __init__(self, clip: Array) -> None:
-            super().__init__()
-            self._clip = clip
-
-        def get_projection_matrix(self, width: int | None = None, height: int | None = None) -> Array:
-            return self._clip
-
-    return Projection
-
-
-def _renderer_type(context: GLContext) -> Any:
-    from pyrender.renderer import Renderer
-
-    gl = context.gl
-
-    class Sharp(Renderer):  # type: ignore[misc]
-        """pyrender's renderer with one sample a pixel, and with the depth of this context: reversed, from 1 to 0."""
-
-        def __del__(self) -> None:
-            """Nothing: whenever Python collects it, another context may be there, or the ID pass at work."""
-
-        def _configure_main_framebuffer(self) -> None:
-            size = (self.viewport_width, self.viewport_height)
-            if self._main_fb_dims == size:  # type: ignore[has-type]
-                return
-            self._delete_main_framebuffer()
-            self._main_fb = self._main_fb_ms = gl.glGenFramebuffers(1)
-            self._main_cb, self._main_db = gl.glGenRenderbuffers(2)
-            gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._main_fb)
-            for storage, kind, place in (
-                (self._main_cb, gl.GL_RGBA8, gl.GL_COLOR_ATTACHMENT0),
-                (self._main_db, gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT),
-            ):
-                gl.glBindRenderbuffer(gl.GL_RENDERBUFFER, storage)
-                gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, *size)
-                gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, place, gl.GL_RENDERBUFFER, storage)
-            if gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER) != gl.GL_FRAMEBUFFER_COMPLETE:
-                raise RendererError(f"the renderer offers no picture of {size[0]} × {size[1]} px with float depth")
-            self._main_fb_dims = size
-
-        def _delete_main_framebuffer(self) -> None:
-            if self._main_fb is not None:
-                gl.glDeleteFramebuffers(1, [self._main_fb])
-                gl.glDeleteRenderbuffers(2, [self._main_cb, self._main_db])
-            self._main_fb = self._main_fb_ms = self._main_cb = self._main_db = None
-            self._main_fb_dims = (None, None)
-
-        def _configure_forward_pass_viewport(self, flags: int) -> None:
-            super()._configure_forward_pass_viewport(flags)
-            gl.glClearDepth(0.0)
-            gl.glDepthFunc(gl.GL_GREATER)
-
-        def _read_main_framebuffer(self, scene: Any, flags: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-            width, height = self._main_fb_dims
-            gl.glBindFramebuffer(gl.GL_READ_FRAMEBUFFER, self._main_fb)
-            gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 1)
-            colour = np.empty((height, width, 3), dtype=np.uint8)
-            depth = np.empty((height, width), dtype=np.float32)
-            gl.glReadPixels(0, 0, width, height, gl.GL_RGB, gl.GL_UNSIGNED_BYTE, colour)
-            gl.glReadPixels(0, 0, width, height, gl.GL_DEPTH_COMPONENT, gl.GL_FLOAT, depth)
-            return colour, depth
-
-    return Sharp
-
-
 @contextmanager
 def _kept_state(gl: Any) -> Iterator[None]:
-    """Put back what the ID pass set once for all of its pictures."""
+    """Restore the state that the ID pass sets once for all of its pictures."""
     program, vertices, buffer = (
         int(gl.glGetIntegerv(name))
         for name in (gl.GL_CURRENT_PROGRAM, gl.GL_VERTEX_ARRAY_BINDING, gl.GL_ARRAY_BUFFER_BINDING)

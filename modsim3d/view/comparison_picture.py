@@ -14,7 +14,7 @@ from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
 from modsim3d.view.pen import Pen, font
-from modsim3d.view.plain import background, owner_colour
+from modsim3d.view.plain import background, occluder_colour
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 
@@ -108,7 +108,7 @@ def _paint_pixels(
     pixels = np.array(picture)
     part = pixels[np.ix_(i, j)]
     for value in np.unique(who[who > 0]).tolist():
-        part[who == value] = palette.darker(owner_colour(value - 1, vessels))
+        part[who == value] = palette.darker(occluder_colour(value - 1, vessels))
     for index, (_, colour) in enumerate(PIXELS):
         part[what == index + 1] = colour
     pixels[np.ix_(i, j)] = part

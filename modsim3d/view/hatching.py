@@ -25,20 +25,20 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
         unit: Size of lines, 1 in a picture of nominal width.
     """
     stripe = max(2, round(STRIPE_PX * unit))
-    for row, owner in enumerate(solids.owners.tolist()):
-        if owner >= len(solids.extents_m):
+    for row, occluder in enumerate(solids.occluders.tolist()):
+        if occluder >= len(solids.extents_m):
             continue
         region, silhouette = silhouette_mask(solids, row, window)
         if not region.width or not region.height:
             continue
         seen = ids[region.y : region.y + region.height, region.x : region.x + region.width]
-        hidden = silhouette & (seen != owner + 1) & (seen > 0)
+        hidden = silhouette & (seen != occluder + 1) & (seen > 0)
         if not hidden.any():
             continue
         diagonal = np.arange(region.y, region.y + region.height)[:, None] + np.arange(region.x, region.x + region.width)
         striped = hidden & (diagonal // stripe % 2 == 0)
         mask = Image.fromarray(np.where(striped, np.uint8(255), np.uint8(0)))
-        picture.paste(vessel_colour(owner), (region.x, region.y), mask)
+        picture.paste(vessel_colour(occluder), (region.x, region.y), mask)
 
 
 def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, Mask]:

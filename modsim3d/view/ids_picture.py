@@ -29,7 +29,7 @@ def ids_picture(solids: Solids, window: Window, drawer: IdDrawer, nominal_width_
         nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
     """
     picture = background(window, solids.sea_half_plane, solids.intrinsics.image_size_px, SEA, SKY)
-    if not len(solids.owners):
+    if not len(solids.occluders):
         return picture
     ids = solids.ids(window, drawer)
     rows, columns = np.flatnonzero(ids.any(axis=1)), np.flatnonzero(ids.any(axis=0))
@@ -39,9 +39,9 @@ def ids_picture(solids: Solids, window: Window, drawer: IdDrawer, nominal_width_
     shown = ids[top:bottom, left:right]
     vessels = len(solids.extents_m)
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
-    for owner in np.unique(solids.owners).tolist():
-        if owner + 1 < len(table):
-            table[owner + 1] = vessel_colour(owner) if owner < vessels else obstacle_colour(owner - vessels)
+    for occluder in np.unique(solids.occluders).tolist():
+        if occluder + 1 < len(table):
+            table[occluder + 1] = vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))

@@ -103,7 +103,7 @@ def fill_solids(
         return
     faces = solids.faces(window, drawer, region, samples)
     vessels = len(solids.extents_m)
-    colours = np.array([owner_colour(owner, vessels) for owner in solids.owners.tolist()])[triangles.row]
+    colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()])[triangles.row]
     table = np.zeros((len(colours) + 1, 4), dtype=np.uint8)
     table[1:, :3] = colours * (solids.light() * (1 - dim))[:, None]
     place = (region.x, region.y, region.x + region.width, region.y + region.height)
@@ -115,6 +115,6 @@ def fill_solids(
     picture.paste(filled.reduce(samples), place)
 
 
-def owner_colour(owner: int, vessels: int) -> Colour:
+def occluder_colour(occluder: int, vessels: int) -> Colour:
     """The colour of a vessel, or of what else may hide one."""
-    return palette.vessel_colour(owner) if owner < vessels else palette.OBSTACLE
+    return palette.vessel_colour(occluder) if occluder < vessels else palette.OBSTACLE

@@ -22,7 +22,7 @@ from modsim3d.view import palette
 from modsim3d.view.look import Look
 from modsim3d.view.navigation_lights import glow, lights
 from modsim3d.view.pen import Pen, font, text_size
-from modsim3d.view.plain import owner_colour
+from modsim3d.view.plain import occluder_colour
 from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
 from modsim3d.view.solids import SUN, Solids
 from modsim3d.view.window import Window
@@ -177,7 +177,7 @@ def lit_faces(solids: Solids) -> LitFaces:
     depth = intrinsics.near_clip_m / triangles.inverse_depth
     flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
     vessels = len(solids.extents_m)
-    colours = np.array([owner_colour(owner, vessels) for owner in solids.owners.tolist()]).reshape(-1, 3)
+    colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()]).reshape(-1, 3)
     return LitFaces(flat * depth[..., None], solids.normals_camera(), colours[triangles.row] / 255)
 
 

@@ -58,9 +58,9 @@ class Solids:
         return self.intrinsics.sea_half_plane(self.sight.camera_poses.camera_R_world[0])
 
     @property
-    def owners(self) -> Indices:
-        """Index of the vessel (or of what else may hide one) of each row."""
-        return self.outlines.vessel
+    def occluders(self) -> Indices:
+        """Index into the scene's occluder names of each row, shape (n,)."""
+        return self.outlines.occluder
 
     @cached_property
     def triangles(self) -> Triangles:
@@ -68,14 +68,14 @@ class Solids:
         return triangles_of(self.outlines, self.intrinsics)
 
     def ids(self, window: Window, drawer: IdDrawer, samples: int = 1) -> Ids:
-        """Owner + 1 at each pixel of a window; zero where nothing is.
+        """Occluder + 1 at each pixel of a window; zero where nothing is.
 
         Args:
             window: What to show.
             drawer: Draws ID buffers.
             samples: Buffer pixels for each pixel of the window and axis.
         """
-        values = self.owners[self.triangles.row] + 1
+        values = self.occluders[self.triangles.row] + 1
         return self._drawn(values, window, drawer, Region(0, 0, *window.size), samples)
 
     def faces(self, window: Window, drawer: IdDrawer, region: Region, samples: int) -> Ids:
@@ -115,7 +115,7 @@ class Solids:
         body = shoebox().vertices
         near = self.intrinsics.near_clip_m
         found = []
-        for vessel in self.owners[self.outlines.boxed].tolist():
+        for vessel in self.occluders[self.outlines.boxed].tolist():
             turned = (body * self.extents_m[vessel]) @ self.sight.world_R_vessel[0, vessel].T
             corners = self.sight.camera_poses.to_camera((turned + self.sight.poses.positions_m[0, vessel])[None])[0]
             edges = _beyond(corners[_EDGES], near)

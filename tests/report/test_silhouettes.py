@@ -63,7 +63,7 @@ def test_nothing_has_no_lines():
 def test_shapes_of_a_shoebox_are_its_hull_and_nearer_ones_come_later():
     near, far = (vessel("near"), (60.0, 0.0), 0.3), (vessel("far", 40.0), (120.0, 5.0), 0.3)
     drawn = list(shapes(outlines_of([near, far]), INTRINSICS, 0.1, 2, NONE))
-    assert [shape.owner for shape in drawn] == [1, 0]
+    assert [shape.occluder for shape in drawn] == [1, 0]
     assert [len(shape.count) for shape in drawn] == [1, 1]
     assert all(4 <= shape.count[0] <= 6 for shape in drawn)
 
@@ -94,7 +94,7 @@ def test_frames_of_a_run_stay_apart():
     present = np.array([[True, False], [True, True], [False, True]])
     bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(np.zeros((3, 2))))
     outlines = outline(INTRINSICS, poses_ashore(Mount((0.0, 0.0, 10.0)), 3), bodies)
-    drawn = [(shape.frame, shape.owner) for shape in shapes(outlines, INTRINSICS, 0.1, 2, NONE)]
+    drawn = [(shape.frame, shape.occluder) for shape in shapes(outlines, INTRINSICS, 0.1, 2, NONE)]
     assert drawn == [(0, 0), (1, 1), (1, 0), (2, 1)]
 
 
@@ -106,24 +106,24 @@ def test_whoever_hides_another_is_painted_after_it(random, count):
     pairs = [(back, front) for i, front in enumerate(front_to_back) for back in front_to_back[i + 1 :]]
     chosen = random.sample(pairs, k=len(pairs) // 2)
     depths = np.array([random.uniform(1, 100) for _ in range(count)])  # of the centres, which may mislead
-    owners = np.array([random.randrange(4) for _ in range(count)])
+    occluders = np.array([random.randrange(4) for _ in range(count)])
     hidden, hider = np.array(chosen, dtype=np.int64).reshape(-1, 2).T
-    order = painting_order(np.zeros(count, dtype=np.int64), depths, owners, hidden, hider)
+    order = painting_order(np.zeros(count, dtype=np.int64), depths, occluders, hidden, hider)
     assert sorted(order) == list(range(count))
     place = np.argsort(order)
     assert np.all(place[hidden] < place[hider])
 
 
 def test_farther_ones_are_painted_first_where_nobody_hides_anybody_and_frames_stay_in_order():
-    frame, depth_m, owner = np.array([0, 0, 0, 2, 2]), np.array([5.0, 9.0, 7.0, 1.0, 2.0]), np.arange(5)
-    np.testing.assert_array_equal(painting_order(frame, depth_m, owner, NONE, NONE), [1, 2, 0, 4, 3])
+    frame, depth_m, occluder = np.array([0, 0, 0, 2, 2]), np.array([5.0, 9.0, 7.0, 1.0, 2.0]), np.arange(5)
+    np.testing.assert_array_equal(painting_order(frame, depth_m, occluder, NONE, NONE), [1, 2, 0, 4, 3])
 
 
-def test_pieces_of_one_owner_are_painted_together_where_nothing_must_be_between():
-    frame, depth_m, owner = np.zeros(4, dtype=np.int64), np.array([9.0, 7.0, 5.0, 3.0]), np.array([1, 0, 1, 0])
-    assert owner[painting_order(frame, depth_m, owner, NONE, NONE)].tolist() == [1, 1, 0, 0]
-    between = painting_order(frame, depth_m, owner, np.array([0, 1]), np.array([1, 2]))
-    assert owner[between].tolist() == [1, 0, 1, 0] or owner[between].tolist() == [1, 0, 0, 1]
+def test_pieces_of_one_occluder_are_painted_together_where_nothing_must_be_between():
+    frame, depth_m, occluder = np.zeros(4, dtype=np.int64), np.array([9.0, 7.0, 5.0, 3.0]), np.array([1, 0, 1, 0])
+    assert occluder[painting_order(frame, depth_m, occluder, NONE, NONE)].tolist() == [1, 1, 0, 0]
+    between = painting_order(frame, depth_m, occluder, np.array([0, 1]), np.array([1, 2]))
+    assert occluder[between].tolist() == [1, 0, 1, 0] or occluder[between].tolist() == [1, 0, 0, 1]
     place = np.argsort(between)
     assert place[0] < place[1] < place[2]
 

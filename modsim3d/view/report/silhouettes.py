@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.ordering import order_of_pairs, overlapping_pairs
+from modsim3d.annotate.occlusion_order import order_of_pairs
 from modsim3d.annotate.outlines import Outlines, Part
+from modsim3d.annotate.overlaps import overlapping_pairs
 from modsim3d.annotate.triangles import triangles_of
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.camera import Intrinsics
@@ -29,19 +30,19 @@ class Shape:
 
     Attributes:
         frame: Number of the outlines' frame.
-        owner: Index into the scene's occluder names.
+        occluder: Index into the scene's occluder names.
         corners: Of its closed lines, one after the other, as multiples of the quantum, shape (k, 2).
         count: Of corners of each line, shape (l,).
     """
 
     frame: int
-    owner: int
+    occluder: int
     corners: NDArray[np.uint16]
     count: NDArray[np.uint32]
 
 
 def shapes(
-    outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, owners: int, hides: Indices
+    outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, occluder_count: int, hides: Indices
 ) -> Iterator[Shape]:
     """All there is to be painted, in order of frame and from back to front.
 
@@ -49,13 +50,13 @@ def shapes(
         outlines: What is before the camera.
         intrinsics: Of the camera.
         quantum_px: Of lengths in the image.
-        owners: Number of the scene's occluder names.
+        occluder_count: Number of the scene's occluder names.
         hides: What hides what in the truth, see `in_front`.
     """
-    hidden, hider = in_front(outlines, owners, hides)
-    order = painting_order(outlines.frame, outlines.depth_m, outlines.vessel, hidden, hider)
-    frame, owner = outlines.frame[order], outlines.vessel[order]
-    begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(owner, prepend=-1) != 0))
+    hidden, hider = in_front(outlines, occluder_count, hides)
+    order = painting_order(outlines.frame, outlines.depth_m, outlines.occluder, hidden, hider)
+    frame, occluder = outlines.frame[order], outlines.occluder[order]
+    begins = np.flatnonzero((np.diff(frame, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
     shape_of_row = np.empty(len(order), dtype=np.int64)
     shape_of_row[order] = np.searchsorted(begins, np.arange(len(order)), side="right") - 1
     for rows in _in_turns(outlines):
@@ -69,7 +70,7 @@ def shapes(
         pieces = np.split(found.corners.astype(np.uint16), first_corner)[1:]
         counts = np.split(found.count.astype(np.uint32), first_line)[1:]
         for begin, piece, count in zip(begins[found.shape[first_line]].tolist(), pieces, counts, strict=True):
-            yield Shape(int(frame[begin]), int(owner[begin]), piece, count)
+            yield Shape(int(frame[begin]), int(occluder[begin]), piece, count)
 
 
 def _in_turns(outlines: Outlines) -> list[Indices]:
@@ -102,7 +103,7 @@ def _one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[M
     return kept, turned[kept]
 
 
-def in_front(outlines: Outlines, owners: int, hides: Indices) -> tuple[Indices, Indices]:
+def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
     """Rows that may be hidden in part, and the rows of the same frame that may hide them.
 
     A plane between two solids, or between the boxes around them, says it. Where there is none the truth does, if one of
@@ -110,16 +111,16 @@ def in_front(outlines: Outlines, owners: int, hides: Indices) -> tuple[Indices, 
 
     Args:
         outlines: What is before the camera.
-        owners: Number of the scene's occluder names.
-        hides: Keys (frame · owners + hidden) · owners + hider of what hides what in the truth.
+        occluder_count: Number of the scene's occluder names.
+        hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth.
     """
     boxes = replace(outlines, parts=tuple(map(_in_a_box, outlines.parts)))
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
-    others = outlines.vessel[first] != outlines.vessel[second]
+    others = outlines.occluder[first] != outlines.occluder[second]
     order = order_of_pairs(boxes, first[others], second[others])
     one, other = order.first[order.intersecting], order.second[order.intersecting]
-    one_hides = np.isin(_keys(outlines, other, one, owners), hides)
-    other_hides = np.isin(_keys(outlines, one, other, owners), hides)
+    one_hides = np.isin(_keys(outlines, other, one, occluder_count), hides)
+    other_hides = np.isin(_keys(outlines, one, other, occluder_count), hides)
     by_one, by_other = one_hides & ~other_hides, other_hides & ~one_hides
     hidden = (order.second[order.first_can_hide], order.first[order.second_can_hide], other[by_one], one[by_other])
     hider = (order.first[order.first_can_hide], order.second[order.second_can_hide], one[by_one], other[by_other])
@@ -138,13 +139,14 @@ def _in_a_box(part: Part) -> Part:
     return Part(shoebox(), part.rows, boxes, np.full((*boxes.shape[:2], 2), np.nan))
 
 
-def _keys(outlines: Outlines, hidden: Indices, hider: Indices, owners: int) -> Indices:
+def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
     """Of pairs of rows, as in the truth's."""
-    keys: Indices = (outlines.frame[hidden] * owners + outlines.vessel[hidden]) * owners + outlines.vessel[hider]
+    frame_and_hidden = outlines.frame[hidden] * occluder_count + outlines.occluder[hidden]
+    keys: Indices = frame_and_hidden * occluder_count + outlines.occluder[hider]
     return keys
 
 
-def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indices, hider: Indices) -> Indices:
+def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: Indices, hider: Indices) -> Indices:
     """Rows so that what is painted later hides what it is known to hide; farther ones first otherwise.
 
     The distance of the centres alone would put a long ship before the boat that lies in front of its stern.
@@ -152,7 +154,7 @@ def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indic
     Args:
         frame: Of each row, ascending, shape (n,).
         depth_m: Shape (n,).
-        owner: Of each row; the pieces of one are painted together where that can be, shape (n,).
+        occluder: Of each row; the pieces of one are painted together where that can be, shape (n,).
         hidden: Rows of which a part may be hidden, shape (p,).
         hider: By which row of the same frame, shape (p,).
 
@@ -162,8 +164,8 @@ def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indic
     order = np.lexsort((-depth_m, frame))
     place = np.argsort(order)
     wrong = frame[hidden[place[hidden] > place[hider]]]
-    owned = frame * (int(owner.max(initial=0)) + 1) + owner
-    _, first, pieces = np.unique(owned, return_index=True, return_counts=True)
+    frame_and_occluder = frame * (int(occluder.max(initial=0)) + 1) + occluder
+    _, first, pieces = np.unique(frame_and_occluder, return_index=True, return_counts=True)
     wrong = np.union1d(wrong, frame[first[pieces > 1]])
     in_question = np.isin(frame[hidden], wrong)
     before: dict[int, list[int]] = defaultdict(list)
@@ -171,16 +173,16 @@ def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indic
         before[back].append(front)
     for crowded in wrong:
         rows = slice(*np.searchsorted(frame, (crowded, crowded + 1)))
-        order[rows] = _behind_first(order[rows].tolist(), owner, before)
+        order[rows] = _behind_first(order[rows].tolist(), occluder, before)
     return order
 
 
-def _behind_first(far_to_near: list[int], owner: Indices, before: dict[int, list[int]]) -> list[int]:
+def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, list[int]]) -> list[int]:
     """The rows, each before those in front of it; where three hide each other in a ring, the farthest comes first.
 
     Args:
         far_to_near: Rows of a frame.
-        owner: Of all rows.
+        occluder: Of all rows.
         before: Row → rows in front of it.
     """
     place = {row: at for at, row in enumerate(far_to_near)}
@@ -193,7 +195,7 @@ def _behind_first(far_to_near: list[int], owner: Indices, before: dict[int, list
 
     def release(row: int) -> None:
         heapq.heappush(free, place[row])
-        heapq.heappush(free_of[int(owner[row])], place[row])
+        heapq.heappush(free_of[int(occluder[row])], place[row])
 
     for row in far_to_near:
         if not behind[row]:
@@ -209,7 +211,7 @@ def _behind_first(far_to_near: list[int], owner: Indices, before: dict[int, list
         else:
             row = next(each for each in waiting if each not in painted)
         painted[row] = None
-        last = free_of[int(owner[row])]
+        last = free_of[int(occluder[row])]
         for front in before.get(row, ()):
             behind[front] -= 1
             if not behind[front] and front not in painted:

@@ -10,18 +10,18 @@ from modsim3d.arrays import Array
 from modsim3d.bodies import Bodies
 
 INSIDE = 2 * np.pi
-"""A closed mesh fills the whole sphere of 4π seen from inside it, and nothing from outside."""
+"""A closed mesh subtends the whole sphere of 4π at a point inside, and 0 at a point outside."""
 
 
 def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, int] | None:
-    """The first frame and occluder that a camera is inside of.
+    """The first frame in which a camera is inside a body, and that body.
 
     Args:
-        cameras_m: Places of a camera in WCF, shape (S, 3).
-        bodies: At the same steps.
+        cameras_m: Positions of the camera in WCF at S steps, shape (S, 3).
+        bodies: All bodies at the same steps.
 
     Returns:
-        Frame and index into the scene's occluder names, or None.
+        Frame and index into the scene's occluder names; None if the camera is always outside.
     """
     found = []
     for some in bodies:
@@ -38,11 +38,14 @@ def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, 
 
 
 def solid_angle(point: Array, triangles: Array) -> float:
-    """The solid angle that oriented triangles subtend at a point (van Oosterom & Strackee, 1983).
+    """The solid angle that oriented triangles subtend at a point.
+
+    A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
+    Engineering 30 (1983).
 
     Args:
-        point: Shape (3,).
-        triangles: Corners, shape (T, 3, 3).
+        point: Position, shape (3,).
+        triangles: Their corners, shape (T, 3, 3).
 
     Returns:
         Steradians; ±4π inside a closed mesh, 0 outside.

@@ -1,8 +1,8 @@
 """The thesis's own occlusion rule, kept for comparison (Jessen & Mohr (2023), §7.5.1, Figures 7.14–7.16).
 
 A box is hidden by the union of the rectangles of boxes with smaller depth. Mode 1 drops a box that is wholly covered.
-Mode 2 also cuts a side of which both corners are covered, to the part that is not covered: this is the bounding box of
-what is left of the rectangle, since a side can only move when all of it, both its corners with it, is covered.
+Mode 2 also moves a side whose two corners are covered to where the uncovered part begins. The result is the bounding
+box of what is left of the rectangle: a side of that box moves only if the whole side, with both corners, is covered.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from modsim3d.annotate.ordering import overlapping_pairs
+from modsim3d.annotate.occlusion import Occlusion
 from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.record import Occlusion
-from modsim3d.annotate.regions import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
+from modsim3d.annotate.overlaps import overlapping_pairs
+from modsim3d.annotate.polygon_occlusion import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:
-    """Occlusion of boxes by boxes; silhouette and visible pixels are areas of rectangles.
+    """Occlusion of boxes by boxes; the pixel counts of silhouettes and visible parts are areas of rectangles.
 
     Args:
-        outlines: What is in front of the camera; the rule knows of vessels only.
+        outlines: What is in front of the camera. The rule looks at vessels only.
     """
     rectangles = shapely.box(*outlines.boxes_px.T)
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
@@ -40,5 +40,5 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
         visible_boxes_px=boxes,
         silhouette_px=areas,
         visible_px=visible_px,
-        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, outlines.vessel, ties), outlines.vessel),
+        hidden=hidden_by(hiding, hidden_areas(rectangles, hiding, outlines.occluder, ties), outlines.occluder),
     )

@@ -1,0 +1,82 @@
+"""pyrender's camera and renderer, adapted to the projection and the depth of the ID pass.
+
+Import this module after `import_pyrender`, which loads pyrender so that it needs no screen.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyrender
+from numpy.typing import NDArray
+from OpenGL import GL
+from pyrender.renderer import Renderer
+
+from modsim3d.arrays import Array
+from modsim3d.errors import RendererError
+
+
+class ProjectionCamera(pyrender.Camera):  # type: ignore[misc]
+    """A camera that is nothing but its projection matrix."""
+
+    def __init__(self, projection: Array) -> None:
+        """Keep the matrix.
+
+        Args:
+            projection: From camera to clip coordinates, shape (4, 4).
+        """
+        super().__init__()
+        self._projection = projection
+
+    def get_projection_matrix(self, width: int | None = None, height: int | None = None) -> Array:
+        """The matrix, shape (4, 4), whatever the size of the picture."""
+        return self._projection
+
+
+class SharpRenderer(Renderer):  # type: ignore[misc]
+    """pyrender's renderer with one sample per pixel, and with the depth of the ID pass: reversed, from 1 to 0."""
+
+    def __del__(self) -> None:
+        """Free nothing: when Python collects it, another context may be current, or the ID pass at work."""
+
+    def _configure_main_framebuffer(self) -> None:
+        size = (self.viewport_width, self.viewport_height)
+        if self._main_fb_dims == size:  # type: ignore[has-type]
+            return
+        self._delete_main_framebuffer()
+        self._main_fb = self._main_fb_ms = GL.glGenFramebuffers(1)
+        self._main_cb, self._main_db = GL.glGenRenderbuffers(2)
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
+        for storage, kind, attachment in (
+            (self._main_cb, GL.GL_RGBA8, GL.GL_COLOR_ATTACHMENT0),
+            (self._main_db, GL.GL_DEPTH_COMPONENT32F, GL.GL_DEPTH_ATTACHMENT),
+        ):
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, storage)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
+            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, storage)
+        if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
+            raise RendererError(f"the renderer cannot draw a picture of {size[0]} × {size[1]} px with float depth")
+        self._main_fb_dims = size
+
+    def _delete_main_framebuffer(self) -> None:
+        if self._main_fb is not None:
+            GL.glDeleteFramebuffers(1, [self._main_fb])
+            GL.glDeleteRenderbuffers(2, [self._main_cb, self._main_db])
+        self._main_fb = self._main_fb_ms = self._main_cb = self._main_db = None
+        self._main_fb_dims = (None, None)
+
+    def _configure_forward_pass_viewport(self, flags: int) -> None:
+        super()._configure_forward_pass_viewport(flags)
+        GL.glClearDepth(0.0)
+        GL.glDepthFunc(GL.GL_GREATER)
+
+    def _read_main_framebuffer(self, scene: Any, flags: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        width, height = self._main_fb_dims
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
+        GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+        colour = np.empty((height, width, 3), dtype=np.uint8)
+        depth = np.empty((height, width), dtype=np.float32)
+        GL.glReadPixels(0, 0, width, height, GL.GL_RGB, GL.GL_UNSIGNED_BYTE, colour)
+        GL.glReadPixels(0, 0, width, height, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT, depth)
+        return colour, depth
