@@ -63,7 +63,7 @@ def test_rays_meet_what_the_rendered_source_draws(scene, exported, renderer, ind
     camera = scene.cameras[index]
     outlines, width, height = scene.sight(camera, np.array([STEP])).outlines(), *camera.intrinsics.image_size_px
     drawn = triangles_of(outlines, camera.intrinsics)
-    owners = outlines.vessel[drawn.row] + 1
+    owners = outlines.occluder[drawn.row] + 1
     ids = renderer.draw(drawn.corners_px, drawn.inverse_depth, owners, Region(0, 0, width, height)).astype(int) - 1
     # At a silhouette's edge either answer is right; elsewhere all neighbours of a pixel agree with it.
     middle = ids[1:-1, 1:-1]
