@@ -28,7 +28,7 @@ from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.selection import Shown, select, select_cameras
 from modsim3d.stored_run import open_run
-from modsim3d.view.film_files import open_film
+from modsim3d.view.film_files import EncodedFrame, write_film
 from modsim3d.view.look import PLAIN_LOOK, SHADED, Look
 
 HERE = Path(__file__).resolve().parent
@@ -110,10 +110,8 @@ def shrink_all(draughtsman: Draughtsman, frames: list[Shown]) -> None:
 def whole_film(draughtsman: Draughtsman, frames: list[Shown], path: Path) -> float:
     """Frames a second of this process and the encoder's together."""
     before = os.times()
-    first = draughtsman.draw(frames[0])
-    with open_film("mp4", path, first.size, Fraction(5)) as film:
-        for step in frames:
-            film.add(step.step, draughtsman.draw(step).tobytes(), 1)
+    encoded = (EncodedFrame.of(step.step, draughtsman.draw(step), "mp4", None) for step in frames)
+    write_film("mp4", path, ((frame, 1) for frame in encoded), Fraction(5))
     after = os.times()
     return len(frames) / sum(after[i] - before[i] for i in range(4))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from modsim3d.scene import Scene
 from modsim3d.selection import Selection, Shown
 from modsim3d.simulate import open_renderer
 from modsim3d.view import palette
-from modsim3d.view.film_files import MOST_RATE, encoded, open_film
+from modsim3d.view.film_files import MOST_RATE, EncodedFrame, put_in_place, write_film
 from modsim3d.view.gif import film_palette
 from modsim3d.view.ids_picture import ids_picture
 from modsim3d.view.look import Look
@@ -169,9 +169,8 @@ def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     scene = selection.run.scene
     with open_draughtsman(scene, plan) as draughtsman:
         picture = draughtsman.draw(next(selection.shown()))
-    partial = path.with_name(f".{path.name}.partial")
-    picture.save(partial, format="PNG")
-    partial.replace(path)
+    with put_in_place(path) as partial:
+        picture.save(partial, format="PNG")
     return path
 
 
@@ -204,27 +203,23 @@ def draw_film(
     shown = dict(zip(selection.steps, timetable.shown.tolist(), strict=True))
     drawn = [step for step in selection.steps if shown[step] or kind == "png"]
     with _open_draughtsmen(scene, plan, workers) as draw:
-        colours = None
-        samples: list[_Drawn] = []
-        if kind == "gif":
-            chosen = dict.fromkeys(drawn[i * len(drawn) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
-            pieces = [[_shown_at(selection, step)] for step in chosen]
-            samples = [one for piece in draw(_Job("mp4", None, piece) for piece in pieces) for one in piece]
-            colours = film_palette([Image.frombytes("RGB", one.size, one.data) for one in samples])
-        jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn)))
-        pictures = (one for piece in draw(jobs) for one in piece)
-        first = next(pictures)
-        # Opened after the workers have started: they must not hold its end of the encoder's pipe open.
-        with open_film(kind, path, first.size, timetable.rate, colours) as film:
-            for one in _chain(first, pictures):
-                film.add(one.step, one.data, shown[one.step])
-                progress(1)
-    return DrawnFilm(path, first.size, len(drawn), timetable)
+        colours = _gif_palette(selection, drawn, draw) if kind == "gif" else None
+
+        def frames() -> Iterator[tuple[EncodedFrame, int]]:
+            for piece in draw(_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn))):
+                for frame in piece:
+                    yield frame, shown[frame.step]
+                    progress(1)
+
+        write_film(kind, path, frames(), timetable.rate, colours)
+    return DrawnFilm(path, plan.layout(scene).size, len(drawn), timetable)
 
 
-def _chain(first: _Drawn, others: Iterable[_Drawn]) -> Iterator[_Drawn]:
-    yield first
-    yield from others
+def _gif_palette(selection: Selection, steps: Sequence[int], draw: Draw) -> Image.Image:
+    """The palette of a film, from some of its pictures."""
+    chosen = dict.fromkeys(steps[i * len(steps) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
+    samples = draw(_Job("mp4", None, [_shown_at(selection, step)]) for step in chosen)
+    return film_palette([Image.frombytes("RGB", frame.size, frame.data) for piece in samples for frame in piece])
 
 
 def _shown_at(selection: Selection, step: int) -> Shown:
@@ -252,16 +247,7 @@ class _Job:
     piece: Piece
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """A step's picture, encoded."""
-
-    step: int
-    size: tuple[int, int]
-    data: bytes
-
-
-Draw = Callable[[Iterable[_Job]], Iterator[list[_Drawn]]]
+Draw = Callable[[Iterable[_Job]], Iterator[list[EncodedFrame]]]
 
 
 @contextmanager
@@ -275,9 +261,9 @@ def _open_draughtsmen(scene: Scene, plan: FilmPlan, workers: int) -> Iterator[Dr
         yield lambda jobs: in_order(pool, workers, _work, jobs, "draw the film again, perhaps with fewer --workers")
 
 
-def _draw_job(draughtsman: Draughtsman, job: _Job) -> list[_Drawn]:
+def _draw_job(draughtsman: Draughtsman, job: _Job) -> list[EncodedFrame]:
     pictures = [(shown.step, draughtsman.draw(shown)) for shown in job.piece]
-    return [_Drawn(step, picture.size, encoded(picture, job.kind, job.colours)) for step, picture in pictures]
+    return [EncodedFrame.of(step, picture, job.kind, job.colours) for step, picture in pictures]
 
 
 _draughtsman: Draughtsman | None = None
@@ -290,7 +276,7 @@ def _start(scene: Scene, plan: FilmPlan) -> None:
     _draughtsman = _open.enter_context(open_draughtsman(scene, plan))
 
 
-def _work(job: _Job) -> list[_Drawn]:
+def _work(job: _Job) -> list[EncodedFrame]:
     if _draughtsman is None:
         raise ModsimError("this process was not set up as a worker")
     return _draw_job(_draughtsman, job)

@@ -83,6 +83,11 @@ class FilmLayout:
             sheet.paste(key, (0, bottom))
         return sheet
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the whole sheet in pixels; both are even."""
+        return self._blank.size
+
     def compose(self, head: str, titles: Sequence[str], panels: Sequence[Image.Image]) -> Image.Image:
         """One picture of the film.
 

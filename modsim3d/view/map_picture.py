@@ -16,6 +16,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.frames import world_R_vehicle
 from modsim3d.view import palette
 from modsim3d.view.birds_eye import BirdsEye, hull_m, ring_step, view_of
+from modsim3d.view.film_files import put_in_place
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,11 +88,9 @@ def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:
 
     ending = path.suffix.lower()
     metadata: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    partial = path.with_name(f".{path.name}.partial")
-    with rc_context({"svg.hashsalt": "modsim3d"}):
+    with rc_context({"svg.hashsalt": "modsim3d"}), put_in_place(path) as partial:
         figure = map_figure(birds_eye, step, width_px)
         figure.savefig(partial, format=ending[1:], metadata=metadata[ending], dpi=figure.dpi)
-    partial.replace(path)
     return path
 
 
