@@ -17,8 +17,8 @@ from modsim3d.scene import Scene
 from modsim3d.simulate import Simulation, open_renderer, truth_block
 from modsim3d.view.comparison_picture import comparison_picture
 from modsim3d.view.contact_sheet import contact_sheet
-from modsim3d.view.moments import Moment
-from modsim3d.view.painter import Subject
+from modsim3d.view.frame_picture import CameraView
+from modsim3d.view.highlights import Highlight
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 
@@ -65,15 +65,15 @@ def draw_contact_sheet(scene: Scene, folder: Path, reference: Reference | None =
     simulation = Simulation(scene, reference)
     with open_renderer(scene) as renderer:
 
-        def look(moment: Moment) -> Subject:
-            step = moment.step
+        def camera_view_of(highlight: Highlight) -> CameraView:
+            step = highlight.step
             block = simulation.detect(truth_block(scene, step, step + 1, renderer), step, step + 1)
-            (frame,) = (frame for frame in frames_of(block, scene) if frame.camera == moment.camera)
-            return Subject.of(scene, frame)
+            (frame,) = (frame for frame in frames_of(block, scene) if frame.camera == highlight.camera)
+            return CameraView.of(scene, frame)
 
         title = (
             f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
         )
-        sheet = contact_sheet(folder, title, scene.annotation.mode, look, renderer or PlainIds())
+        sheet = contact_sheet(folder, title, scene.annotation.mode, camera_view_of, renderer or PlainIds())
         sheet.save(folder / SHEET_FILE)
     return folder / SHEET_FILE

@@ -14,8 +14,8 @@ from modsim3d.view.birds_eye import BirdsEye
 from modsim3d.view.film_layout import FilmLayout
 from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
 from modsim3d.view.legend import Entry, detection_entries, id_entries, vessel_entries
-from modsim3d.view.look import PLAIN_LOOK, Look
 from modsim3d.view.map_picture import map_height_px
+from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
 from modsim3d.view.window import Box, Window
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
@@ -40,8 +40,8 @@ class FilmPlan:
         width: Of the whole picture.
         layers: Of the kinds with boxes; each kind's own if None.
         crops_px: Part of each camera's image that is shown, x_min, y_min, x_max, y_max; all of it if None.
-        look: How `scene` looks.
-        boxes_on_scene: Whether `detections` has the boxes on a picture in this look, in place of plain sea and sky.
+        style: How `scene` looks.
+        boxes_on_scene: Whether `detections` has the boxes on a picture in this style, in place of plain sea and sky.
         steps: Of the run, for the tracks of a map.
         columns: Panels side by side; those of a camera, or the cameras, if None.
     """
@@ -51,7 +51,7 @@ class FilmPlan:
     width: int
     layers: Layers | None = None
     crops_px: tuple[Box | None, ...] = ()
-    look: Look = PLAIN_LOOK
+    style: RenderStyle = PLAIN_STYLE
     boxes_on_scene: bool = False
     steps: int = 0
     columns: int | None = None
@@ -103,7 +103,7 @@ class FilmPlan:
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     """For each camera the part of its image in which vessels and their detections are."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
-    for step in selection.shown():
+    for step in selection.step_frames():
         for found, frame in zip(boxes, step.frames, strict=True):
             if frame is None:
                 continue

@@ -15,7 +15,7 @@ from modsim3d.boxes import corner_form
 from modsim3d.formats.tables import BOX_SIDES, CENTRE_FORM
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
-from modsim3d.view.report.tally import Tally
+from modsim3d.view.report.count_tables import CountTables
 
 NOBODY = -1
 """The vessel of a false positive; the row of an occluder that is no vessel."""
@@ -142,13 +142,13 @@ class RunRows:
         name = indices(names, "id", self.scene.occluder_names)
         return Occluders(hidden, name, rows, np.asarray(entries.field("px"), dtype=np.float64))
 
-    def tally(self) -> Tally:
+    def count_tables(self) -> CountTables:
         """What is counted."""
         known = self.drawn_vessel >= 0
         labels = self.scene.detector.labels
         meant = np.array([labels.index(vessel.label) for vessel in self.scene.vessels])
         given = indices(self.drawn, "label", labels)
-        return Tally(
+        return CountTables(
             frame_state=self.frame_state,
             vessel=self.truth_vessel,
             state=self.states_of(self.truth_frame),

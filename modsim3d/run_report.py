@@ -54,14 +54,14 @@ def write_report(
         )
     out = run.folder / REPORT_FILE if out is None else out
     rows, scene = RunRows.of(run), run.scene
-    tally = rows.tally()
+    count_tables = rows.count_tables()
     page = Page(
         name=scene.name,
         recording=_recording(rows, every, progress),
         settings=run.settings,
-        overall=tally.overall(),
-        by_vessel=tally.by_vessel(scene.vessel_names),
-        by_state=tally.by_state([state.name for state in scene.detector.states]),
+        overall=count_tables.overall(),
+        by_vessel=count_tables.by_vessel(scene.vessel_names),
+        by_state=count_tables.by_state([state.name for state in scene.detector.states]),
         steps=run.steps,
         planned_steps=scene.steps,
         finished=run.finished,

@@ -19,7 +19,7 @@ NEAR_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class StepFrames:
     """What cameras show at a step: each the last frame that it took.
 
     Attributes:
@@ -54,7 +54,7 @@ class Selection:
         """Names of the cameras."""
         return tuple(self.run.scene.cameras[index].name for index in self.cameras)
 
-    def shown(self) -> Iterator[Shown]:
+    def step_frames(self) -> Iterator[StepFrames]:
         """What the cameras show at each step."""
         scene, names = self.run.scene, self.camera_names
         first, stop = self.steps[0], self.steps[-1] + 1
@@ -65,7 +65,7 @@ class Selection:
             while frame is not None and frame.step <= step:
                 last[frame.camera] = frame
                 frame = next(coming, None)
-            yield Shown(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
+            yield StepFrames(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
 
     def _frame_before(self, camera: int, step: int) -> Frame | None:
         """The last frame that a camera took before a step; None too if it takes one at that step."""
@@ -121,7 +121,7 @@ def select(
     found = Selection(run, cameras, tuple(steps.tolist()), durations)
     if not only_with_vessels:
         return found
-    seen = np.array([any(frame and len(frame.truth) for frame in shown.frames) for shown in found.shown()])
+    seen = np.array([any(frame and len(frame.truth) for frame in shown.frames) for shown in found.step_frames()])
     if not seen.any():
         names = ", ".join(found.camera_names)
         raise ModsimError(f"no vessel is in an image of {names} in {len(steps)} frames; {span(run)}")

@@ -6,15 +6,15 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d.view import labels
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.labels import Label, draw_labels
-from modsim3d.view.pen import Pen
 
 
 def drawn_plates(boxes, width, height, monkeypatch_plates):
-    pen = Pen(Image.new("RGB", (width, height)))
-    size = pen.plate_size
-    pen.plate = lambda x, y, text, colour: monkeypatch_plates.append((x, y, *np.add((x, y), size(text))))
-    count = draw_labels(pen, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
+    canvas = Canvas(Image.new("RGB", (width, height)))
+    size = canvas.plate_size
+    canvas.plate = lambda x, y, text, colour: monkeypatch_plates.append((x, y, *np.add((x, y), size(text))))
+    count = draw_labels(canvas, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
     return count
 
 

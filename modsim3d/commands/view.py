@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from modsim3d.film_plan import FilmPlan
     from modsim3d.selection import Selection
     from modsim3d.stored_run import StoredRun
-    from modsim3d.view.look import Look
+    from modsim3d.view.render_style import RenderStyle
 
 INTERRUPTED = 130
 LEAST_WIDTH_PX, MOST_WIDTH_PX = 160, 8192
@@ -130,11 +130,11 @@ def view_command(
         _draw_film(selection, plan, kind, format_, speed, workers, out, overwrite)
 
 
-def _look(film: Film | None, style: Style | None, visibility: float | None, night: bool) -> tuple[Look, bool]:
+def _look(film: Film | None, style: Style | None, visibility: float | None, night: bool) -> tuple[RenderStyle, bool]:
     """How scenes look, and whether boxes are drawn on such pictures too."""
     from modsim3d.errors import RendererError
     from modsim3d.render.context import choose_backend
-    from modsim3d.view.look import PLAIN, PLAIN_LOOK, SHADED, Look
+    from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
 
     weather = visibility is not None or night
     asked = style is Style.shaded or (weather and style is None)
@@ -142,16 +142,16 @@ def _look(film: Film | None, style: Style | None, visibility: float | None, nigh
         raise ModsimError(
             f"--film {film.value} has no look: --look, --visibility and --night are for scene, detections, all"
         )
-    look = Look(PLAIN if style is Style.plain else SHADED, visibility, night)
+    look = RenderStyle(style is not Style.plain, visibility, night)
     if look.shaded and (asked or film in (Film.scene, Film.all)):
         try:
             choose_backend()
         except RendererError as error:
             if asked:
                 raise RendererError(f"shaded pictures need OpenGL, --look plain does not: {error}") from error
-            return PLAIN_LOOK, False
+            return PLAIN_STYLE, False
     # Without being asked for, boxes stay on the plain style, in which they are seen best.
-    return (look if asked or film in (Film.scene, Film.all) else PLAIN_LOOK), asked
+    return (look if asked or film in (Film.scene, Film.all) else PLAIN_STYLE), asked
 
 
 def _draw_map(
@@ -179,7 +179,7 @@ def _plan(
     layers: str | None,
     crop: str | None,
     width: int | None,
-    look: Look,
+    look: RenderStyle,
     boxes_on_scene: bool,
 ) -> FilmPlan:
     from modsim3d.film_plan import ALL, SEVERAL_WIDTH_PX, WIDTH_PX, FilmPlan, crop_to_vessels, parse_crop

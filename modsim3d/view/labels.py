@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen
 from modsim3d.view.window import Box
 
 FARTHEST_ROWS = 4
@@ -32,18 +32,18 @@ class Label:
     below: bool = False
 
 
-def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
+def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
     """Draw labels, the first ones at the best places; one that finds no place is left out.
 
     Args:
-        pen: Draws.
+        canvas: Draws.
         labels: In order of importance.
         keep_clear: Boxes that are better not covered.
 
     Returns:
         How many were drawn.
     """
-    size = np.array(pen.picture.size)
+    size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))
     chosen: list[tuple[Label, Array]] = []
     content = np.array(keep_clear, dtype=np.float64).reshape(-1, 4)
@@ -51,7 +51,7 @@ def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
         x0, y0, x1, y1 = label.box
         if x1 < 0 or y1 < 0 or x0 > size[0] or y0 > size[1]:
             continue
-        places = _places(label, np.array(pen.plate_size(label.text)), size)
+        places = _places(label, np.array(canvas.plate_size(label.text)), size)
         if not len(places):
             continue
         taken = _shared(places, plates).any(axis=1)
@@ -65,9 +65,9 @@ def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
         chosen.append((label, best))
         plates = np.vstack([plates, best])
     for label, place in chosen:  # lines before plates: none crosses a text
-        _lead(pen, label, place)
+        _lead(canvas, label, place)
     for label, place in chosen:
-        pen.plate(round(float(place[0])), round(float(place[1])), label.text, label.colour)
+        canvas.plate(round(float(place[0])), round(float(place[1])), label.text, label.colour)
     return len(chosen)
 
 
@@ -110,11 +110,11 @@ def _areas(boxes: Array) -> Array:
     return areas
 
 
-def _lead(pen: Pen, label: Label, place: Array) -> None:
+def _lead(canvas: Canvas, label: Label, place: Array) -> None:
     """A line from a label to its box, if it does not touch it."""
     x0, y0, x1, y1 = label.box
     left, top, right, bottom = place.tolist()
     start = np.array([min(max((left + right) / 2, x0), x1), min(max((top + bottom) / 2, y0), y1)])
     end = np.array([min(max(start[0], left), right), min(max(start[1], top), bottom)])
     if np.abs(end - start).max() > 4:
-        pen.segments(np.array([[start, end]]), label.colour, 0.5)
+        canvas.segments(np.array([[start, end]]), label.colour, 0.5)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from PIL import Image
 
 from modsim3d.view import palette
+from modsim3d.view.canvas import Canvas, font, text_size
 from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen, font, text_size
 
 MOST_VESSELS = 40
 
@@ -89,33 +89,33 @@ def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
         x += needed + text_px
     line = round(1.8 * text_px)
     strip = Image.new("RGB", (width, line * len(rows)), palette.PAPER)
-    pen = Pen(strip, 85 * text_px)
+    canvas = Canvas(strip, 85 * text_px)
     for row, placed in enumerate(rows):
         for left, entry in placed:
-            _entry(pen, entry, left, row * line, text_px)
+            _entry(canvas, entry, left, row * line, text_px)
     return strip
 
 
-def _entry(pen: Pen, entry: Entry, x: int, y: int, text_px: int) -> None:
+def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
     chip = (x, y + round(0.35 * text_px), x + 2 * text_px, y + round(1.5 * text_px))
-    pen.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=palette.SEA)
+    canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=palette.SEA)
     inset = text_px // 6 + 1
     box = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
     if entry.style == "filled":
-        pen.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=entry.colour)
+        canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=entry.colour)
     elif entry.style == "dashed":
-        pen.dashed_box(box, entry.colour, 0.75, 4.0)
+        canvas.dashed_box(box, entry.colour, 0.75, 4.0)
     elif entry.style == "missed":
-        pen.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
+        canvas.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
     elif entry.style == "false":
-        pen.crossed(box, entry.colour)
-        pen.dashed_box(box, entry.colour, 1.0, 4.0)
+        canvas.crossed(box, entry.colour)
+        canvas.dashed_box(box, entry.colour, 1.0, 4.0)
     elif entry.style == "hatched":
         for start in range(chip[0], chip[2], 6):
             top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
-            pen.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
+            canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
     else:
-        pen.box(box, entry.colour, 1.0)
+        canvas.box(box, entry.colour, 1.0)
     _, high, _, low = text_size("Ag", text_px)
     middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
-    pen.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))
+    canvas.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))

@@ -9,8 +9,8 @@ from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Region
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 
@@ -64,7 +64,7 @@ def _kept(polygon: Array, half_plane: Array, window: Window) -> Array:
     return np.array(points).reshape(-1, 2)
 
 
-def draw_horizon(pen: Pen, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
+def draw_horizon(canvas: Canvas, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
     """A line where the sea ends."""
     a, b, c = sea_half_plane
     if a == b == 0:
@@ -72,7 +72,7 @@ def draw_horizon(pen: Pen, window: Window, sea_half_plane: Array, image_size_px:
     foot = -c * np.array([a, b])
     reach = 2.0 * sum(image_size_px) + float(np.abs(foot).max())
     along = np.array([-b, a]) * reach
-    pen.segments(window.to_picture(np.array([[foot - along, foot + along]])), palette.HORIZON, 0.5)
+    canvas.segments(window.to_picture(np.array([[foot - along, foot + along]])), palette.HORIZON, 0.5)
 
 
 def fill_solids(

@@ -7,7 +7,7 @@ from PIL import Image
 from modsim3d.camera import Camera
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.scene import Scene
-from modsim3d.view.pen import Pen
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.plain import background, draw_horizon, fill_solids
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
@@ -26,6 +26,6 @@ def scene_picture(scene: Scene, camera: Camera, step: int, window: Window, drawe
     solids = Solids.at(scene, camera, step)
     image_size_px = camera.intrinsics.image_size_px
     picture = background(window, solids.sea_half_plane, image_size_px)
-    draw_horizon(Pen(picture), window, solids.sea_half_plane, image_size_px)
+    draw_horizon(Canvas(picture), window, solids.sea_half_plane, image_size_px)
     fill_solids(picture, window, solids, drawer)
     return picture

@@ -22,16 +22,16 @@ class Timetable:
 
     Attributes:
         rate: Pictures a second.
-        shown: How many pictures in a row each frame is shown for; 0 if the film is too fast for it, shape (n,).
+        repeats: How many pictures in a row each frame is shown for; 0 if the film is too fast for it, shape (n,).
     """
 
     rate: Fraction
-    shown: Indices
+    repeats: Indices
 
     @property
     def duration_s(self) -> float:
         """How long the film is."""
-        return float(self.shown.sum() / self.rate)
+        return float(self.repeats.sum() / self.rate)
 
     @classmethod
     def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:

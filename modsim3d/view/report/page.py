@@ -14,8 +14,8 @@ from typing import Any
 import orjson
 
 from modsim3d.view.page import heading, table
+from modsim3d.view.report.count_tables import STATE_HEADER, VESSEL_HEADER, Rows
 from modsim3d.view.report.recording import Recording
-from modsim3d.view.report.tally import STATE_HEADER, VESSEL_HEADER, Rows
 
 SCRIPTS = ("recording.js", "picture.js", "timeline.js", "player.js")
 """In the order in which they need each other; in the page they are one script."""

@@ -32,7 +32,7 @@ def text_size(text: str, size: int) -> tuple[int, int, int, int]:
     return int(left), int(top), int(right), int(bottom)
 
 
-class Pen:
+class Canvas:
     """Draws on one picture."""
 
     def __init__(self, picture: Image.Image, width_px: int | None = None) -> None:

@@ -18,7 +18,7 @@ SIDES = ("x_min", "y_min", "x_max", "y_max")
 
 
 @dataclass(frozen=True)
-class Moment:
+class Highlight:
     """A frame of a run and what to look at in it.
 
     Attributes:
@@ -74,11 +74,11 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Rows that are wanted, what they are ranked by (the least is shown), and what is said of it."""
+    """Rows that are wanted, what they are ranked by (the least is shown), and their caption."""
 
     wanted: Callable[[_Rows], Mask]
     rank: Callable[[_Rows], Array]
-    say: Callable[[dict[str, Any]], str]
+    caption: Callable[[dict[str, Any]], str]
 
 
 def _hider(row: dict[str, Any]) -> str:
@@ -98,8 +98,8 @@ KINDS = (
 )
 
 
-def pick_moments(folder: Path) -> list[Moment]:
-    """One moment of each kind that the run has: occlusion, recovery from it, a miss, a false alarm, and so on.
+def pick_highlights(folder: Path) -> list[Highlight]:
+    """One highlight of each kind that the run has: occlusion, recovery from it, a miss, a false alarm, and so on.
 
     Args:
         folder: A finished run directory.
@@ -110,8 +110,12 @@ def pick_moments(folder: Path) -> list[Moment]:
         for k, kind in enumerate(KINDS):
             best[k] = _better(best[k], table, np.where(kind.wanted(rows), kind.rank(rows), np.inf))
     found = [
-        Moment(row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {say}")
-        for row, say in ((entry[1], kind.say(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry)
+        Highlight(
+            row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {caption}"
+        )
+        for row, caption in (
+            (entry[1], kind.caption(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry
+        )
     ]
     false: tuple[float, dict[str, Any]] | None = None
     for table in _parts(folder / "detections.parquet"):
@@ -138,7 +142,9 @@ def _better(
     return least, table.slice(row, 1).to_pylist()[0]
 
 
-def _false_alarm(row: dict[str, Any]) -> Moment:
+def _false_alarm(row: dict[str, Any]) -> Highlight:
     """The largest false positive."""
     x, y, half = row["x_px"], row["y_px"], (row["width_px"] / 2, row["height_px"] / 2)
-    return Moment(row["step"], row["camera"], (x - half[0], y - half[1], x + half[0], y + half[1]), "a false positive")
+    return Highlight(
+        row["step"], row["camera"], (x - half[0], y - half[1], x + half[0], y + half[1]), "a false positive"
+    )

@@ -7,22 +7,21 @@ from dataclasses import dataclass
 
 from modsim3d.errors import ModsimError
 
-PLAIN, SHADED = "plain", "shaded"
 CONTRAST = 0.02
 """The visibility is the distance at which a black thing keeps this contrast against the sky."""
 
 
 @dataclass(frozen=True)
-class Look:
+class RenderStyle:
     """How a scene is drawn.
 
     Attributes:
-        style: `plain` or `shaded`.
+        shaded: Whether it is drawn in light and shade, by pyrender.
         visibility_m: Meteorological visibility; clear air if None. Shaded pictures only.
         night: Whether it is dark. Shaded pictures only.
     """
 
-    style: str = PLAIN
+    shaded: bool = False
     visibility_m: float | None = None
     night: bool = False
 
@@ -34,14 +33,9 @@ class Look:
         """
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
             raise ModsimError(f"--visibility {self.visibility_m:g}: metres are needed, such as 800 for fog")
-        if self.style == PLAIN and (self.visibility_m is not None or self.night):
+        if not self.shaded and (self.visibility_m is not None or self.night):
             option = "--night" if self.night else "--visibility"
             raise ModsimError(f"{option} is for shaded pictures: leave out --look plain")
-
-    @property
-    def shaded(self) -> bool:
-        """Whether it is drawn in light and shade."""
-        return self.style == SHADED
 
     @property
     def extinction_per_m(self) -> float:
@@ -56,4 +50,4 @@ class Look:
         return f"illustration: {', '.join(weather)}; truth and detector know nothing of it" if weather else ""
 
 
-PLAIN_LOOK = Look()
+PLAIN_STYLE = RenderStyle()

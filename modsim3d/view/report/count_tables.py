@@ -11,7 +11,7 @@ Rows = list[tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
-class Tally:
+class CountTables:
     """What is counted: columns over all steps of a run.
 
     Attributes:
