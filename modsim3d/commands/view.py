@@ -49,7 +49,7 @@ def view_command(
 
     Example: modsim3d view runs/simulation_1 --film detections --crop vessels
     """
-    from modsim3d.selection import select, select_cameras
+    from modsim3d.selection import select_cameras
     from modsim3d.stored_run import open_run
 
     _check_task(film, frame, map_, at, sheet)
@@ -62,10 +62,7 @@ def view_command(
         _draw_map(opened, cameras, at, width, out, overwrite)
     if film is None and frame is None:
         return
-    if frame is not None:
-        from_ = to = _time_of(opened, frame)
-        every, only_with_vessels = 1, False
-    selection = select(opened, cameras, from_s=from_, to_s=to, every=every, only_with_vessels=only_with_vessels)
+    selection = _select(opened, cameras, frame, from_, to, every, only_with_vessels)
     _say_what_there_is(opened)
     kind = film or Film.detections
     plan = _plan(selection, kind, layers, crop, width, style, boxes_on_scene)
@@ -85,10 +82,22 @@ def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None
         raise ModsimError("--map is a picture of its own, with --at TIME; a film of maps is --film map")
 
 
-def _time_of(run: StoredRun, step_or_time: str) -> float:
-    from modsim3d.selection import find_step, times_of
+def _select(
+    run: StoredRun,
+    cameras: tuple[int, ...],
+    frame: str | None,
+    from_s: float | None,
+    to_s: float | None,
+    every: int,
+    only_with_vessels: bool,
+) -> Selection:
+    """The step of `--frame`, or else those of the options of a film."""
+    from modsim3d.selection import find_step, select, times_of
 
-    return float(times_of(run)[find_step(run, step_or_time)])
+    if frame is None:
+        return select(run, cameras, from_s=from_s, to_s=to_s, every=every, only_with_vessels=only_with_vessels)
+    time_s = float(times_of(run)[find_step(run, frame)])
+    return select(run, cameras, from_s=time_s, to_s=time_s)
 
 
 def _say_what_there_is(run: StoredRun) -> None:

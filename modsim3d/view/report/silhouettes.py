@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -176,42 +176,56 @@ def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indic
 
 
 def _behind_first(far_to_near: list[int], owner: Indices, before: dict[int, list[int]]) -> list[int]:
-    """The rows, each before those in front of it; where three hide each other in a ring, the farthest comes first.
+    """Sort the rows of a frame so that each comes before those in front of it.
+
+    Rows of the owner painted last come next if they may, then farther ones before nearer ones. Where three hide each
+    other in a ring, the farthest comes first.
 
     Args:
         far_to_near: Rows of a frame.
-        owner: Of all rows.
+        owner: Owner of each row of all frames, shape (n,).
         before: Row → rows in front of it.
     """
-    place = {row: at for at, row in enumerate(far_to_near)}
-    behind = dict.fromkeys(far_to_near, 0)
-    for row in far_to_near:
-        for front in before.get(row, ()):
-            behind[front] += 1
-    free: list[int] = []
-    free_of: dict[int, list[int]] = defaultdict(list)
-
-    def release(row: int) -> None:
-        heapq.heappush(free, place[row])
-        heapq.heappush(free_of[int(owner[row])], place[row])
-
+    behind = Counter(front for row in far_to_near for front in before.get(row, ()))
+    free = _FreeRows(far_to_near, owner)
     for row in far_to_near:
         if not behind[row]:
-            release(row)
-    painted: dict[int, None] = {}
-    waiting, last = iter(far_to_near), free
-    while len(painted) < len(far_to_near):
-        for queue in (last, free):
-            while queue and far_to_near[queue[0]] in painted:
-                heapq.heappop(queue)
-        if last or free:
-            row = far_to_near[heapq.heappop(last or free)]
-        else:
-            row = next(each for each in waiting if each not in painted)
-        painted[row] = None
-        last = free_of[int(owner[row])]
-        for front in before.get(row, ()):
+            free.add(row)
+    while len(free.painted) < len(far_to_near):
+        for front in before.get(free.paint_next(), ()):
             behind[front] -= 1
-            if not behind[front] and front not in painted:
-                release(front)
-    return list(painted)
+            if not behind[front]:
+                free.add(front)
+    return list(free.painted)
+
+
+class _FreeRows:
+    """The rows of a frame that nothing unpainted is behind of, and what was painted so far."""
+
+    def __init__(self, far_to_near: list[int], owner: Indices) -> None:
+        """Begin with no free row."""
+        self.painted: dict[int, None] = {}
+        self._rows, self._owner = far_to_near, owner
+        self._place = {row: place for place, row in enumerate(far_to_near)}
+        self._free: list[int] = []
+        self._free_of: dict[int, list[int]] = defaultdict(list)
+        self._last_owner = -1
+
+    def add(self, row: int) -> None:
+        """A row may be painted."""
+        heapq.heappush(self._free, self._place[row])
+        heapq.heappush(self._free_of[int(self._owner[row])], self._place[row])
+
+    def paint_next(self) -> int:
+        """Take the next row; the farthest one that is left if none is free."""
+        for queue in (self._free_of[self._last_owner], self._free):
+            while queue:
+                row = self._rows[heapq.heappop(queue)]
+                if row not in self.painted:
+                    return self._paint(row)
+        return self._paint(next(row for row in self._rows if row not in self.painted))
+
+    def _paint(self, row: int) -> int:
+        self.painted[row] = None
+        self._last_owner = int(self._owner[row])
+        return row
