@@ -19,7 +19,6 @@ from modsim3d.view.frame_picture import CameraView, frame_picture
 from modsim3d.view.ids_picture import ids_picture
 from modsim3d.view.map_picture import map_picture
 from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.scene_picture import scene_picture
 from modsim3d.view.shaded_picture import ShadedPictureRenderer
 from modsim3d.view.window import Window
 
@@ -72,8 +71,6 @@ class FilmRenderer:
         if kind == "ids":
             return ids_picture(camera_view.solids, window, self._drawer, nominal)
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
-        if kind == "scene" and self._shaded_renderer is None and self._plan.layers is None:
-            return scene_picture(self._scene, camera_view.solids.camera, camera_view.frame.step, window, self._drawer)
         ground = None
         if self._shaded_renderer is not None and kind != "corners" and on_scene:
             ground = self._shaded_renderer.picture(camera_view.solids, window, self._scene.vessels)
@@ -110,7 +107,7 @@ def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
 
 @contextmanager
 def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
-    """A film_renderer with what he needs: ID buffers, and pyrender in the same context for shaded pictures.
+    """A film renderer with what it draws with: ID buffers, and pyrender in the same context for shaded pictures.
 
     Raises:
         RendererError: Shaded pictures are asked for and there is no OpenGL library.

@@ -15,10 +15,9 @@ from modsim3d.view import palette
 from modsim3d.view.frame_picture import CameraView, frame_picture
 from modsim3d.view.hatching import silhouette_mask
 from modsim3d.view.ids_picture import ids_picture
-from modsim3d.view.layers import DETECTIONS, Layers
+from modsim3d.view.layers import DETECTIONS, SCENE, Layers
 from modsim3d.view.legend import id_entries, letters
 from modsim3d.view.plain import background
-from modsim3d.view.scene_picture import scene_picture
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 from tests.scenes import crossing
@@ -222,7 +221,7 @@ def test_silhouette_mask_covers_what_the_truth_counts(camera_views):
 def test_the_scene_shows_sea_sky_and_each_vessel_in_shades_of_its_hue(scene, hiding, renderer):
     camera, step = hiding.solids.camera, hiding.frame.step
     window = Window.whole(camera.intrinsics.image_size_px, 800)
-    picture = np.asarray(scene_picture(scene, camera, step, window, renderer)).astype(float)
+    picture = np.asarray(frame_picture(hiding, window, SCENE, renderer)).astype(float)
     ids = Solids.at(scene, camera, step).ids(window, renderer)
     assert len(np.unique(ids)) > 3
     for value in np.unique(ids[ids > 0]).tolist():

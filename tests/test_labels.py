@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from modsim3d.view import labels
+from modsim3d.boxes import intersections
 from modsim3d.view.canvas import Canvas
 from modsim3d.view.labels import Label, draw_labels
 
@@ -55,4 +55,4 @@ def test_a_label_of_a_box_outside_the_picture_is_left_out():
 def test_places_never_lie_on_taken_ones():
     taken = np.array([[0.0, 0.0, 10.0, 10.0]])
     places = np.array([[10.0, 0.0, 20.0, 10.0], [9.0, 9.0, 12.0, 12.0]])
-    np.testing.assert_array_equal(labels._shared(places, taken), [[0.0], [1.0]])
+    np.testing.assert_array_equal(intersections(places[:, None], taken), [[0.0], [1.0]])

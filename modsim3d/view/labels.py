@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array
+from modsim3d.boxes import areas, intersections
 from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
 from modsim3d.view.window import Box
@@ -54,12 +55,12 @@ def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> i
         places = _places(label, np.array(canvas.plate_size(label.text)), size)
         if not len(places):
             continue
-        taken = _shared(places, plates).any(axis=1)
+        taken = (intersections(places[:, None], plates) > 0).any(axis=1)
         if taken.all():
             continue
         # A label next to its box is worth covering some of what else is there.
-        plate = (places[0, 2:] - places[0, :2]).prod()
-        covered = (_shared(places, content) / np.clip(_areas(content), 1, plate)).sum(axis=1)
+        plate = areas(places[0])
+        covered = (intersections(places[:, None], content) / np.clip(areas(content), 1, plate)).sum(axis=1)
         cost = covered + 0.35 * np.arange(len(places)) / 6 + np.where(taken, np.inf, 0.0)
         best = places[int(np.argmin(cost))]
         chosen.append((label, best))
@@ -94,20 +95,6 @@ def _places(label: Label, plate: Array, size: Array) -> Array:
     # Along an edge of the picture a label slides in, as long as it still touches its box.
     moved = np.rint(np.clip(corners, 0, size - plate))
     return np.concatenate([moved, moved + plate], axis=1)
-
-
-def _shared(places: Array, boxes: Array) -> Array:
-    """Area that each place shares with each box, shape (k, n)."""
-    low = np.maximum(places[:, None, :2], boxes[None, :, :2])
-    high = np.minimum(places[:, None, 2:], boxes[None, :, 2:])
-    sides = np.maximum(high - low, 0)
-    area: Array = sides[..., 0] * sides[..., 1]
-    return area
-
-
-def _areas(boxes: Array) -> Array:
-    areas: Array = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
-    return areas
 
 
 def _lead(canvas: Canvas, label: Label, place: Array) -> None:

@@ -44,16 +44,24 @@ def background(
     draw.rectangle((left, top, right - 1, bottom - 1), fill=sky)
     # A pixel is of the sea if its centre is; whole pixels count from their own corner here.
     frame = np.array([(left, top), (right - 1, top), (right - 1, bottom - 1), (left, bottom - 1)])
-    polygon = _kept(frame, sea_half_plane, window)
+    polygon = below_horizon(frame, (frame + 0.5) / window.scale + (window.x, window.y), sea_half_plane)
     if len(polygon):
         draw.polygon([tuple(point) for point in np.rint(polygon).tolist()], fill=sea)
     return picture
 
 
-def _kept(polygon: Array, half_plane: Array, window: Window) -> Array:
-    """The part of a convex polygon of pixels on the sea's side of the horizon."""
-    image = (polygon + 0.5) / window.scale + (window.x, window.y)
-    value = image @ half_plane[:2] + half_plane[2]
+def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> Array:
+    """The part of a convex polygon on the sea's side of the horizon.
+
+    Args:
+        polygon: Its corners in any affine coordinates of the image, shape (n, 2).
+        polygon_px: The same corners in pixels of the image, shape (n, 2).
+        sea_half_plane: (a, b, c), see `Intrinsics.sea_half_plane`, shape (3,).
+
+    Returns:
+        Corners in the coordinates of `polygon`, shape (m, 2); empty if there is no sea in it.
+    """
+    value = polygon_px @ sea_half_plane[:2] + sea_half_plane[2]
     points = []
     for i in range(len(polygon)):
         if (value[i - 1] >= 0) != (value[i] >= 0):
