@@ -33,8 +33,8 @@ class DrawnFilm:
 
     Attributes:
         path: The file, or the folder of PNG files.
-        size: Width and height.
-        frames: Different ones.
+        size: Width and height in pixels.
+        frames: Number of different frames.
         timetable: How long each frame is shown.
     """
 
@@ -69,7 +69,7 @@ def draw_film(
     Args:
         selection: Steps and cameras.
         plan: What every picture shows.
-        kind: Of `FORMATS`.
+        kind: One of `FORMATS`.
         path: The file, or the folder of PNG files.
         speed: Seconds of the run in one of the film.
         workers: Processes that draw; the film is the same bytes whatever their number.

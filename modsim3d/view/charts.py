@@ -224,7 +224,7 @@ def precision_recall(curves: Mapping[str, tuple[Array, Array]], caption: str) ->
 
     Args:
         curves: Name → recall and precision, shape (n,) each.
-        caption: Of the figure.
+        caption: Text below the figure.
     """
     axes, content = Axes((0, 1), (0, 1.02)), ""
     for index, (recall, precision) in enumerate(curves.values()):
@@ -248,7 +248,7 @@ def error_scatter(groups: Mapping[str, Array], x_label: str, y_label: str, capti
         groups: Name → errors, shape (n, 2) each.
         x_label: What the first error of a pair is, with its unit.
         y_label: What the second one is, with its unit.
-        caption: Of the figure.
+        caption: Text below the figure.
     """
     deviations = CHI_SQUARE_95**0.5
     rims = {name: ellipse(e.mean(axis=0), np.cov(e.T), deviations) for name, e in groups.items() if len(e) > 2}

@@ -1,4 +1,4 @@
-"""Which frames of a run are worth a look."""
+"""Chooses frames of a run that are worth looking at."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Highlight:
     """A frame of a run and what to look at in it.
 
     Attributes:
-        step: Of the frame.
-        camera: Its ID.
-        focus_px: Box to look at: x_min, y_min, x_max, y_max.
-        caption: What happens there.
+        step: Step of the frame.
+        camera: ID of the camera that took it.
+        focus_px: The box to look at: x_min, y_min, x_max, y_max, in pixels.
+        caption: What happens in the box.
     """
 
     step: int
@@ -74,7 +74,7 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Rows that are wanted, what they are ranked by (the least is shown), and their caption."""
+    """A kind of highlight: which rows it may be, their rank (the least is shown), and the caption of a row."""
 
     wanted: Callable[[_Rows], Mask]
     rank: Callable[[_Rows], Array]

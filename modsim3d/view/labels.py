@@ -1,4 +1,4 @@
-"""Where labels go, so that none lies on another."""
+"""Places labels so that none lies on another."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Label:
     """A text that belongs to a box.
 
     Attributes:
-        box: In picture coordinates.
-        text: What it says.
-        colour: Of its plate.
-        below: Whether it rather stands below the box than above.
+        box: The box that it belongs to, in pixels of the picture.
+        text: The text.
+        colour: Colour of the plate behind the text.
+        below: Whether it is better placed below the box than above it.
     """
 
     box: Box
@@ -34,15 +34,15 @@ class Label:
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
-    """Draw labels, the first ones at the best places; one that finds no place is left out.
+    """Draw labels, the first ones at the best places; a label without a free place is left out.
 
     Args:
-        canvas: Draws.
+        canvas: The picture to draw on.
         labels: In order of importance.
-        keep_clear: Boxes that are better not covered.
+        keep_clear: Boxes that labels avoid to cover.
 
     Returns:
-        How many were drawn.
+        The number of labels drawn.
     """
     size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))

@@ -1,4 +1,4 @@
-"""Keys to what is drawn, as strips of sample and text that break where the width ends."""
+"""Legends: samples of lines and colours with what they mean, wrapped to the width of the picture."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ MOST_VESSELS = 40
 
 @dataclass(frozen=True)
 class Entry:
-    """A sample and what it means.
+    """An entry of a legend.
 
     Attributes:
         text: What it means.
-        colour: Of the sample.
+        colour: The sample's colour.
         style: `box`, `dashed`, `false`, `missed`, `hatched` or `filled`.
     """
 
@@ -31,11 +31,11 @@ class Entry:
 
 
 def detection_entries(layers: Layers, mode: int) -> list[Entry]:
-    """The key to boxes.
+    """The legend of boxes.
 
     Args:
-        layers: That are drawn.
-        mode: Annotation mode.
+        layers: The layers that are drawn.
+        mode: Annotation mode of the scene.
     """
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
@@ -50,23 +50,23 @@ def detection_entries(layers: Layers, mode: int) -> list[Entry]:
 
 
 def vessel_entries(names: Sequence[str]) -> list[Entry]:
-    """The key to the colours and numbers of vessels."""
+    """The legend of vessels, with their numbers."""
     return _first_ones([Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)])
 
 
 def id_entries(vessels: Sequence[str], obstacles: Sequence[str]) -> list[Entry]:
-    """The key to an ID map.
+    """The legend of an ID map.
 
     Args:
-        vessels: Their names.
-        obstacles: Theirs.
+        vessels: Names of the vessels.
+        obstacles: Names of the obstacles.
     """
     land = [Entry(f"{letters(i)} {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
     return [*vessel_entries(vessels), *_first_ones(land), Entry("hidden", palette.VESSELS[0], "hatched")]
 
 
 def letters(index: int) -> str:
-    """What marks an obstacle on an ID map, where vessels have numbers: a to z, aa, ab, ..."""
+    """The letters of an obstacle on an ID map, where vessels have numbers: a to z, aa, ab, ..."""
     rest, last = divmod(index, 26)
     return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
 
@@ -77,7 +77,7 @@ def _first_ones(entries: list[Entry]) -> list[Entry]:
 
 
 def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
-    """A strip of a width, as high as its entries need; of no height without any."""
+    """A strip of the given width, as high as its entries need: 0 without any."""
     rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
     x = text_px // 2
     for entry in entries:

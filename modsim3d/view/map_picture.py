@@ -58,8 +58,8 @@ def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | N
     Args:
         birds_eye: The scene.
         step: The step.
-        width_px: Of the whole figure, at its own resolution.
-        height_px: As high as the map needs if None.
+        width_px: Width of the whole figure.
+        height_px: Its height; as high as the map needs if None.
 
     Raises:
         ModsimError: matplotlib is not installed.
@@ -75,13 +75,13 @@ def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | N
 
 
 def map_height_px(birds_eye: BirdsEye, width_px: int) -> int:
-    """The height that a map of a width needs; even, as films want it."""
+    """The height that a map of the given width needs; even, as films need it."""
     x0, x1, y0, y1 = birds_eye.extent_m
     return 2 * round(width_px * (0.92 * (y1 - y0) / (x1 - x0) + FURNITURE) / 2)
 
 
 def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:
-    """Write the map at a step; the path's ending says as what. The same map is the same bytes."""
+    """Write the map at a step in the format of the path's ending; the same map gives the same bytes."""
     check_matplotlib()
     from matplotlib import rc_context
 
@@ -104,7 +104,7 @@ def map_picture(birds_eye: BirdsEye, step: int, size: tuple[int, int]) -> Image.
 
 @dataclass(eq=False)
 class _Map:
-    """One map while it is drawn; names are put where there is room for them when all else is there."""
+    """One map while it is drawn."""
 
     figure: Figure
     birds_eye: BirdsEye

@@ -23,7 +23,7 @@ def lights(sight: Sight, vessels: tuple[Vessel, ...]) -> tuple[Array, Array]:
 
     Args:
         sight: What the camera has before it.
-        vessels: Of the scene.
+        vessels: The vessels of the scene.
 
     Returns:
         Places in the world, shape (n, 3), and colours, shape (n, 3).
@@ -53,7 +53,7 @@ def glow(rgb: NDArray[np.float32], place_px: Array, colour: Array, radius_px: fl
         rgb: sRGB from 0 to 1, shape (h, w, 3); changed.
         place_px: Column and row, shape (2,).
         colour: Shape (3,).
-        radius_px: Of the point.
+        radius_px: Radius of the point.
     """
     reach = math.ceil(8 * radius_px)
     height, width = rgb.shape[:2]

@@ -29,10 +29,10 @@ def background(
 
     Args:
         window: What to show.
-        sea_half_plane: (a, b, c) of the horizon, in image pixels.
-        image_size_px: Of the camera.
-        sea: Colour.
-        sky: Colour.
+        sea_half_plane: (a, b, c): the sea is where a x + b y + c ≥ 0, in pixels of the image, shape (3,).
+        image_size_px: Width and height of the camera's image.
+        sea: Colour of the sea.
+        sky: Colour of the sky.
     """
     picture = Image.new("RGB", window.size, palette.PAPER)
     draw = ImageDraw.Draw(picture)
@@ -98,9 +98,9 @@ def fill_solids(
         picture: To draw on.
         window: What it shows.
         solids: The vessels.
-        drawer: Says which is in front.
+        drawer: Draws ID buffers.
         dim: Share of black in all colours, so that boxes stand out.
-        samples: Each side is drawn this much larger and shrunk.
+        samples: Factor by which sides are drawn larger before they are shrunk.
     """
     triangles = solids.triangles
     if not len(triangles.row):
@@ -124,5 +124,5 @@ def fill_solids(
 
 
 def owner_colour(owner: int, vessels: int) -> Colour:
-    """The colour of a vessel, or of what else may hide one."""
+    """The colour of a vessel, or that of obstacles for an index beyond the vessels."""
     return palette.vessel_colour(owner) if owner < vessels else palette.OBSTACLE

@@ -97,7 +97,7 @@ class Backdrop:
         colour: sRGB from 0 to 1, shape (h, w, 3).
         sea: Which pixels show the sea, shape (h, w).
         mirror: Share of the light that the sea reflects there, shape (h, w).
-        ripple: How ripples turn the sea, about −1 to 1, shape (h, w).
+        ripple: Strength of the ripples, about −1 to 1, shape (h, w).
     """
 
     colour: Floats
@@ -112,7 +112,7 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
     Args:
         rays: Directions in which the pixels look.
         camera_R_world: Rotation WCF to CCF, shape (3, 3).
-        position_m: Of the camera in WCF, shape (3,).
+        position_m: Position of the camera in WCF, shape (3,).
         focal_px: Pixels of the picture for a radian, near its middle.
         style: Weather and time of day.
     """

@@ -1,7 +1,7 @@
 """A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
 
-For looking at. Which pixel shows which vessel is as in the ID buffer of the same size; light, fog and night are
-illustration, and nothing in the simulation knows of them.
+Which pixel shows which vessel is as in the ID buffer of the same size. Light, fog and night are illustration: the
+simulation does not use them.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class ShadedPictureRenderer:
         Args:
             solids: What stands before the camera.
             window: What of its image to show, and how large.
-            vessels: Of the scene, whose lights are shown by night.
-            samples: Buffer pixels for each pixel of the window and axis; 1 blends no edge.
+            vessels: All vessels of the scene, whose lights are shown by night.
+            samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
         """
         poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
         rays = self._rays_of(intrinsics, window)
@@ -74,7 +74,7 @@ class ShadedPictureRenderer:
         return picture
 
     def _backdrop(self, rays: Rays, poses: CameraPoses, intrinsics: Intrinsics, window: Window) -> Backdrop:
-        """Sea and sky; those of the picture before if the camera has not moved."""
+        """Sea and sky; kept from the last picture if the camera has not moved."""
         pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
         known = self._behind.get((intrinsics, window))
         if known is None or not np.array_equal(known[0], pose):
@@ -100,7 +100,7 @@ class ShadedPictureRenderer:
         return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
 
     def _stand(self, rgb: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int) -> Floats:
-        """The solids themselves; gives their depth at each pixel."""
+        """Draw the solids; returns their depth in metres at each pixel, infinite where there is none, shape (h, w)."""
         depth_m = np.full(rgb.shape[:2], np.inf, np.float32)
         region = _region(faces, solids, window)
         if not region.width or not region.height:
@@ -120,7 +120,7 @@ class ShadedPictureRenderer:
     def _lights(
         self, rgb: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
     ) -> None:
-        """The lights of vessels that nothing hides."""
+        """Draw the lights that nothing hides."""
         places, colours = lights(solids.sight, vessels)
         seen = solids.sight.camera_poses.to_camera(places[None])[0]
         pixels = window.to_picture(solids.intrinsics.project(seen))
@@ -134,7 +134,7 @@ class ShadedPictureRenderer:
             glow(rgb, np.array([x, y]), colour * bright, radius)
 
     def _reflect(self, rgb: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
-        """What the sea shows of the solids upside down, moved by ripples."""
+        """Draw the reflections of the solids, moved by ripples."""
         mirrored = _mirrored(faces, solids)
         if not len(mirrored.colours):
             return
@@ -168,7 +168,7 @@ def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
 
 
 def lit_faces(solids: Solids) -> LitFaces:
-    """The solids' triangles as the image of a pinhole shows them: of a lens that distorts, as it bends them."""
+    """The triangles of the solids for a pinhole renderer; a lens that distorts has bent them before."""
     triangles, intrinsics = solids.triangles, solids.intrinsics
     snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
     depth = intrinsics.near_clip_m / triangles.inverse_depth
@@ -179,7 +179,7 @@ def lit_faces(solids: Solids) -> LitFaces:
 
 
 def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
-    """What is above the sea, turned over about it, but for faces that the near plane would cut."""
+    """The faces above the sea mirrored at it, without those that the near plane would cut."""
     poses = solids.sight.camera_poses
     rotation, place = poses.camera_R_world[0], poses.positions_m[0]
     world = faces.corners_camera @ rotation + place

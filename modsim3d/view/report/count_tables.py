@@ -12,18 +12,18 @@ Rows = list[tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False)
 class CountTables:
-    """What is counted: columns over all steps of a run.
+    """Tables of counts over all steps of a run. A frame is one camera at one step.
 
     Attributes:
-        frame_state: Performance state of each image, shape (F,).
-        vessel: Of each truth row, shape (n,).
-        state: In the image of each truth row, shape (n,).
-        silhouette_px: Shape (n,).
-        visible_px: NaN where unknown, shape (n,).
-        annotated: Shape (n,).
-        detected: Shape (n,).
-        false_state: State in the image of each false positive, shape (m,).
-        mislabelled: Detections of a vessel under another label.
+        frame_state: Performance state of each frame, shape (F,).
+        vessel: Index of the vessel of each truth row, shape (n,).
+        state: Performance state of the frame of each truth row, shape (n,).
+        silhouette_px: Area of the silhouette in pixels, shape (n,).
+        visible_px: Pixels of it that are seen, NaN where unknown, shape (n,).
+        annotated: Whether the row was given to the detector, shape (n,).
+        detected: Whether it was detected, shape (n,).
+        false_state: Performance state of the frame of each false positive, shape (m,).
+        mislabelled: Number of detections with another label than their vessel's.
     """
 
     frame_state: Indices
@@ -38,13 +38,13 @@ class CountTables:
 
     @property
     def hidden_in_part(self) -> Mask:
-        """Truth rows of which something is seen and something is hidden."""
+        """Truth rows that are hidden in part, shape (n,)."""
         hidden: Mask = (self.visible_px > 0) & (self.visible_px < self.silhouette_px)
         return hidden
 
     @property
     def hidden_wholly(self) -> Mask:
-        """Truth rows that have pixels, none of them seen."""
+        """Truth rows that are hidden wholly, shape (n,)."""
         hidden: Mask = (self.visible_px == 0) & (self.silhouette_px > 0)
         return hidden
 

@@ -20,7 +20,7 @@ from modsim3d.view.report.contours import contours
 from modsim3d.view.report.recording import NONE
 
 MOST_FACES = 300_000
-"""Whose outlines are made together: few calls, little memory."""
+"""Number of faces whose outlines are computed together: few calls, little memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class Shape:
     Attributes:
         frame: Number of the outlines' frame.
         owner: Index into the scene's occluder names.
-        corners: Of its closed lines, one after the other, as multiples of the quantum, shape (k, 2).
-        count: Of corners of each line, shape (l,).
+        corners: Corners of its closed lines, line after line, as multiples of the quantum, shape (k, 2).
+        count: Number of corners of each line, shape (l,).
     """
 
     frame: int
@@ -43,12 +43,12 @@ class Shape:
 def shapes(
     outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, owners: int, hides: Indices
 ) -> Iterator[Shape]:
-    """All there is to be painted, in order of frame and from back to front.
+    """The silhouettes of all frames, frame by frame and from back to front.
 
     Args:
         outlines: What is before the camera.
-        intrinsics: Of the camera.
-        quantum_px: Of lengths in the image.
+        intrinsics: Intrinsics of the camera.
+        quantum_px: The unit of lengths in the image.
         owners: Number of the scene's occluder names.
         hides: What hides what in the truth, see `in_front`.
     """
@@ -85,7 +85,7 @@ def _in_turns(outlines: Outlines) -> list[Indices]:
 
 
 def _closed(outlines: Outlines) -> Mask:
-    """Whether each row's solid is, shape (n,)."""
+    """Whether the solid of each row is closed, shape (n,)."""
     closed = np.zeros(len(outlines), dtype=bool)
     for part in outlines.parts:
         closed[part.rows] = part.solid.closed
@@ -93,7 +93,10 @@ def _closed(outlines: Outlines) -> Mask:
 
 
 def _one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[Mask, Indices]:
-    """Which triangles are needed, and their corners, all the same way round; of closed solids those that face us."""
+    """Which triangles are needed, shape (T,), and their corners in one sense of rotation, shape (T', 3, 2).
+
+    Of a closed solid only the triangles that face the camera are needed.
+    """
     a, b, c = np.moveaxis(corners_px, 1, 0)
     # Rows run downwards: the area of a face turned to the camera is positive this way round.
     doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
@@ -105,8 +108,9 @@ def _one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[M
 def in_front(outlines: Outlines, owners: int, hides: Indices) -> tuple[Indices, Indices]:
     """Rows that may be hidden in part, and the rows of the same frame that may hide them.
 
-    A plane between two solids, or between the boxes around them, says it. Where there is none the truth does, if one of
-    the two hides the other and not the other way round; it knows nothing of what vessels hide of obstacles.
+    A plane between two solids, or between the boxes around them, tells which one is in front. Without such a plane the
+    truth decides, if one of the two hides the other and not the other way round. It does not say what vessels hide of
+    obstacles.
 
     Args:
         outlines: What is before the camera.
@@ -139,22 +143,22 @@ def _in_a_box(part: Part) -> Part:
 
 
 def _keys(outlines: Outlines, hidden: Indices, hider: Indices, owners: int) -> Indices:
-    """Of pairs of rows, as in the truth's."""
+    """Keys of pairs of rows, as `in_front` describes them, shape (p,)."""
     keys: Indices = (outlines.frame[hidden] * owners + outlines.vessel[hidden]) * owners + outlines.vessel[hider]
     return keys
 
 
 def painting_order(frame: Indices, depth_m: Array, owner: Indices, hidden: Indices, hider: Indices) -> Indices:
-    """Rows so that what is painted later hides what it is known to hide; farther ones first otherwise.
+    """Sort rows so that each is painted after what it hides, and otherwise the farthest first.
 
-    The distance of the centres alone would put a long ship before the boat that lies in front of its stern.
+    Sorting by depth alone could paint a long ship over the boat that lies in front of its stern.
 
     Args:
-        frame: Of each row, ascending, shape (n,).
-        depth_m: Shape (n,).
-        owner: Of each row; the pieces of one are painted together where that can be, shape (n,).
-        hidden: Rows of which a part may be hidden, shape (p,).
-        hider: By which row of the same frame, shape (p,).
+        frame: Frame of each row, ascending, shape (n,).
+        depth_m: Depth of each row, shape (n,).
+        owner: Owner of each row, shape (n,). The pieces of one owner are painted together where that is possible.
+        hidden: Rows that may be hidden in part, shape (p,).
+        hider: For each of them, the row of the same frame that may hide it, shape (p,).
 
     Returns:
         A permutation of the rows, in order of frame, shape (n,).
