@@ -132,11 +132,11 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
         raise ModsimError(
-            f"--crop {text}: four pixel numbers are needed, x_min,y_min,x_max,y_max, or: vessels"
+            f"--crop {text}: give four numbers of pixels, x_min,y_min,x_max,y_max, or the word vessels"
         ) from None
     for index in selection.cameras:
         camera = selection.run.scene.cameras[index]
         width, height = camera.intrinsics.image_size_px
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
-            raise ModsimError(f"--crop {text} is no part of {camera.name}'s image of {width} × {height} px")
+            raise ModsimError(f"--crop {text} is not inside {camera.name}'s image of {width} × {height} px")
     return ((x0, y0, x1, y1),) * len(selection.cameras)

@@ -209,7 +209,7 @@ def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path, 
     for step, camera in ((9, 8), (30, 30)):
         assert count[frame[step, 1]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
     assert thinned["taken"].reshape(-1, 2)[3:5].tolist() == [[9, 8], [12, 10]]
-    assert {name: text for name, text, _ in kept[0].overall}["Images"] == str(STEPS + len(SLOW))
+    assert {name: text for name, text, _ in kept[0].overall}["Frames"] == str(STEPS + len(SLOW))
 
 
 @pytest.mark.parametrize(

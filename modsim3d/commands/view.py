@@ -75,11 +75,11 @@ def view_command(
 def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None, sheet: bool) -> None:
     """Check that the options ask for something, and for one thing only."""
     if film is None and frame is None and not sheet and not map_:
-        raise ModsimError("what is to be drawn? --film detections, --frame 255, --map or --sheet")
+        raise ModsimError("nothing to draw: give --film detections, --frame 255, --map or --sheet")
     if at is not None and not map_:
-        raise ModsimError(f"--at {at} is for --map; one picture of a camera's image is --frame {at}")
+        raise ModsimError(f"--at works with --map only; for one picture of a camera's image use --frame {at}")
     if map_ and (film is not None or frame is not None):
-        raise ModsimError("--map is a picture of its own, with --at TIME; a film of maps is --film map")
+        raise ModsimError("--map draws one picture, at the time of --at; for a film of maps use --film map")
 
 
 def _select(
@@ -116,7 +116,7 @@ def _style(film: Film | None, look: Style | None, visibility: float | None, nigh
     weather = visibility is not None or night
     if (weather or look is not None) and film not in (None, Film.scene, Film.detections, Film.all):
         raise ModsimError(
-            f"--film {film.value} has no look: --look, --visibility and --night are for scene, detections, all"
+            f"--look, --visibility and --night work with --film scene, detections and all, not with {film.value}"
         )
     style = RenderStyle(look is not Style.plain, visibility, night)
     boxes_on_scene = look is Style.shaded or weather
@@ -127,7 +127,7 @@ def _style(film: Film | None, look: Style | None, visibility: float | None, nigh
         choose_backend()
     except RendererError as error:
         if boxes_on_scene:
-            raise RendererError(f"shaded pictures need OpenGL, --look plain does not: {error}") from error
+            raise RendererError(f"shaded pictures need OpenGL; use --look plain without it: {error}") from error
         return PLAIN_STYLE, False
     return style, boxes_on_scene
 
@@ -143,7 +143,7 @@ def _draw_map(
     step = len(times_of(run)) - 1 if at is None else find_step(run, at)
     path = out or run.folder / f"map_{step:06d}.png"
     if path.suffix.lower() not in FORMATS:
-        raise ModsimError(f"{path}: a map is written as {', '.join(FORMATS)}; its name must end so")
+        raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
     check_matplotlib()
     check_free(path, overwrite)
     _say_what_there_is(run)
@@ -166,7 +166,7 @@ def _plan(
     several = film is not Film.map and (len(kinds) > 1 or len(selection.cameras) > 1)
     wide = width or (SEVERAL_WIDTH_PX if several else WIDTH_PX)
     if wide % 2:
-        raise ModsimError(f"--width {wide}: films have an even width: {wide - 1} or {wide + 1}")
+        raise ModsimError(f"--width {wide}: films need an even width, such as {wide - 1} or {wide + 1}")
     chosen = Layers.of(name.strip() for name in layers.split(",")) if layers is not None else None
     crops = crop_to_vessels(selection) if crop == "vessels" else parse_crop(selection, crop) if crop else ()
     if film is Film.map:
@@ -181,7 +181,7 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
 
     if not run.finished:
         raise ModsimError(
-            f"{run.folder} holds an interrupted run: a contact sheet needs a finished one (go on with "
+            f"{run.folder} holds an interrupted run, and a contact sheet needs a finished one (go on with "
             f"modsim3d run --resume); --film and --frame draw the {run.steps} steps that are there"
         )
     check_free(run.folder / SHEET_FILE, overwrite)
@@ -193,7 +193,7 @@ def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | 
 
     path = out or selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png"
     if path.suffix.lower() != ".png":
-        raise ModsimError(f"{path}: a picture is written as PNG; its name must end in .png")
+        raise ModsimError(f"{path}: the name of a picture must end in .png")
     check_free(path, overwrite)
     typer.echo(f"picture  {draw_picture(selection, plan, path)}")
 
@@ -213,7 +213,7 @@ def _draw_film(
     from modsim3d.view.film_files import check_encoder
 
     if not 0 < speed < float("inf"):
-        raise ModsimError(f"--speed {speed:g}: a positive number is needed, such as 4 for four times as fast")
+        raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
     check_encoder(kind)
     path = out or selection.run.folder / (film.value if kind == "png" else f"{film.value}.{kind}")
     (check_free_folder if kind == "png" else check_free)(path, overwrite)

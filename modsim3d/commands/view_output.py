@@ -17,10 +17,12 @@ def film_format(option: Format | None, out: Path | None) -> str:
     ending = out.suffix.lower().removeprefix(".") if out is not None else ""
     if option is None:
         if ending and ending not in ("mp4", "gif"):
-            raise ModsimError(f"{out}: no film ends in .{ending}; use .mp4, .gif, or --format png and a folder")
+            raise ModsimError(
+                f"{out}: films cannot be written as .{ending}; use .mp4, .gif, or --format png with a folder"
+            )
         return ending or "mp4"
     if ending in [known.value for known in Format] and ending != option.value:
-        raise ModsimError(f"{out} and --format {option.value} say different things")
+        raise ModsimError(f"the ending of {out} contradicts --format {option.value}")
     return option.value
 
 
@@ -51,7 +53,7 @@ def check_free_folder(path: Path, overwrite: bool) -> None:
     entries = list(path.iterdir())
     strange = [entry.name for entry in entries if not entry.match("frame_*.png")]
     if strange:
-        raise ModsimError(f"{path} holds other things than frames of a film ({strange[0]}): choose another folder")
+        raise ModsimError(f"{path} holds other files than frames of a film ({strange[0]}): choose another folder")
     if entries and not overwrite:
         raise ModsimError(f"{path} exists: use --overwrite, or another name with --out")
 

@@ -24,9 +24,7 @@ ENCODER_THREADS = 2
 KEY_FRAME_S = 2
 FFMPEG: Any = "FFMPEG"
 """A plugin that imageio's type hints leave out."""
-NO_FFMPEG = (
-    "an MP4 needs ffmpeg, which is not here: pip install 'modsim3d[video]'; --format gif and --format png do without"
-)
+NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif and --format png do not need it"
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ def detection_entries(layers: Layers, mode: int) -> list[Entry]:
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
         (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
-        (layers.visible and mode < 2, Entry("what is seen", palette.TRUTH, "dashed")),
+        (layers.visible and mode < 2, Entry("visible part", palette.TRUTH, "dashed")),
         (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
         (layers.false_positives, Entry("false positive", palette.ALARM, "false")),

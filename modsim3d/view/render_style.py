@@ -32,10 +32,12 @@ class RenderStyle:
             ModsimError: With what is wrong.
         """
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
-            raise ModsimError(f"--visibility {self.visibility_m:g}: metres are needed, such as 800 for fog")
+            raise ModsimError(
+                f"--visibility {self.visibility_m:g}: give a positive distance in metres, such as 800 for fog"
+            )
         if not self.shaded and (self.visibility_m is not None or self.night):
             option = "--night" if self.night else "--visibility"
-            raise ModsimError(f"{option} is for shaded pictures: leave out --look plain")
+            raise ModsimError(f"{option} works in shaded pictures only: leave out --look plain")
 
     @property
     def extinction_per_m(self) -> float:
@@ -47,7 +49,7 @@ class RenderStyle:
         """What is said on the picture, so that nobody takes weather for a part of the simulation."""
         fog = [] if self.visibility_m is None else [f"visibility {self.visibility_m:,.0f} m"]
         weather = fog + (["night"] if self.night else [])
-        return f"illustration: {', '.join(weather)}; truth and detector know nothing of it" if weather else ""
+        return f"illustration: {', '.join(weather)}; not part of truth or detections" if weather else ""
 
 
 PLAIN_STYLE = RenderStyle()

@@ -49,12 +49,12 @@ class CountTables:
         return hidden
 
     def overall(self) -> Rows:
-        """What happened, summed over images: name, count, and what it is a share of."""
+        """What happened, summed over frames: name, count, and its share."""
         annotated, detected = int(self.annotated.sum()), int((self.annotated & self.detected).sum())
         false = len(self.false_state)
         return [
-            ("Images", str(len(self.frame_state)), ""),
-            ("Vessels in images", str(len(self.vessel)), "summed over images"),
+            ("Frames", str(len(self.frame_state)), ""),
+            ("Vessels in frames", str(len(self.vessel)), "summed over frames"),
             ("Partly hidden", str(int(self.hidden_in_part.sum())), share(self.hidden_in_part.sum(), len(self.vessel))),
             ("Wholly hidden", str(int(self.hidden_wholly.sum())), ""),
             ("Annotated", str(annotated), "given to the detector"),
@@ -65,7 +65,7 @@ class CountTables:
         ]
 
     def by_vessel(self, names: Sequence[str]) -> Rows:
-        """For each vessel: images, of those hidden in part and wholly, annotated, detected, missed, their share."""
+        """For each vessel: frames, those hidden in part and wholly, annotated, detected, missed, miss rate."""
         rows = []
         for index, name in enumerate(names):
             mine = self.vessel == index
@@ -77,23 +77,23 @@ class CountTables:
         return rows
 
     def by_state(self, names: Sequence[str]) -> Rows:
-        """For each state: images, annotated, detected, missed, their share, false positives, their share."""
+        """For each state: frames, annotated, detected, missed, miss rate, false positives, share of detections."""
         rows = []
         for index, name in enumerate(names):
             mine = self.state == index
             annotated, detected = int((self.annotated & mine).sum()), int((self.detected & mine).sum())
-            false, images = int((self.false_state == index).sum()), int((self.frame_state == index).sum())
+            false, frames = int((self.false_state == index).sum()), int((self.frame_state == index).sum())
             missed = annotated - detected
-            numbers = (images, annotated, detected, missed)
+            numbers = (frames, annotated, detected, missed)
             shares = share(missed, annotated), str(false), share(false, detected + false)
             rows.append((name, *map(str, numbers), *shares))
         return rows
 
 
-VESSEL_HEADER = ("Vessel", "Images", "Partly hidden", "Wholly hidden", "Annotated", "Detected", "Missed", "Miss rate")
+VESSEL_HEADER = ("Vessel", "Frames", "Partly hidden", "Wholly hidden", "Annotated", "Detected", "Missed", "Miss rate")
 STATE_HEADER = (
     "Performance state",
-    "Images",
+    "Frames",
     "Annotated",
     "Detected",
     "Missed",
