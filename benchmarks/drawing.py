@@ -22,23 +22,23 @@ from pathlib import Path
 from PIL import Image
 
 from benchmarks import scenes
-from modsim3d.draw_film import Draughtsman, open_drawer, open_painter
 from modsim3d.film_plan import FilmPlan
+from modsim3d.film_renderer import FilmRenderer, open_drawer, open_shaded_picture_renderer
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import load_scene
-from modsim3d.selection import LatestFrames, select, select_cameras
+from modsim3d.selection import StepFrames, select, select_cameras
 from modsim3d.stored_run import open_run
-from modsim3d.view.film_files import open_film
-from modsim3d.view.look import PLAIN_LOOK, SHADED, Look
+from modsim3d.view.film_files import EncodedFrame, write_film
+from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "DRAWING.md"
 WIDTH_PX, PROMISED = 1280, 10.0
 KINDS = {
-    "detections": ("detections", PLAIN_LOOK),
-    "scene, plain": ("scene", PLAIN_LOOK),
-    "scene, shaded": ("scene", Look(SHADED)),
-    "ids": ("ids", PLAIN_LOOK),
+    "detections": ("detections", PLAIN_STYLE),
+    "scene, plain": ("scene", PLAIN_STYLE),
+    "scene, shaded": ("scene", RenderStyle(shaded=True)),
+    "ids": ("ids", PLAIN_STYLE),
 }
 SCENES = {
     "simulation_1": "Simulation 1: five vessels",
@@ -71,14 +71,14 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
     run_scene(load_scene(path, mode=2, steps=steps), folder / name)
     run = open_run(folder / name)
     selection = select(run, select_cameras(run, []))
-    frames = list(selection.latest_frames())
+    frames = list(selection.step_frames())
     assert run.scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
     rows = []
     with open_drawer(run.scene) as drawer, ExitStack() as stack:
-        for title, (kind, look) in KINDS.items():
-            painter = stack.enter_context(open_painter(look)) if look.shaded else None
-            plans = (FilmPlan((kind,), selection.cameras, width, look=look) for width in (WIDTH_PX, 3600))
-            at_size, at_full = (Draughtsman(run.scene, plan, drawer, painter) for plan in plans)
+        for title, (kind, style) in KINDS.items():
+            painter = stack.enter_context(open_shaded_picture_renderer(style)) if style.shaded else None
+            plans = (FilmPlan((kind,), selection.cameras, width, style=style) for width in (WIDTH_PX, 3600))
+            at_size, at_full = (FilmRenderer(run.scene, plan, drawer, painter) for plan in plans)
             drawn, shrunk = [], []
             some = frames[:: max(1, len(frames) // 3)]
             for _ in range(rounds):
@@ -90,30 +90,28 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
             rows.append(f"| {' | '.join(cells)} |")
             print(rows[-1], file=sys.stderr, flush=True)
         plan = FilmPlan(("detections",), selection.cameras, WIDTH_PX)
-        film = whole_film(Draughtsman(run.scene, plan, drawer), frames, folder / f"{name}.mp4")
+        film = whole_film(FilmRenderer(run.scene, plan, drawer), frames, folder / f"{name}.mp4")
     rows.append(f"| {SCENES[name]} | detections, with the encoder's time | {film:.1f} (one round) | – | – | – |")
     return rows
 
 
-def draw_all(draughtsman: Draughtsman, frames: list[LatestFrames]) -> None:
+def draw_all(film_renderer: FilmRenderer, frames: list[StepFrames]) -> None:
     for step in frames:
-        draughtsman.draw(step)
+        film_renderer.draw(step)
 
 
-def shrink_all(draughtsman: Draughtsman, frames: list[LatestFrames]) -> None:
+def shrink_all(film_renderer: FilmRenderer, frames: list[StepFrames]) -> None:
     """The slow way: at the camera's size, then smaller."""
     for step in frames:
-        picture = draughtsman.draw(step)
+        picture = film_renderer.draw(step)
         picture.resize((WIDTH_PX, picture.height * WIDTH_PX // picture.width), Image.Resampling.BOX)
 
 
-def whole_film(draughtsman: Draughtsman, frames: list[LatestFrames], path: Path) -> float:
+def whole_film(film_renderer: FilmRenderer, frames: list[StepFrames], path: Path) -> float:
     """Frames a second of this process and the encoder's together."""
     before = os.times()
-    first = draughtsman.draw(frames[0])
-    with open_film("mp4", path, first.size, Fraction(5)) as film:
-        for step in frames:
-            film.add(step.step, draughtsman.draw(step).tobytes(), 1)
+    encoded = (EncodedFrame.of(step.step, film_renderer.draw(step), "mp4", None) for step in frames)
+    write_film("mp4", path, ((frame, 1) for frame in encoded), Fraction(5))
     after = os.times()
     return len(frames) / sum(after[i] - before[i] for i in range(4))
 

@@ -9,14 +9,14 @@ from PIL import Image
 
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
 from modsim3d.compare_findings import VesselDifference
-from modsim3d.draw_film import open_drawer
+from modsim3d.film_renderer import open_drawer
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
 from modsim3d.stored_run import StoredRun
 from modsim3d.view.comparison_picture import comparison_picture
 from modsim3d.view.contact_sheet import contact_sheet
-from modsim3d.view.moments import Moment
-from modsim3d.view.painter import Subject
+from modsim3d.view.frame_picture import CameraView
+from modsim3d.view.highlights import Highlight
 from modsim3d.view.solids import Solids
 
 SHEET_FILE = "contact_sheet.png"
@@ -51,9 +51,9 @@ def draw_contact_sheet(run: StoredRun) -> Path:
     scene, path = run.scene, run.folder / SHEET_FILE
     title = f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
 
-    def subject(moment: Moment) -> Subject:
-        return Subject.of(scene, run.frame(moment.camera, moment.step))
+    def camera_view(highlight: Highlight) -> CameraView:
+        return CameraView.of(scene, run.frame(highlight.camera, highlight.step))
 
     with open_drawer(scene) as drawer:
-        contact_sheet(run.folder, title, scene.annotation.mode, subject, drawer).save(path)
+        contact_sheet(run.folder, title, scene.annotation.mode, camera_view, drawer).save(path)
     return path

@@ -1,4 +1,4 @@
-"""What the pictures of a film show: kinds, cameras, parts of their images, layers."""
+"""The contents of a film's pictures: kinds, cameras, parts of their images, layers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from modsim3d.view.birds_eye import BirdsEye
 from modsim3d.view.film_layout import FilmLayout
 from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
 from modsim3d.view.legend import Entry, detection_entries, id_entries, vessel_entries
-from modsim3d.view.look import PLAIN_LOOK, Look
 from modsim3d.view.map_picture import map_height_px
+from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
 from modsim3d.view.window import Box, Window
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
 TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}
-"""What is said of a kind in a panel, where its name does not say it."""
+"""Titles of panels whose kind's name says too little."""
 MOST_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
 LEAST_CROP = 0.02
@@ -35,14 +35,14 @@ class FilmPlan:
     """What every picture of a film shows; the same for all of its frames.
 
     Attributes:
-        kinds: Of `KINDS`, side by side.
+        kinds: Some of `KINDS`, shown side by side.
         cameras: Indices into the scene's cameras.
-        width: Of the whole picture.
-        layers: Of the kinds with boxes; each kind's own if None.
+        width: Width of the whole picture in pixels.
+        layers: Layers of the kinds with boxes; each kind's own if None.
         crops_px: Part of each camera's image that is shown, x_min, y_min, x_max, y_max; all of it if None.
-        look: How `scene` looks.
-        boxes_on_scene: Whether `detections` has the boxes on a picture in this look, in place of plain sea and sky.
-        steps: Of the run, for the tracks of a map.
+        style: Style of `scene`.
+        boxes_on_scene: Whether `detections` has the boxes on a picture in this style, in place of plain sea and sky.
+        steps: Number of steps of the run, for the tracks of a map.
         columns: Panels side by side; those of a camera, or the cameras, if None.
     """
 
@@ -51,13 +51,13 @@ class FilmPlan:
     width: int
     layers: Layers | None = None
     crops_px: tuple[Box | None, ...] = ()
-    look: Look = PLAIN_LOOK
+    style: RenderStyle = PLAIN_STYLE
     boxes_on_scene: bool = False
     steps: int = 0
     columns: int | None = None
 
     def layers_of(self, kind: str) -> Layers:
-        """What is drawn of a frame."""
+        """The layers of a kind."""
         return self.layers or {"detections": DETECTIONS, "corners": CORNERS, "scene": SCENE}[kind]
 
     def panels(self) -> list[tuple[int, str]]:
@@ -70,7 +70,7 @@ class FilmPlan:
         return BirdsEye(scene, self.steps, self.cameras)
 
     def layout(self, scene: Scene) -> FilmLayout:
-        """Where everything goes."""
+        """The places of panels and legend."""
         entries: list[Entry] = []
         if "detections" in self.kinds:
             entries += detection_entries(self.layers_of("detections"), scene.annotation.mode)
@@ -101,9 +101,9 @@ class FilmPlan:
 
 
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
-    """For each camera the part of its image in which vessels and their detections are."""
+    """The part of each camera's image in which vessels and their detections are, over all steps."""
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
-    for step in selection.latest_frames():
+    for step in selection.step_frames():
         for found, frame in zip(boxes, step.frames, strict=True):
             if frame is None:
                 continue
@@ -132,11 +132,11 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
         raise ModsimError(
-            f"--crop {text}: four pixel numbers are needed, x_min,y_min,x_max,y_max, or: vessels"
+            f"--crop {text}: give four numbers of pixels, x_min,y_min,x_max,y_max, or the word vessels"
         ) from None
     for index in selection.cameras:
         camera = selection.run.scene.cameras[index]
         width, height = camera.intrinsics.image_size_px
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
-            raise ModsimError(f"--crop {text} is no part of {camera.name}'s image of {width} × {height} px")
+            raise ModsimError(f"--crop {text} is not inside {camera.name}'s image of {width} × {height} px")
     return ((x0, y0, x1, y1),) * len(selection.cameras)

@@ -11,8 +11,7 @@ from modsim3d.boxes import errors_between
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.learn.average_precision import Curve, Ranking
 from modsim3d.learn_report import NEVER_LEARNED, Report, lead, tables
-from modsim3d.view import learn_figures as pictures
-from modsim3d.view import page
+from modsim3d.view import charts, page
 
 
 def write_page(report: Report, path: Path) -> None:
@@ -25,7 +24,7 @@ def write_page(report: Report, path: Path) -> None:
     body += [page.heading("Box errors"), *_scatter(report)]
     body += [page.heading("Confusion matrices"), *_matrices(report)]
     gains = {name: max(gain, 0.0) for name, gain in report.shares.gains.items()}
-    body += [page.heading("What average precision is lost to"), pictures.bars(gains, "points", _SHARES)]
+    body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
     for table in tables(report, every=True):
         body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
     notes = report.learned.form.notes
@@ -37,7 +36,7 @@ def write_page(report: Report, path: Path) -> None:
 
 _STYLE = (
     "body { max-width: 84rem; } .plots { display: flex; flex-wrap: wrap; gap: 1rem; } "
-    ".plots figure { width: 25rem; margin: 0; } .plots svg { width: 100%; height: auto; } "
+    ".plots figure { width: 25rem; margin: 0; } "
     ".wide { overflow-x: auto; font-size: 0.9rem; } "
     "table.shares td, table.shares th { padding: 0.25rem 0.6rem; } "
     ".shares .soft { color: inherit; opacity: 0.8; } table.shares th + th { text-align: right; } "
@@ -62,7 +61,7 @@ def _curve_pictures(report: Report) -> list[str]:
             curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
             if curve is not None and len(curve.recall):
                 of_state[f"{state}: AP {curve.all_points():.3f}"] = curve.recall, curve.interpolated
-        curves.append(pictures.precision_recall(of_state, f"{name}: largest precision at each recall or beyond."))
+        curves.append(charts.precision_recall(of_state, f"{name}: largest precision at each recall or beyond."))
     return ['<div class="plots">', *curves, "</div>"]
 
 
@@ -82,7 +81,7 @@ def _scatter(report: Report) -> list[str]:
         units = ("widths", "heights") if relative else ("px", "px")
         x, y = (f"{ERROR_COMPONENTS[k]} in {unit}" for k, unit in zip((i, j), units, strict=True))
         caption = f"Errors of {what}; ellipses hold 95 % of normal errors with the same mean and covariance."
-        plots.append(pictures.error_scatter(groups, x, y, caption))
+        plots.append(charts.error_scatter(groups, x, y, caption))
     return ['<div class="plots">', *plots, "</div>"]
 
 
@@ -95,6 +94,6 @@ def _matrices(report: Report) -> list[str]:
         shares[:k, k] = figures.columns["false labels"].estimate
         parts += [
             page.paragraph(figures.name),
-            pictures.confusion_table(report.labelled.labels, figures.counts, shares),
+            charts.confusion_table(report.labelled.labels, figures.counts, shares),
         ]
     return parts

@@ -19,7 +19,7 @@ from modsim3d.vessel_motion import PosesInWaves
 from modsim3d.view import palette
 
 SIGHT_STEPS = 250
-"""Steps whose geometry is made together."""
+"""Steps whose geometry is computed together."""
 
 
 def write_recording(
@@ -70,8 +70,8 @@ class _Recorder:
     Attributes:
         sdk: The module `rerun`.
         stream: The recording.
-        scene: Of the run.
-        there: Which vessels were there at the last step, shape (V,).
+        scene: The scene of the run.
+        there: Which vessels were present at the last step, shape (V,).
         states: Performance state of each camera at the last step.
     """
 

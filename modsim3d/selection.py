@@ -19,8 +19,8 @@ NEAR_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class LatestFrames:
-    """The frames of several cameras at a step. Cameras may take a frame at some steps only; the latest one counts.
+class StepFrames:
+    """What cameras show at a step: each the last frame that it took.
 
     Attributes:
         step: The step.
@@ -54,8 +54,8 @@ class Selection:
         """Names of the cameras."""
         return tuple(self.run.scene.cameras[index].name for index in self.cameras)
 
-    def latest_frames(self) -> Iterator[LatestFrames]:
-        """The latest frames of the cameras at each step."""
+    def step_frames(self) -> Iterator[StepFrames]:
+        """What the cameras show at each step."""
         scene, names = self.run.scene, self.camera_names
         first, stop = self.steps[0], self.steps[-1] + 1
         last = {name: self._frame_before(index, first) for name, index in zip(names, self.cameras, strict=True)}
@@ -65,7 +65,7 @@ class Selection:
             while frame is not None and frame.step <= step:
                 last[frame.camera] = frame
                 frame = next(coming, None)
-            yield LatestFrames(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
+            yield StepFrames(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
 
     def _frame_before(self, camera: int, step: int) -> Frame | None:
         """The last frame that a camera took before a step; None if there is none, or if it takes one at that step."""
@@ -121,7 +121,7 @@ def select(
     if not only_with_vessels:
         return found
     with_vessels = np.array(
-        [any(frame and len(frame.truth) for frame in latest.frames) for latest in found.latest_frames()]
+        [any(frame and len(frame.truth) for frame in latest.frames) for latest in found.step_frames()]
     )
     if not with_vessels.any():
         names = ", ".join(found.camera_names)

@@ -265,8 +265,8 @@ def _scatter(errors: Array, pair: tuple[int, int], laws: list[Law], name: str, u
     outlines = [None if law is None else charts.ellipse(law[0][[i, j]], law[1][np.ix_(pair, pair)]) for law in laws]
     x = np.concatenate([shown[:, i], *(outline[0] for outline in outlines if outline)])
     y = np.concatenate([shown[:, j], *(outline[1] for outline in outlines if outline)])
-    axes = charts.Axes(_range(x), _range(y), 430, 300)
-    content = charts.dots(axes, shown[:, i], shown[:, j], charts.colour_of(1))
+    axes = charts.Axes(_range(x), _range(y))
+    content = charts.dots(axes, shown[:, i], shown[:, j], charts.colour_of(5))
     for outline, colour, dashed in zip(outlines, (charts.ASKED, charts.FOUND), (True, False), strict=True):
         if outline is not None:
             content += charts.line(axes, *outline, colour, dashed)
@@ -289,7 +289,7 @@ def _run_lengths(model: DetectorModel, evidence: Evidence) -> str:
     counts = np.zeros(most)
     counts[: len(found) - 1] = found[1:]
     lengths = np.arange(1.0, most + 1)
-    axes = charts.Axes((0.4, most + 0.6), (0, 1.1 * float(max(counts.max(), expected.max(), 1))), 430, 300)
+    axes = charts.Axes((0.4, most + 0.6), (0, 1.1 * float(max(counts.max(), expected.max(), 1))))
     content = charts.bars(axes, lengths, counts, 0.7, charts.FOUND)
     content += charts.line(axes, lengths, expected, charts.ASKED, dashed=True)
     return axes.drawing(content, "misses in a row", "frames", "number of runs")
@@ -306,7 +306,7 @@ def _reliability(evidence: Evidence) -> str:
     z = 1.96  # Wilson (1927)
     centre = (share + z**2 / (2 * total)) / (1 + z**2 / total)
     half = z * np.sqrt(share * (1 - share) / total + z**2 / (4 * total**2)) / (1 + z**2 / total)
-    axes = charts.Axes((0, 1), (0, 1.05), 430, 300)
+    axes = charts.Axes((0, 1), (0, 1.05))
     content = charts.line(axes, np.array([0.0, 1.0]), np.array([0.0, 1.0]), "var(--soft)", dashed=True, width=1)
     content += charts.whiskers(axes, middle, centre - half, centre + half, charts.FOUND)
     content += charts.line(axes, middle, share, charts.FOUND)

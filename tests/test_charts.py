@@ -7,20 +7,19 @@ import sys
 
 import numpy as np
 
-from modsim3d.view.learn_figures import error_scatter
+from modsim3d.view.charts import Axes, error_scatter, precision_recall
 
 
 def test_an_ellipse_stays_inside_the_axes():
     rng = np.random.default_rng(0)
     groups = {"many": rng.normal(0, 1, (5000, 2)), "few": rng.normal(0, 1, (40, 2)) * (6, 1)}
     svg = error_scatter(groups, "e_x", "e_y", "errors")
-    grid = [float(place) for place in re.findall(r'd="M([\d.]+) [\d.]+V', svg)]
-    apart = grid[1] - grid[0]
+    left, width = (float(re.search(rf'<rect[^>]* {name}="([\d.]+)"', svg).group(1)) for name in ("x", "width"))
     ellipses = re.findall(r'<polyline points="([^"]+)"', svg)
     assert len(ellipses) == 2
     for points in ellipses:
         across = [float(pair.split(",")[0]) for pair in points.split()]
-        assert grid[0] - apart < min(across) and max(across) < grid[-1] + apart
+        assert left < min(across) and max(across) < left + width
 
 
 def test_a_drawing_is_the_same_in_each_process():
@@ -32,3 +31,23 @@ def test_a_drawing_is_the_same_in_each_process():
         for seed in ("1", "2")
     }
     assert len(drawn) == 1
+
+
+def points(svg):
+    text = re.search(r'<polyline points="([^"]*)"', svg).group(1)
+    return np.array([part.split(",") for part in text.split()], dtype=float)
+
+
+def test_a_curve_is_drawn_where_it_moves_however_many_false_detections_follow():
+    recall = np.concatenate([np.linspace(0.002, 0.8, 400), np.full(200_000, 0.8)])
+    precision = np.concatenate([1 - 0.2 * np.linspace(0, 1, 400) ** 2, 320 / np.arange(400, 200_400)])
+    drawn = points(precision_recall({"usual": (recall, precision)}, "boats"))
+    assert len(drawn) <= 802
+    assert np.abs(np.diff(drawn, axis=0)).max() < 5  # of 374 by 252
+    axes = Axes((0, 1), (0, 1.02))
+    for end in (0, -1):
+        np.testing.assert_allclose(drawn[end], axes.place(recall[end], precision[end]), atol=0.06)
+
+
+def test_a_curve_of_one_point_is_drawn():
+    assert len(points(precision_recall({"usual": (np.array([0.5]), np.array([1.0]))}, "boats"))) == 1

@@ -211,7 +211,7 @@ def test_crop_to_vessels_keeps_every_box_in_sight(run):
     assert 0 <= x0 < x1 <= 800
     assert 0 <= y0 < y1 <= 600
     assert 4 / 3 - 1e-9 <= (x1 - x0) / (y1 - y0) <= 8 / 3 + 1e-9
-    for (frame,) in (shown.frames for shown in chosen.latest_frames()):
+    for (frame,) in (shown.frames for shown in chosen.step_frames()):
         for box in frame.truth.full_boxes_px:
             assert x0 <= box[0]
             assert y0 <= box[1]

@@ -15,7 +15,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import simulate_frames
 from modsim3d.view import palette
-from modsim3d.view.frame_plot import below_horizon
+from modsim3d.view.plain import below_horizon
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_plot_draws_on_axes_of_a_figure_within_a_figure(frame):
 @pytest.mark.parametrize("plane, area", [((0, 1, -30), 700), ((0, -1, 30), 300), ((0, 0, 1), 1000), ((0, 0, -1), 0)])
 def test_part_of_the_image_below_the_horizon_has_the_area_that_it_should(plane, area):
     corners = np.array([[0, 0], [10, 0], [10, 100], [0, 100]], dtype=float)
-    x, y = below_horizon(corners, np.array(plane, dtype=float)).T
+    x, y = below_horizon(corners, corners, np.array(plane, dtype=float)).T
     assert abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2 == pytest.approx(area)
 
 

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modsim3d import simulate
-from modsim3d.draw_film import Draughtsman, open_drawer
 from modsim3d.errors import InputError
 from modsim3d.film_plan import FilmPlan
+from modsim3d.film_renderer import FilmRenderer, open_drawer
 from modsim3d.frame_timing import takes_frame
 from modsim3d.run import run_scene
 from modsim3d.run_report import write_report
@@ -171,7 +171,7 @@ def test_the_detector_knows_when_the_camera_took_its_frame_before(finished):
 def test_films_show_the_last_frame_that_a_camera_took(finished):
     run = open_run(finished)
     for first in (0, 7, 9, 20):
-        for shown in select(run, (0, 1), from_s=first / 10).latest_frames():
+        for shown in select(run, (0, 1), from_s=first / 10).step_frames():
             fast, slow = shown.frames
             assert fast.step == shown.step
             before = [step for step in SLOW if step <= shown.step]
@@ -180,8 +180,8 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
     plan = FilmPlan(("detections",), (0, 1), 640)
     with open_drawer(run.scene) as drawer:
         pictures = {
-            shown.step: np.asarray(Draughtsman(run.scene, plan, drawer).draw(shown))
-            for shown in selection.latest_frames()
+            shown.step: np.asarray(FilmRenderer(run.scene, plan, drawer).draw(shown))
+            for shown in selection.step_frames()
         }
     right = {step: picture[60:200, 330:] for step, picture in pictures.items()}  # the slow camera's, below its title
     np.testing.assert_array_equal(right[8], right[9])
@@ -209,7 +209,7 @@ def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path, 
     for step, camera in ((9, 8), (30, 30)):
         assert count[frame[step, 1]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
     assert thinned["taken"].reshape(-1, 2)[3:5].tolist() == [[9, 8], [12, 10]]
-    assert {name: text for name, text, _ in kept[0].overall}["Images"] == str(STEPS + len(SLOW))
+    assert {name: text for name, text, _ in kept[0].overall}["Frames"] == str(STEPS + len(SLOW))
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,12 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d.view import palette
-from modsim3d.view.gif import GifWriter, film_palette, quantised
+from modsim3d.view.gif import UNCHANGED, film_palette, quantised, write_gif
 
 
 def written(frames, ticks, colours):
     out = io.BytesIO()
-    writer = GifWriter(out, (frames[0].shape[1], frames[0].shape[0]), colours)
-    for frame, shown in zip(frames, ticks, strict=True):
-        writer.write(Image.fromarray(frame), shown)
-    writer.close()
+    write_gif(out, colours, zip(map(Image.fromarray, frames), ticks, strict=True))
     return Image.open(io.BytesIO(out.getvalue()))
 
 
@@ -31,10 +28,10 @@ def grey():
 def test_what_is_read_is_what_was_written(seed, count):
     rng = np.random.default_rng(seed)
     height, width = rng.integers(1, 40, 2)
-    frames = [rng.integers(0, 256, (height, width), dtype=np.uint8)]
+    frames = [rng.integers(0, UNCHANGED, (height, width), dtype=np.uint8)]
     for _ in range(count - 1):  # like films, most of a frame is that of the one before
         frame = frames[-1].copy()
-        frame[rng.integers(0, height) :, : rng.integers(0, width + 1)] = rng.integers(0, 256)
+        frame[rng.integers(0, height) :, : rng.integers(0, width + 1)] = rng.integers(0, UNCHANGED)
         frames.append(frame)
     ticks = rng.integers(2, 30, count).tolist()
     film = written(frames, ticks, grey())
@@ -64,3 +61,33 @@ def test_the_colours_of_vessels_are_kept_exactly():
         picture.paste(colour, (5 * i, 0, 5 * i + 5, 5))
     seen = np.asarray(quantised(picture, colours).convert("RGB"))
     np.testing.assert_array_equal(seen, np.asarray(picture))
+
+
+def test_no_pixel_takes_the_place_of_unchanged_ones():
+    rng = np.random.default_rng(0)
+    for pictures in ([Image.new("RGB", (8, 8))], [Image.fromarray(rng.integers(0, 256, (99, 99, 3), dtype=np.uint8))]):
+        colours = film_palette(pictures)
+        for picture in (*pictures, Image.fromarray(rng.integers(0, 256, (99, 99, 3), dtype=np.uint8))):
+            assert np.asarray(quantised(picture, colours)).max() < UNCHANGED
+
+
+def test_only_what_changes_is_stored():
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, UNCHANGED, (200, 200), dtype=np.uint8)]
+    for row in range(10):  # far apart, so that the box around them is the whole picture
+        frames.append(frames[-1].copy())
+        frames[-1][(row, -1 - row), :] = row
+    first, all_of_them = (len(written(part, [5] * len(part), grey()).fp.getvalue()) for part in (frames[:1], frames))
+    assert all_of_them < 1.5 * first
+
+
+def test_frames_are_written_as_they_come():
+    out, lengths = io.BytesIO(), []
+
+    def frames():
+        for level in range(5):
+            lengths.append(out.tell())
+            yield Image.new("L", (50, 50), level), 5
+
+    write_gif(out, grey(), frames())
+    assert sorted(set(lengths[1:])) == lengths[1:]

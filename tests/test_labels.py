@@ -5,16 +5,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from modsim3d.view import labels
+from modsim3d.boxes import intersections
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.labels import Label, draw_labels
-from modsim3d.view.pen import Pen
 
 
 def drawn_plates(boxes, width, height, monkeypatch_plates):
-    pen = Pen(Image.new("RGB", (width, height)))
-    size = pen.plate_size
-    pen.plate = lambda x, y, text, colour: monkeypatch_plates.append((x, y, *np.add((x, y), size(text))))
-    count = draw_labels(pen, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
+    canvas = Canvas(Image.new("RGB", (width, height)))
+    size = canvas.plate_size
+    canvas.plate = lambda x, y, text, colour: monkeypatch_plates.append((x, y, *np.add((x, y), size(text))))
+    count = draw_labels(canvas, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
     return count
 
 
@@ -55,4 +55,4 @@ def test_a_label_of_a_box_outside_the_picture_is_left_out():
 def test_places_never_lie_on_taken_ones():
     taken = np.array([[0.0, 0.0, 10.0, 10.0]])
     places = np.array([[10.0, 0.0, 20.0, 10.0], [9.0, 9.0, 12.0, 12.0]])
-    np.testing.assert_array_equal(labels._shared(places, taken), [[0.0], [1.0]])
+    np.testing.assert_array_equal(intersections(places[:, None], taken), [[0.0], [1.0]])

@@ -15,15 +15,15 @@ from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
 from modsim3d.scene_reader import load_scene
 from modsim3d.view import palette, shaded_picture
-from modsim3d.view.look import Look
 from modsim3d.view.navigation_lights import GREEN, RED, WHITE, lights
+from modsim3d.view.render_style import RenderStyle
 from modsim3d.view.sea_and_sky import DAY, fogged
-from modsim3d.view.shaded_picture import ShadedPainter
+from modsim3d.view.shaded_picture import ShadedPictureRenderer
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 from tests.scenes import crossing
 
-DAYLIGHT = Look("shaded")
+DAYLIGHT = RenderStyle(shaded=True)
 CAMERAS = {
     "plain": {},
     "skew, pixels that are not square, roll": {
@@ -88,7 +88,7 @@ def test_outline_equals_the_id_buffer(renderer, shaded, tmp_path, monkeypatch, n
     solids = Solids.at(scene, scene.cameras[0], 5)
     window = Window.whole((800, 600), width)
     ids = solids.ids(window, renderer)
-    drawn = vessel_pixels(ShadedPainter(shaded, DAYLIGHT), solids, window, monkeypatch)
+    drawn = vessel_pixels(ShadedPictureRenderer(shaded, DAYLIGHT), solids, window, monkeypatch)
     assert (ids > 0).sum() > 1000
     rows, columns = np.nonzero(drawn != (ids > 0))
     away = shapely.distance(edges_at(solids, window), shapely.points(columns + 0.5, rows + 0.5))
@@ -114,7 +114,7 @@ def test_the_id_pass_goes_on_when_a_shaded_renderer_is_closed_or_forgotten(rende
     before = solids.ids(window, renderer)
     for close in (True, False):
         shaded = ShadedRenderer(renderer.context)
-        ShadedPainter(shaded, DAYLIGHT).picture(solids, window)
+        ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)
         if close:
             shaded.close()
         del shaded
@@ -154,7 +154,7 @@ def test_a_face_reflects_by_lamberts_law():
 
 def test_sky_is_above_the_horizon_and_sea_below(shaded, scene, solids):
     window = Window.whole((800, 600), 640)
-    picture = np.asarray(ShadedPainter(shaded, DAYLIGHT).picture(solids, window)).astype(int)
+    picture = np.asarray(ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)).astype(int)
     assert picture.shape == (480, 640, 3)
     a, b, c = solids.sea_half_plane
     horizon = round(-(a * 400 + c) / b * 0.8)
@@ -167,20 +167,20 @@ def test_sky_is_above_the_horizon_and_sea_below(shaded, scene, solids):
 
 def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, tmp_path):
     pictures = []
-    used = ShadedPainter(shaded, DAYLIGHT)
+    used = ShadedPictureRenderer(shaded, DAYLIGHT)
     for pitch in (0.0, 0.1):
         (folder := tmp_path / f"{pitch}").mkdir()
         scene = scene_with(folder, {"pose": {"position_m": [0, 0, 20], "pitch_rad": pitch}})
         solids, window = Solids.at(scene, scene.cameras[0], 3), Window.whole((800, 600), 320)
         pictures.append(np.asarray(used.picture(solids, window)))
-        np.testing.assert_array_equal(pictures[-1], ShadedPainter(shaded, DAYLIGHT).picture(solids, window))
+        np.testing.assert_array_equal(pictures[-1], ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window))
         np.testing.assert_array_equal(pictures[-1], used.picture(solids, window))
     assert (pictures[0] != pictures[1]).any()
 
 
 def test_vessels_keep_their_hue(renderer, shaded, solids):
     window = Window.whole((800, 600), 800)
-    picture = np.asarray(ShadedPainter(shaded, DAYLIGHT).picture(solids, window)).astype(float)
+    picture = np.asarray(ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)).astype(float)
     ids = solids.ids(window, renderer)
     colours = {value: palette.vessel_colour(value - 1) for value in (1, 2, 3) if (ids == value).sum() > 50}
     assert len(colours) >= 2
@@ -195,7 +195,7 @@ def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shade
     scene = scene_with(tmp_path, {**CAMERAS["lens"], "pose": {"position_m": [0, 0, 20], "pitch_rad": -0.1}})
     solids = Solids.at(scene, scene.cameras[0], 0)
     window = Window.whole((800, 600), 800)
-    rays = ShadedPainter(shaded, DAYLIGHT)._rays_of(solids.intrinsics, window).camera
+    rays = ShadedPictureRenderer(shaded, DAYLIGHT)._rays_of(solids.intrinsics, window).camera
     exact = solids.intrinsics.unproject(np.array([[20.5, 30.5], [400.5, 300.5], [780.5, 580.5]]), np.ones(3))
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     np.testing.assert_allclose(rays[[30, 300, 580], [20, 400, 780]], exact, atol=2e-5)
@@ -203,19 +203,19 @@ def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shade
 
 def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility():
     """Koschmieder (1924); WMO takes 0.05 for the optical range, 0.02 gives 3.912 / V."""
-    look = Look("shaded", visibility_m=800.0)
-    assert look.extinction_per_m == pytest.approx(3.912 / 800, rel=1e-4)
-    air = fogged(np.zeros((1, 3)), np.array([1e9]), look)
-    at_visibility = fogged(np.zeros((1, 3)), np.array([800.0]), look)
+    style = RenderStyle(shaded=True, visibility_m=800.0)
+    assert style.extinction_per_m == pytest.approx(3.912 / 800, rel=1e-4)
+    air = fogged(np.zeros((1, 3)), np.array([1e9]), style)
+    at_visibility = fogged(np.zeros((1, 3)), np.array([800.0]), style)
     np.testing.assert_allclose((air - at_visibility) / air, 0.02, rtol=1e-4)
-    np.testing.assert_array_equal(fogged(np.ones((1, 3)), np.array([0.0]), look), 1)
+    np.testing.assert_array_equal(fogged(np.ones((1, 3)), np.array([0.0]), style), 1)
 
 
 def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids):
     window = Window.whole((800, 600), 400)
     clear, fog, night = (
-        np.asarray(ShadedPainter(shaded, look).picture(solids, window, scene.vessels)).astype(float)
-        for look in (DAYLIGHT, Look("shaded", 100.0), Look("shaded", night=True))
+        np.asarray(ShadedPictureRenderer(shaded, style).picture(solids, window, scene.vessels)).astype(float)
+        for style in (DAYLIGHT, RenderStyle(shaded=True, visibility_m=100.0), RenderStyle(shaded=True, night=True))
     )
     far = solids.ids(window, renderer) == len(scene.vessels) + 1  # the island, 300 m away
     assert far.sum() > 20
@@ -225,11 +225,13 @@ def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids
 
 
 def test_weather_is_said_to_be_an_illustration(shaded, solids):
-    assert Look("shaded").caption == ""
-    assert "illustration: visibility 800 m, night" in Look("shaded", 800.0, True).caption
+    assert RenderStyle(shaded=True).caption == ""
+    assert "illustration: visibility 800 m, night" in RenderStyle(shaded=True, visibility_m=800.0, night=True).caption
     window = Window.whole((800, 600), 640)
-    calm = np.asarray(ShadedPainter(shaded, DAYLIGHT).picture(solids, window))
-    foggy = np.asarray(ShadedPainter(shaded, Look("shaded", 1e12)).picture(solids, window))  # fog that is nowhere
+    calm = np.asarray(ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window))
+    foggy = np.asarray(
+        ShadedPictureRenderer(shaded, RenderStyle(shaded=True, visibility_m=1e12)).picture(solids, window)
+    )  # fog that is nowhere
     rows, columns = np.nonzero((np.abs(calm.astype(int) - foggy) > 8).any(axis=-1))
     assert rows.min() > 440
     assert columns.min() == 0
@@ -253,10 +255,10 @@ def test_lights_are_red_to_port_and_green_to_starboard(tmp_path, heading_deg, co
 @pytest.mark.parametrize("value", [0.0, -5.0, math.inf, math.nan])
 def test_a_visibility_is_a_positive_distance(value):
     with pytest.raises(ModsimError, match="--visibility"):
-        Look("shaded", value)
+        RenderStyle(shaded=True, visibility_m=value)
 
 
 def test_an_empty_sea_is_drawn_too(shaded, scene, solids):
     nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
-    picture = ShadedPainter(shaded, DAYLIGHT).picture(nobody, Window.whole((800, 600), 320))
+    picture = ShadedPictureRenderer(shaded, DAYLIGHT).picture(nobody, Window.whole((800, 600), 320))
     assert picture.size == (320, 240)

@@ -23,14 +23,14 @@ MOST = 60
 def test_even_steps_give_every_frame_its_time(step_s, speed, rate, each):
     table = Timetable.of(np.full(30, step_s), speed, MOST)
     assert table.rate == rate
-    assert set(table.shown.tolist()) == {each}
+    assert set(table.repeats.tolist()) == {each}
     assert table.duration_s == pytest.approx(30 * step_s / speed)
 
 
 def test_a_film_that_is_too_fast_leaves_frames_out_and_keeps_its_length():
     table = Timetable.of(np.full(1000, 0.01), 1.0, MOST)
     assert table.rate == MOST
-    assert set(table.shown.tolist()) == {0, 1}
+    assert set(table.repeats.tolist()) == {0, 1}
     assert table.duration_s == pytest.approx(10.0, abs=1 / MOST)
 
 
@@ -43,10 +43,10 @@ def test_whatever_the_steps_each_frame_is_shown_when_it_is_due(durations, speed,
     table = Timetable.of(np.array(durations), speed, most)
     assert table.rate <= most
     due = np.cumsum(durations) / speed
-    shown = np.cumsum(table.shown) / float(table.rate)
+    ends = np.cumsum(table.repeats) / float(table.rate)
     # Half a picture, and what rounding the rate to a fraction with a small denominator does to a long film.
-    assert np.all(np.abs(due - shown) <= 1.0 / float(table.rate) + 0.001 * due)
-    assert table.shown.sum() >= 1
+    assert np.all(np.abs(due - ends) <= 1.0 / float(table.rate) + 0.001 * due)
+    assert table.repeats.sum() >= 1
 
 
 def test_slow_films_have_a_rate_that_players_like():

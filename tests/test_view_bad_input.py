@@ -46,7 +46,7 @@ def refused(monkeypatch, capsys, *arguments) -> str:
         (("--film", "ids", "--speed", "0"), ["--speed 0"]),
         (("--film", "ids", "--speed", "nan"), ["--speed nan"]),
         (("--film", "ids", "--out", "film.avi"), [".avi", "mp4"]),
-        (("--film", "ids", "--out", "film.gif", "--format", "mp4"), ["different things"]),
+        (("--film", "ids", "--out", "film.gif", "--format", "mp4"), ["film.gif contradicts --format mp4"]),
         (("--film", "ids", "--out", "nowhere/film.mp4"), ["nowhere", "does not exist"]),
         (("--frame", "3", "--out", "a.jpg"), [".png"]),
     ],

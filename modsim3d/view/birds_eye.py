@@ -18,18 +18,18 @@ from modsim3d.vessels import Vessel
 
 MOST_TRACK_POINTS = 1500
 MARGIN = 0.06
-"""Around all that is shown, as a share of the map."""
+"""Margin around everything that is shown, as a share of the map."""
 LEAST_ASPECT, MOST_ASPECT = 0.9, 1.9
 VIEW_POINTS = 33
 
 
 @dataclass(frozen=True, eq=False)
 class BirdsEye:
-    """A scene to be seen from above.
+    """What a map of a scene shows, in metres in the world.
 
     Attributes:
         scene: The scene.
-        steps: Of the run: tracks reach over the first so many steps.
+        steps: Number of steps of the run, over which tracks reach.
         cameras: Indices of the cameras that are shown.
     """
 
@@ -39,20 +39,20 @@ class BirdsEye:
 
     @cached_property
     def track_steps(self) -> Indices:
-        """The steps at which tracks have a point."""
+        """The steps at which tracks have a point, shape (n,)."""
         steps = np.linspace(0, self.steps - 1, min(self.steps, MOST_TRACK_POINTS))
         return np.unique(np.rint(steps).astype(np.int64))
 
     @cached_property
     def tracks_m(self) -> Array:
-        """w1 and w2 of each vessel at `track_steps`; NaN where it is not there, shape (n, V, 2)."""
+        """w1 and w2 of each vessel at `track_steps`, NaN where it is absent, shape (n, V, 2)."""
         poses = self.scene.poses.poses(0, self.steps)
         tracks: Array = np.where(poses.present[..., None], poses.positions_m[..., :2], np.nan)[self.track_steps]
         return tracks
 
     @cached_property
     def circles_m(self) -> tuple[Array, ...]:
-        """The whole circle of each vessel that moves on one, which a run may not close, shape (181, 2) each."""
+        """The whole circle of each vessel in circular motion, even if the run ends earlier, shape (181, 2) each."""
         motion = self.scene.poses
         if not isinstance(motion, CircularMotion):
             return ()
@@ -62,7 +62,7 @@ class BirdsEye:
 
     @cached_property
     def land(self) -> tuple[Any, ...]:
-        """What each obstacle covers, as shapely geometry."""
+        """The footprint of each obstacle, as shapely geometry."""
         return tuple(footprint(obstacle) for obstacle in self.scene.obstacles)
 
     @cached_property
@@ -83,10 +83,12 @@ class BirdsEye:
 
 
 def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
-    """Where a camera is, and where the pixels of its image look, from the left edge to the right, at the horizon's row.
+    """The place of a camera, and the directions in which a row of its image looks, from left to right.
+
+    The row is that of the principal point, about where the horizon is.
 
     Returns:
-        w1 and w2, shape (2,); unit vectors, shape (n, 2).
+        w1 and w2 of the camera in metres, shape (2,), and horizontal unit vectors, shape (n, 2).
     """
     poses = scene.sight(camera, np.array([step])).camera_poses
     width, height = camera.intrinsics.image_size_px
@@ -98,7 +100,7 @@ def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
 
 
 def footprint(obstacle: Obstacle) -> Any:
-    """What an obstacle covers of the sea, or is above, as shapely geometry."""
+    """The footprint of an obstacle, with what it stands over, as a shapely multipolygon in metres."""
     parts = []
     for solid, vertices in obstacle.solids:
         flat = vertices[:, :2]
@@ -112,13 +114,13 @@ def footprint(obstacle: Obstacle) -> Any:
 
 
 def hull_m(vessel: Vessel, world_R_vessel: Array) -> Array:
-    """The outline of a vessel from above, about its centre, shape (k, 2)."""
+    """The outline of a vessel from above, in metres about its centre, shape (k, 2)."""
     turned = (vessel.solid.vertices * vessel.extents_m) @ world_R_vessel.T
     ring: Array = shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(turned[:, :2])))
     return ring
 
 
 def ring_step(about_m: float) -> float:
-    """The least of 1, 2, 5, 10, ... that is not less than a length."""
+    """A length rounded up to 1, 2, 5, 10, ... metres."""
     power = 10.0 ** np.floor(np.log10(about_m))
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))

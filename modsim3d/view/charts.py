@@ -1,25 +1,36 @@
-"""Charts as SVG inside a page: they follow its light or dark colours, and need no library to be seen."""
+"""Charts as SVG inside a page, for what `modsim3d verify` and `modsim3d learn` write.
+
+matplotlib does not draw them: it is an extra, and pages must do without it. Lines and text take the colours of the
+page, light or dark, from its CSS variables.
+"""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from zlib import crc32
 
 import numpy as np
 
-from modsim3d.arrays import Array
-from modsim3d.view.palette import vessel_colour
+from modsim3d.arrays import Array, Indices
 
-FOUND, ASKED = "#0072b2", "#d55e00"
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
+"""Colours that colour-blind people can tell apart: Okabe & Ito (2008), and two of Tol (2021)."""
+MOST_DOTS, MOST_POINTS = 1500, 800
+CHI_SQUARE_95 = 5.991
+"""The 95 % point of chi-square with two degrees of freedom."""
 _MARGIN = (44.0, 12.0, 14.0, 34.0)  # left, right, top, bottom
+_LINE_PX = 14
+"""Height of a line of a key."""
 
 
 def colour_of(index: int) -> str:
-    """A palette colour by index, for CSS."""
-    red, green, blue = vessel_colour(index)
-    return f"#{red:02x}{green:02x}{blue:02x}"
+    """The colour of a series by its index, for CSS: mixed with the ink of the page, from whose paper it stands off."""
+    return f"color-mix(in srgb, {COLOURS[index % len(COLOURS)]} 80%, var(--ink))"
+
+
+FOUND, ASKED = colour_of(0), colour_of(1)
 
 
 def figure(drawings: Sequence[str], caption: str) -> str:
@@ -29,44 +40,42 @@ def figure(drawings: Sequence[str], caption: str) -> str:
 
 @dataclass(frozen=True)
 class Axes:
-    """A drawing's frame: data ranges on a rectangle of pixels.
+    """The frame of a chart.
 
     Attributes:
-        x: Least and greatest.
-        y: Likewise.
-        width: Of the whole drawing.
-        height: Likewise.
+        x: Range of the data from left to right.
+        y: Range of the data from bottom to top.
+        width: Of the whole drawing with its margins, in pixels.
+        height: Of the whole drawing with its margins, in pixels.
     """
 
     x: tuple[float, float]
     y: tuple[float, float]
-    width: float = 340.0
-    height: float = 260.0
+    width: float = 430.0
+    height: float = 300.0
 
     def place(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
-        """Data to pixels."""
+        """Columns and rows of data points in the drawing, in pixels, each of the shape of its argument."""
         left, right, top, bottom = _MARGIN
         across = (np.asarray(x, dtype=np.float64) - self.x[0]) / (self.x[1] - self.x[0])
         up = (np.asarray(y, dtype=np.float64) - self.y[0]) / (self.y[1] - self.y[0])
         return left + across * (self.width - left - right), self.height - bottom - up * (self.height - top - bottom)
 
     def drawing(self, content: str, title: str, x_label: str, y_label: str) -> str:
-        """The whole SVG: ticks, labels and what is in it."""
+        """The whole SVG: frame, ticks, labels and the SVG elements of its content."""
         left, right, top, bottom = _MARGIN
         inner = f'x="{left}" y="{top}" width="{self.width - left - right}" height="{self.height - top - bottom}"'
-        clip = f"c{crc32(repr((title, x_label, y_label)).encode())}"  # the same in each process, unlike hash()
-        return (
-            f'<svg viewBox="0 0 {self.width:g} {self.height:g}" width="{self.width:g}" height="{self.height:g}" '
-            'style="max-width:100%;margin-right:0.6rem" font-size="11" fill="var(--ink)" role="img" '
-            f'aria-label="{html.escape(title, quote=True)}">\n'
+        clip = f"c{crc32((title + content).encode())}"  # the same in each process, unlike hash()
+        content = (
             f'<clipPath id="{clip}"><rect {inner}/></clipPath>'
             f'<rect {inner} fill="none" stroke="var(--line)"/>\n{self._ticks()}'
             f'<g clip-path="url(#{clip})">{content}</g>\n'
             f'<text x="{left}" y="10" font-weight="600">{html.escape(title)}</text>'
             f'<text x="{self.width - right}" y="{self.height - 4}" text-anchor="end" fill="var(--soft)">'
             f"{html.escape(x_label)}</text>"
-            f'<text x="{left + 4}" y="{top + 12}" fill="var(--soft)">{html.escape(y_label)}</text></svg>\n'
+            f'<text x="{left + 4}" y="{top + 12}" fill="var(--soft)">{html.escape(y_label)}</text>'
         )
+        return _svg(self.width, self.height, title, content)
 
     def _ticks(self) -> str:
         lines = []
@@ -82,8 +91,15 @@ class Axes:
         return "".join(lines)
 
 
+def _svg(width: float, height: float, label: str, content: str) -> str:
+    return (
+        f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" style="max-width:100%;margin-right:0.6rem" '
+        f'font-size="11" fill="var(--ink)" role="img" aria-label="{html.escape(label, quote=True)}">\n{content}</svg>\n'
+    )
+
+
 def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
-    """Round numbers between two, at most so many."""
+    """Round numbers from low to high, at most `most` + 1."""
     if not high > low:
         return [low]
     raw = (high - low) / most
@@ -93,7 +109,7 @@ def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
 
 
 def dots(axes: Axes, x: Array, y: Array, colour: str) -> str:
-    """A cloud of points."""
+    """A dot for each point of x and y, shape (n,) each."""
     px, py = axes.place(x, y)
     marks = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(px.tolist(), py.tolist(), strict=True))
     return (
@@ -103,7 +119,7 @@ def dots(axes: Axes, x: Array, y: Array, colour: str) -> str:
 
 
 def line(axes: Axes, x: Array, y: Array, colour: str, dashed: bool = False, width: float = 2.0) -> str:
-    """A line through points."""
+    """A line through the points of x and y, shape (n,) each."""
     px, py = axes.place(x, y)
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(px.tolist(), py.tolist(), strict=True))
     dash = ' stroke-dasharray="6 4"' if dashed else ""
@@ -111,7 +127,16 @@ def line(axes: Axes, x: Array, y: Array, colour: str, dashed: bool = False, widt
 
 
 def ellipse(mean: Array, covariance: Array, deviations: float = 2.0) -> tuple[Array, Array]:
-    """Outline of a two-dimensional normal law at so many standard deviations."""
+    """The outline of a two-dimensional normal distribution at so many standard deviations.
+
+    Args:
+        mean: Shape (2,).
+        covariance: Shape (2, 2).
+        deviations: Distance of the outline from the mean, in standard deviations.
+
+    Returns:
+        x and y of a closed line, shape (73,) each.
+    """
     angles = np.linspace(0, 2 * np.pi, 73)
     values, vectors = np.linalg.eigh(covariance)
     axes = vectors * np.sqrt(np.maximum(values, 0)) * deviations
@@ -120,7 +145,15 @@ def ellipse(mean: Array, covariance: Array, deviations: float = 2.0) -> tuple[Ar
 
 
 def bars(axes: Axes, x: Array, heights: Array, width: float, colour: str) -> str:
-    """Upright bars from the axis."""
+    """Upright bars from y = 0.
+
+    Args:
+        axes: The frame of the chart.
+        x: Middles of the bars, shape (n,).
+        heights: Shape (n,).
+        width: Of each bar, in units of x.
+        colour: For CSS.
+    """
     left, top = axes.place(np.asarray(x) - width / 2, heights)
     right, bottom = axes.place(np.asarray(x) + width / 2, np.zeros(len(x)))
     return "".join(
@@ -131,7 +164,7 @@ def bars(axes: Axes, x: Array, heights: Array, width: float, colour: str) -> str
 
 
 def whiskers(axes: Axes, x: Array, low: Array, high: Array, colour: str) -> str:
-    """Upright intervals."""
+    """Upright intervals from low to high at x, shape (n,) each."""
     px, bottom = axes.place(x, low)
     _, top = axes.place(x, high)
     marks = "".join(
@@ -141,14 +174,14 @@ def whiskers(axes: Axes, x: Array, low: Array, high: Array, colour: str) -> str:
 
 
 def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence[str], unit: str = "s") -> str:
-    """Which state when: a lane for each state.
+    """A chart of the state at each time, with a lane for each state.
 
     Args:
-        starts: Begin of each stretch.
-        stops: Its end.
-        states: Index of its state.
-        names: Of the states.
-        unit: Of the times.
+        starts: When each stretch begins, ascending, shape (n,).
+        stops: When each stretch ends, shape (n,).
+        states: Index of the state of each stretch.
+        names: Names of the states.
+        unit: Unit of the times.
     """
     lane, left, width = 22.0, 90.0, 900.0
     span = max(float(stops[-1]) - float(starts[0]), 1e-9) if len(starts) else 1.0
@@ -171,7 +204,102 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
             f'<text x="{left + (value - origin) * scale:.1f}" y="{height - 6}" text-anchor="middle" '
             f'fill="var(--soft)">{value:g} {unit}</text>'
         )
-    return (
-        f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" style="max-width:100%" font-size="12" '
-        f'fill="var(--ink)" role="img" aria-label="performance states over time">{"".join(parts)}</svg>'
-    )
+    return _svg(width, height, "performance states over time", "".join(parts))
+
+
+def key(names: Sequence[str], bottom: float) -> str:
+    """Names with the colours of their series, one below the other, above a row of the drawing."""
+    x, parts = _MARGIN[0] + 8, []
+    for index, name in enumerate(names):
+        y = bottom - _LINE_PX * (len(names) - 1 - index)
+        parts.append(
+            f'<rect x="{x:g}" y="{y - 7:g}" width="12" height="4" fill="{colour_of(index)}"/>'
+            f'<text x="{x + 18:g}" y="{y - 1:g}">{html.escape(name)}</text>'
+        )
+    return "".join(parts)
+
+
+def precision_recall(curves: Mapping[str, tuple[Array, Array]], caption: str) -> str:
+    """A figure of precision against recall.
+
+    Args:
+        curves: Name → recall and precision, shape (n,) each.
+        caption: Text below the figure.
+    """
+    axes, content = Axes((0, 1), (0, 1.02)), ""
+    for index, (recall, precision) in enumerate(curves.values()):
+        kept = _along(recall, precision)
+        content += line(axes, recall[kept], precision[kept], colour_of(index))
+    content += key(list(curves), axes.height - _MARGIN[3] - 4)
+    return figure([axes.drawing(content, "precision against recall", "recall", "precision")], caption)
+
+
+def _along(recall: Array, precision: Array) -> Indices:
+    """Indices of points that lie evenly along a curve: most detections may be false, and lie at its end."""
+    steps = np.abs(np.diff(recall, prepend=recall[0])) + np.abs(np.diff(precision, prepend=precision[0]))
+    walked = np.cumsum(steps)
+    return np.unique(np.append(np.searchsorted(walked, np.linspace(0, walked[-1], MOST_POINTS)), len(recall) - 1))
+
+
+def error_scatter(groups: Mapping[str, Array], x_label: str, y_label: str, caption: str) -> str:
+    """A figure of pairs of errors, with the ellipses that hold 95 % of normal distributions like them.
+
+    Args:
+        groups: Name → errors, shape (n, 2) each.
+        x_label: What the first error of a pair is, with its unit.
+        y_label: What the second one is, with its unit.
+        caption: Text below the figure.
+    """
+    deviations = CHI_SQUARE_95**0.5
+    rims = {name: ellipse(e.mean(axis=0), np.cov(e.T), deviations) for name, e in groups.items() if len(e) > 2}
+    widest = max((float(np.abs(rim).max()) for rim in rims.values()), default=0.0)
+    everything = np.concatenate([*groups.values(), np.zeros((1, 2))])
+    reach = max(float(np.quantile(np.abs(everything), 0.995)) * 1.15, 1.05 * widest, 1e-6)
+    axes, content = Axes((-reach, reach), (-reach, reach)), ""
+    for index, (name, errors) in enumerate(groups.items()):
+        shown = errors[:: max(1, len(errors) // MOST_DOTS)]
+        content += dots(axes, shown[:, 0], shown[:, 1], colour_of(index))
+        if name in rims:
+            content += line(axes, *rims[name], colour_of(index))
+    content += key(list(groups), axes.height - _MARGIN[3] - 4)
+    return figure([axes.drawing(content, f"{y_label} against {x_label}", x_label, y_label)], caption)
+
+
+def named_bars(values: Mapping[str, float], unit: str, caption: str) -> str:
+    """A figure of horizontal bars with their names and numbers."""
+    height, most = 26 * len(values) + 12, max([*values.values(), 1e-9])
+    parts = []
+    for index, (name, value) in enumerate(values.items()):
+        y, width = 10 + 26 * index, 220 * max(value, 0) / most
+        parts.append(
+            f'<text x="106" y="{y + 13}" text-anchor="end">{html.escape(name)}</text>'
+            f'<rect x="114" y="{y}" width="{width:.1f}" height="17" fill="{colour_of(0)}"/>'
+            f'<text x="{120 + width:.1f}" y="{y + 13}">{value:.2f} {html.escape(unit)}</text>'
+        )
+    return figure([_svg(460, height, caption, "".join(parts))], caption)
+
+
+def confusion_table(names: Sequence[str], counts: Array, shares: Array) -> str:
+    """A confusion matrix as a table: counts and, under them, shares of the column; the darker the larger.
+
+    Args:
+        names: Of the n classes.
+        counts: A row for each detected class and `missed`, a column for each true one and `background`, shape
+            (n + 1, n + 1).
+        shares: Of the sum of the column, NaN where unknown, shape (n + 1, n + 1).
+    """
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in [*names, "background"])
+    lines = [f"<tr><th>detected as \\ true</th>{head}</tr>"]
+    for row, name in enumerate([*names, "missed"]):
+        known = len(names) + (row < len(names))  # how often nothing was taken for nothing is no number
+        cells = [
+            _share_cell(*pair) for pair in zip(counts[row, :known], np.nan_to_num(shares[row, :known]), strict=True)
+        ]
+        lines.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}{'' if row < len(names) else '<td></td>'}</tr>")
+    return '<table class="shares">\n' + "\n".join(lines) + "\n</table>"
+
+
+def _share_cell(count: float, share: float) -> str:
+    shade = f"color-mix(in srgb, {COLOURS[0]} {60 * share:.0f}%, transparent)"
+    number = f'{count:.0f}<br><span class="soft">{share:.3f}</span>'
+    return f'<td class="number" style="background: {shade}">{number}</td>'

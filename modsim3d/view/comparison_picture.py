@@ -12,8 +12,8 @@ from PIL import Image
 from modsim3d.arrays import Array, Mask
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
+from modsim3d.view.canvas import Canvas, font
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen, font
 from modsim3d.view.plain import background, occluder_colour
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
@@ -62,17 +62,17 @@ def comparison_picture(
     differing = differing_pixels(ids == vessel + 1, exact)
     shown = background(window, solids.sea_half_plane, image_size)
     _paint_pixels(shown, window, ids, differing, len(solids.extents_m))
-    pen = Pen(shown, 1280)
+    canvas = Canvas(shown, 1280)
     for ring in _rings(exact):
         corners = window.to_picture(ring)
-        pen.segments(np.stack([corners[:-1], corners[1:]], axis=1), palette.WHITE, 0.5)
+        canvas.segments(np.stack([corners[:-1], corners[1:]], axis=1), palette.WHITE, 0.5)
     for name, (colour, dashed, weight) in STYLES.items():
         box = np.array(boxes_px[name], dtype=np.float64)
         if not np.isnan(box).any():
-            (pen.dashed_box if dashed else pen.box)(window.corners(box), colour, weight)
+            (canvas.dashed_box if dashed else canvas.box)(window.corners(box), colour, weight)
     picture = Image.new("RGB", (SIZE_PX[0], SIZE_PX[1] + KEY_PX), palette.PAPER)
     picture.paste(shown, (0, KEY_PX))
-    _key(Pen(picture, 1280), [int((differing == i + 1).sum()) for i in range(len(PIXELS))], region)
+    _key(Canvas(picture, 1280), [int((differing == i + 1).sum()) for i in range(len(PIXELS))], region)
     return picture
 
 
@@ -121,19 +121,19 @@ def _rings(region: shapely.Geometry) -> list[Array]:
     return [shapely.get_coordinates(line) for line in lines]
 
 
-def _key(pen: Pen, counts: Sequence[int], region: str) -> None:
+def _key(canvas: Canvas, counts: Sequence[int], region: str) -> None:
     x = 8
     for name, (colour, dashed, weight) in STYLES.items():
-        pen.draw.rectangle((x, 6, x + 24, 24), fill=palette.SEA)
-        (pen.dashed_box if dashed else pen.box)((x + 3, 9, x + 22, 22), colour, weight)
-        x = _text(pen, x, 6, name)
+        canvas.draw.rectangle((x, 6, x + 24, 24), fill=palette.SEA)
+        (canvas.dashed_box if dashed else canvas.box)((x + 3, 9, x + 22, 22), colour, weight)
+        x = _text(canvas, x, 6, name)
     x = 8
     for (name, colour), count in zip(PIXELS, counts, strict=True):
-        pen.draw.rectangle((x, 6 + LINE_PX, x + 24, 24 + LINE_PX), fill=colour)
-        x = _text(pen, x, 6 + LINE_PX, f"{count} {name.format(region=region)}")
+        canvas.draw.rectangle((x, 6 + LINE_PX, x + 24, 24 + LINE_PX), fill=colour)
+        x = _text(canvas, x, 6 + LINE_PX, f"{count} {name.format(region=region)}")
 
 
-def _text(pen: Pen, x: int, y: int, text: str) -> int:
+def _text(canvas: Canvas, x: int, y: int, text: str) -> int:
     """Write beside a sample; where the next one goes."""
-    pen.draw.text((x + 30, y + 1), text, fill=palette.INK, font=font(14))
-    return x + 46 + int(pen.draw.textlength(text, font=font(14)))
+    canvas.draw.text((x + 30, y + 1), text, fill=palette.INK, font=font(14))
+    return x + 46 + int(canvas.draw.textlength(text, font=font(14)))

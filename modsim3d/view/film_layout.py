@@ -1,4 +1,4 @@
-"""The sheet of a film: a line that says what and when, panels side by side, a key."""
+"""The sheet of a film: a head line, panels side by side, a legend."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from functools import cached_property
 from PIL import Image, ImageDraw
 
 from modsim3d.view import palette
+from modsim3d.view.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
 from modsim3d.view.legend import Entry, legend
-from modsim3d.view.pen import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
 
 GAP_PX = 4
 SEVERAL = 0.7
@@ -19,13 +19,13 @@ SEVERAL = 0.7
 
 @dataclass(frozen=True, eq=False)
 class FilmLayout:
-    """Where everything goes; all sides are even, as films want them.
+    """The places of everything on the sheet; its sides are even, as films need them.
 
     Attributes:
-        width: Of the whole sheet.
-        columns: Panels side by side.
+        width: Width of the whole sheet in pixels.
+        columns: Number of panels side by side.
         aspects: Width over height of each panel, row by row.
-        entries: Of the key.
+        entries: Entries of the legend.
     """
 
     width: int
@@ -50,12 +50,12 @@ class FilmLayout:
 
     @property
     def nominal_width(self) -> int:
-        """The width that lines and text in a panel are meant for: more than its own if it is one of several."""
+        """The width of picture whose lines and text a panel has; more than its own if it is one of several."""
         return max(self.panel_width, round(SEVERAL * self.width))
 
     @property
     def panel_width(self) -> int:
-        """Of each panel."""
+        """Width of each panel."""
         return (self.width - (self.columns - 1) * GAP_PX) // self.columns
 
     @property
@@ -83,13 +83,18 @@ class FilmLayout:
             sheet.paste(key, (0, bottom))
         return sheet
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the whole sheet in pixels; both are even."""
+        return self._blank.size
+
     def compose(self, head: str, titles: Sequence[str], panels: Sequence[Image.Image]) -> Image.Image:
         """One picture of the film.
 
         Args:
             head: The line at the top.
-            titles: Of the panels; shown above them if there are several.
-            panels: Of the sizes that `panel_sizes` asks for.
+            titles: A title for each panel; shown if there are several panels.
+            panels: Pictures of the sizes `panel_sizes`.
         """
         sheet = self._blank.copy()
         draw = ImageDraw.Draw(sheet)
@@ -101,7 +106,7 @@ class FilmLayout:
         return sheet
 
     def _title(self, text: str) -> Image.Image:
-        """What is above a panel, as wide as it."""
+        """The strip above a panel, as wide as the panel."""
         strip = Image.new("RGB", (self.panel_width, self.title_px), palette.PAPER)
         place = self.text_px // 2, self.text_px // 4
         ImageDraw.Draw(strip).text(place, text, fill=palette.INK, font=font(self.text_px))

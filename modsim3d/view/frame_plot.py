@@ -10,6 +10,7 @@ from modsim3d.arrays import Array
 from modsim3d.block import Frame
 from modsim3d.errors import ModsimError
 from modsim3d.view import palette
+from modsim3d.view.plain import below_horizon
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,30 +63,9 @@ def _background(axes: Axes, frame: Frame) -> None:
     width, height = frame.image_size_px
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
     axes.add_patch(Polygon(corners, facecolor=_unit(palette.SKY), zorder=0))
-    sea = below_horizon(corners, frame.sea_half_plane)
+    sea = below_horizon(corners, corners, frame.sea_half_plane)
     if len(sea):
         axes.add_patch(Polygon(sea, facecolor=_unit(palette.SEA), zorder=0))
-
-
-def below_horizon(corners_px: Array, sea_half_plane: Array) -> Array:
-    """The part of a convex polygon on the sea's side of the horizon.
-
-    Args:
-        corners_px: Shape (n, 2).
-        sea_half_plane: (a, b, c), shape (3,).
-
-    Returns:
-        Shape (m, 2); empty if there is no sea in it.
-    """
-    depths = corners_px @ sea_half_plane[:2] + sea_half_plane[2]
-    kept = []
-    for i in range(len(corners_px)):
-        start, end = depths[i - 1], depths[i]
-        if (start >= 0) != (end >= 0):
-            kept.append(corners_px[i - 1] + start / (start - end) * (corners_px[i] - corners_px[i - 1]))
-        if end >= 0:
-            kept.append(corners_px[i])
-    return np.array(kept).reshape(-1, 2)
 
 
 def _truth(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:

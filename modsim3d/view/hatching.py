@@ -21,7 +21,7 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
         picture: To draw on.
         window: What it shows.
         solids: The vessels.
-        ids: Owner + 1 at each of the picture's pixels.
+        ids: Occluder + 1 at each of the picture's pixels.
         unit: Size of lines, 1 in a picture of nominal width.
     """
     stripe = max(2, round(STRIPE_PX * unit))

@@ -7,10 +7,10 @@ from PIL import Image
 
 from modsim3d.render.id_pass import Ids
 from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.view.canvas import Canvas, font, text_size
 from modsim3d.view.hatching import hatch_hidden
 from modsim3d.view.legend import letters
 from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour
-from modsim3d.view.pen import Pen, font, text_size
 from modsim3d.view.plain import background
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
@@ -45,15 +45,15 @@ def ids_picture(solids: Solids, window: Window, drawer: IdDrawer, nominal_width_
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))
-    pen = Pen(picture, nominal_width_px)
-    hatch_hidden(picture, window, solids, ids, pen.unit)
-    _mark(pen, shown, left, top, vessels)
+    canvas = Canvas(picture, nominal_width_px)
+    hatch_hidden(picture, window, solids, ids, canvas.unit)
+    _mark(canvas, shown, left, top, vessels)
     return picture
 
 
-def _mark(pen: Pen, ids: Ids, left: int, top: int, vessels: int) -> None:
+def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int) -> None:
     """Write each vessel's number and each obstacle's letter on what is seen of it, where it fits."""
-    size = max(9, round(pen.text_px * 0.9))
+    size = max(9, round(canvas.text_px * 0.9))
     for value in np.unique(ids[ids > 0]).tolist():
         text = str(value) if value <= vessels else letters(value - vessels - 1)
         here = ids == value
@@ -66,4 +66,4 @@ def _mark(pen: Pen, ids: Ids, left: int, top: int, vessels: int) -> None:
         middle = np.flatnonzero(here[:, x - left])
         y = top + int(middle[len(middle) // 2])
         at = (x - (x0 + x1) / 2, y - (y0 + y1) / 2)
-        pen.draw.text(at, text, fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))
+        canvas.draw.text(at, text, fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))

@@ -1,4 +1,4 @@
-"""Where labels go, so that none lies on another."""
+"""Places labels so that none lies on another."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array
+from modsim3d.boxes import areas, intersections
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen
 from modsim3d.view.window import Box
 
 FARTHEST_ROWS = 4
@@ -20,10 +21,10 @@ class Label:
     """A text that belongs to a box.
 
     Attributes:
-        box: In picture coordinates.
-        text: What it says.
-        colour: Of its plate.
-        below: Whether it rather stands below the box than above.
+        box: The box that it belongs to, in pixels of the picture.
+        text: The text.
+        colour: Colour of the plate behind the text.
+        below: Whether it is better placed below the box than above it.
     """
 
     box: Box
@@ -32,18 +33,18 @@ class Label:
     below: bool = False
 
 
-def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
-    """Draw labels, the first ones at the best places; one that finds no place is left out.
+def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
+    """Draw labels, the first ones at the best places; a label without a free place is left out.
 
     Args:
-        pen: Draws.
+        canvas: The picture to draw on.
         labels: In order of importance.
-        keep_clear: Boxes that are better not covered.
+        keep_clear: Boxes that labels avoid to cover.
 
     Returns:
-        How many were drawn.
+        The number of labels drawn.
     """
-    size = np.array(pen.picture.size)
+    size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))
     chosen: list[tuple[Label, Array]] = []
     content = np.array(keep_clear, dtype=np.float64).reshape(-1, 4)
@@ -51,23 +52,23 @@ def draw_labels(pen: Pen, labels: list[Label], keep_clear: list[Box]) -> int:
         x0, y0, x1, y1 = label.box
         if x1 < 0 or y1 < 0 or x0 > size[0] or y0 > size[1]:
             continue
-        places = _places(label, np.array(pen.plate_size(label.text)), size)
+        places = _places(label, np.array(canvas.plate_size(label.text)), size)
         if not len(places):
             continue
-        taken = _shared(places, plates).any(axis=1)
+        taken = (intersections(places[:, None], plates) > 0).any(axis=1)
         if taken.all():
             continue
         # A label next to its box is worth covering some of what else is there.
-        plate = (places[0, 2:] - places[0, :2]).prod()
-        covered = (_shared(places, content) / np.clip(_areas(content), 1, plate)).sum(axis=1)
+        plate = areas(places[0])
+        covered = (intersections(places[:, None], content) / np.clip(areas(content), 1, plate)).sum(axis=1)
         cost = covered + 0.35 * np.arange(len(places)) / 6 + np.where(taken, np.inf, 0.0)
         best = places[int(np.argmin(cost))]
         chosen.append((label, best))
         plates = np.vstack([plates, best])
     for label, place in chosen:  # lines before plates: none crosses a text
-        _lead(pen, label, place)
+        _lead(canvas, label, place)
     for label, place in chosen:
-        pen.plate(round(float(place[0])), round(float(place[1])), label.text, label.colour)
+        canvas.plate(round(float(place[0])), round(float(place[1])), label.text, label.colour)
     return len(chosen)
 
 
@@ -96,25 +97,11 @@ def _places(label: Label, plate: Array, size: Array) -> Array:
     return np.concatenate([moved, moved + plate], axis=1)
 
 
-def _shared(places: Array, boxes: Array) -> Array:
-    """Area that each place shares with each box, shape (k, n)."""
-    low = np.maximum(places[:, None, :2], boxes[None, :, :2])
-    high = np.minimum(places[:, None, 2:], boxes[None, :, 2:])
-    sides = np.maximum(high - low, 0)
-    area: Array = sides[..., 0] * sides[..., 1]
-    return area
-
-
-def _areas(boxes: Array) -> Array:
-    areas: Array = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
-    return areas
-
-
-def _lead(pen: Pen, label: Label, place: Array) -> None:
+def _lead(canvas: Canvas, label: Label, place: Array) -> None:
     """A line from a label to its box, if it does not touch it."""
     x0, y0, x1, y1 = label.box
     left, top, right, bottom = place.tolist()
     start = np.array([min(max((left + right) / 2, x0), x1), min(max((top + bottom) / 2, y0), y1)])
     end = np.array([min(max(start[0], left), right), min(max(start[1], top), bottom)])
     if np.abs(end - start).max() > 4:
-        pen.segments(np.array([[start, end]]), label.colour, 0.5)
+        canvas.segments(np.array([[start, end]]), label.colour, 0.5)

@@ -53,7 +53,7 @@ class Layers:
         asked = list(names)
         unknown = [name for name in asked if name not in known]
         if unknown:
-            raise ModsimError(f"no layer '{', '.join(unknown)}'; there are: {', '.join(known)}")
+            raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
         return replace(cls(), **dict.fromkeys(asked, True))
 
 

@@ -1,4 +1,4 @@
-"""Keys to what is drawn, as strips of sample and text that break where the width ends."""
+"""Legends: samples of lines and colours with what they mean, wrapped to the width of the picture."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from dataclasses import dataclass
 from PIL import Image
 
 from modsim3d.view import palette
+from modsim3d.view.canvas import Canvas, font, text_size
 from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen, font, text_size
 
 MOST_VESSELS = 40
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A sample and what it means.
+    """An entry of a legend.
 
     Attributes:
         text: What it means.
-        colour: Of the sample.
+        colour: The sample's colour.
         style: `box`, `dashed`, `false`, `missed`, `hatched` or `filled`.
     """
 
@@ -31,16 +31,16 @@ class Entry:
 
 
 def detection_entries(layers: Layers, mode: int) -> list[Entry]:
-    """The key to boxes.
+    """The legend of boxes.
 
     Args:
-        layers: That are drawn.
-        mode: Annotation mode.
+        layers: The layers that are drawn.
+        mode: Annotation mode of the scene.
     """
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
         (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
-        (layers.visible and mode < 2, Entry("what is seen", palette.TRUTH, "dashed")),
+        (layers.visible and mode < 2, Entry("visible part", palette.TRUTH, "dashed")),
         (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
         (layers.false_positives, Entry("false positive", palette.ALARM, "false")),
@@ -50,23 +50,23 @@ def detection_entries(layers: Layers, mode: int) -> list[Entry]:
 
 
 def vessel_entries(names: Sequence[str]) -> list[Entry]:
-    """The key to the colours and numbers of vessels."""
+    """The legend of vessels, with their numbers."""
     return _first_ones([Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)])
 
 
 def id_entries(vessels: Sequence[str], obstacles: Sequence[str]) -> list[Entry]:
-    """The key to an ID map.
+    """The legend of an ID map.
 
     Args:
-        vessels: Their names.
-        obstacles: Theirs.
+        vessels: Names of the vessels.
+        obstacles: Names of the obstacles.
     """
     land = [Entry(f"{letters(i)} {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
     return [*vessel_entries(vessels), *_first_ones(land), Entry("hidden", palette.VESSELS[0], "hatched")]
 
 
 def letters(index: int) -> str:
-    """What marks an obstacle on an ID map, where vessels have numbers: a to z, aa, ab, ..."""
+    """The letters of an obstacle on an ID map, where vessels have numbers: a to z, aa, ab, ..."""
     rest, last = divmod(index, 26)
     return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
 
@@ -77,7 +77,7 @@ def _first_ones(entries: list[Entry]) -> list[Entry]:
 
 
 def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
-    """A strip of a width, as high as its entries need; of no height without any."""
+    """A strip of the given width, as high as its entries need: 0 without any."""
     rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
     x = text_px // 2
     for entry in entries:
@@ -89,33 +89,33 @@ def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
         x += needed + text_px
     line = round(1.8 * text_px)
     strip = Image.new("RGB", (width, line * len(rows)), palette.PAPER)
-    pen = Pen(strip, 85 * text_px)
+    canvas = Canvas(strip, 85 * text_px)
     for row, placed in enumerate(rows):
         for left, entry in placed:
-            _entry(pen, entry, left, row * line, text_px)
+            _entry(canvas, entry, left, row * line, text_px)
     return strip
 
 
-def _entry(pen: Pen, entry: Entry, x: int, y: int, text_px: int) -> None:
+def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
     chip = (x, y + round(0.35 * text_px), x + 2 * text_px, y + round(1.5 * text_px))
-    pen.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=palette.SEA)
+    canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=palette.SEA)
     inset = text_px // 6 + 1
     box = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
     if entry.style == "filled":
-        pen.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=entry.colour)
+        canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=entry.colour)
     elif entry.style == "dashed":
-        pen.dashed_box(box, entry.colour, 0.75, 4.0)
+        canvas.dashed_box(box, entry.colour, 0.75, 4.0)
     elif entry.style == "missed":
-        pen.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
+        canvas.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
     elif entry.style == "false":
-        pen.crossed(box, entry.colour)
-        pen.dashed_box(box, entry.colour, 1.0, 4.0)
+        canvas.crossed(box, entry.colour)
+        canvas.dashed_box(box, entry.colour, 1.0, 4.0)
     elif entry.style == "hatched":
         for start in range(chip[0], chip[2], 6):
             top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
-            pen.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
+            canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
     else:
-        pen.box(box, entry.colour, 1.0)
+        canvas.box(box, entry.colour, 1.0)
     _, high, _, low = text_size("Ag", text_px)
     middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
-    pen.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))
+    canvas.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))

@@ -16,12 +16,12 @@ from modsim3d.errors import ModsimError
 from modsim3d.rotations import world_R_vehicle
 from modsim3d.view import palette
 from modsim3d.view.birds_eye import BirdsEye, hull_m, ring_step, view_of
+from modsim3d.view.film_files import put_in_place
+from modsim3d.view.map_names import MapNames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.text import Annotation
-    from matplotlib.transforms import Bbox
 
 FORMATS = (".png", ".svg", ".pdf")
 WIDTH_IN = 10.0
@@ -58,8 +58,8 @@ def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | N
     Args:
         birds_eye: The scene.
         step: The step.
-        width_px: Of the whole figure, at its own resolution.
-        height_px: As high as the map needs if None.
+        width_px: Width of the whole figure.
+        height_px: Its height; as high as the map needs if None.
 
     Raises:
         ModsimError: matplotlib is not installed.
@@ -75,23 +75,21 @@ def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | N
 
 
 def map_height_px(birds_eye: BirdsEye, width_px: int) -> int:
-    """The height that a map of a width needs; even, as films want it."""
+    """The height that a map of the given width needs; even, as films need it."""
     x0, x1, y0, y1 = birds_eye.extent_m
     return 2 * round(width_px * (0.92 * (y1 - y0) / (x1 - x0) + FURNITURE) / 2)
 
 
 def save_map(birds_eye: BirdsEye, step: int, path: Path, width_px: int) -> Path:
-    """Write the map at a step; the path's ending says as what. The same map is the same bytes."""
+    """Write the map at a step in the format of the path's ending; the same map gives the same bytes."""
     check_matplotlib()
     from matplotlib import rc_context
 
     ending = path.suffix.lower()
     metadata: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    partial = path.with_name(f".{path.name}.partial")
-    with rc_context({"svg.hashsalt": "modsim3d"}):
+    with rc_context({"svg.hashsalt": "modsim3d"}), put_in_place(path) as partial:
         figure = map_figure(birds_eye, step, width_px)
         figure.savefig(partial, format=ending[1:], metadata=metadata[ending], dpi=figure.dpi)
-    partial.replace(path)
     return path
 
 
@@ -106,23 +104,20 @@ def map_picture(birds_eye: BirdsEye, step: int, size: tuple[int, int]) -> Image.
 
 @dataclass(eq=False)
 class _Map:
-    """One map while it is drawn; names are put where there is room for them when all else is there."""
+    """One map while it is drawn."""
 
     figure: Figure
     birds_eye: BirdsEye
     step: int
     axes: Axes = field(init=False)
-    names: list[tuple[Annotation, Array, int | None]] = field(default_factory=list)
-    """Names that look for a place, with half the width and height, in metres, of what they name, and of which vessel it
-    is the name; first come first."""
-    bodies: dict[int, Array] = field(default_factory=dict)
-    """Outline of what is drawn of each vessel, in metres, shape (k, 2) each: other names keep off it."""
+    names: MapNames = field(init=False)
     explained: set[str] = field(default_factory=set)
 
     def draw(self) -> None:
         """Everything, from the bottom to the top."""
         scene, (x0, x1, y0, y1) = self.birds_eye.scene, self.birds_eye.extent_m
         self.axes = self.figure.add_subplot()
+        self.names = MapNames(self.axes)
         self.axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", facecolor=SEA, xlabel="w1 (m)", ylabel="w2 (m)")
         self.axes.set_autoscale_on(False)
         self.axes.tick_params(labelsize=8)
@@ -133,7 +128,8 @@ class _Map:
         self._obstacles()
         handles = self.axes.get_legend_handles_labels()[0]
         self.figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
-        self._place_names()
+        self.figure.draw_without_rendering()
+        self.names.place()
 
     def _once(self, text: str) -> str:
         """A label for the legend, for the first of its kind only."""
@@ -149,19 +145,6 @@ class _Map:
 
         self.axes.add_patch(Polygon(ring, **keys))
 
-    def _name(self, text: str, place: Array, half_m: Array, vessel: int | None = None, **keys: Any) -> None:
-        note = self.axes.annotate(
-            text,
-            (place[0], place[1]),
-            xytext=(0, 0),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            zorder=9,
-            **keys,
-        )
-        self.names.append((note, half_m, vessel))
-
     def _obstacles(self) -> None:
         obstacles = self.birds_eye.scene.obstacles
         for obstacle, shape in zip(obstacles, self.birds_eye.land, strict=True):
@@ -170,7 +153,7 @@ class _Map:
                 self._area(ring, facecolor=LAND, edgecolor=SHORE, lw=0.6, zorder=2, label=self._once("obstacle"))
             middle, (x0, y0, x1, y1) = shape.representative_point(), shape.bounds
             half_m = np.array([x1 - x0, y1 - y0]) / 2
-            self._name(obstacle.name, np.array([middle.x, middle.y]), half_m, fontsize=7, color=SOIL)
+            self.names.add(obstacle.name, np.array([middle.x, middle.y]), half_m, fontsize=7, color=SOIL)
 
     def _cameras(self) -> None:
         x0, x1, y0, y1 = self.birds_eye.extent_m
@@ -190,7 +173,7 @@ class _Map:
             self._line(at[None], color=CAMERA, mew=0.6, zorder=8, label=self._once("camera"), **style)
             if len(self.birds_eye.cameras) > 1:
                 ahead = at + CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0) * view[len(view) // 2]
-                self._name(camera.name, ahead, np.zeros(2), fontsize=8, color=CAMERA)
+                self.names.add(camera.name, ahead, np.zeros(2), fontsize=8, color=CAMERA)
 
     def _rings(self, at: Array, farthest_m: float) -> None:
         """Circles of round radii about the first camera, each with its radius where there is sea for it."""
@@ -235,7 +218,7 @@ class _Map:
         if vessel.length_m < least_m:
             hull_half_m = np.full(2, 0.5 * least_m)
             arrow = least_m * _ARROW @ world_R_vehicle(heading_rad)[:2, :2].T + here
-            self.bodies[index] = arrow
+            self.names.bodies_m[index] = arrow
             self._area(arrow, facecolor=colour, edgecolor="black", lw=0.7 * weight, zorder=6)
             self._area(hull, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
             self._area(np.full((3, 2), np.nan), facecolor=colour, edgecolor="black", lw=weight, label=label)
@@ -244,9 +227,9 @@ class _Map:
             bow = here + vessel.length_m / 2 * ahead
             self._line(np.array([bow, bow + 0.8 * least_m * ahead]), color="black", lw=max(1.0, 0.6 * weight), zorder=6)
             hull_half_m = np.ptp(hull, axis=0) / 2
-            self.bodies[index] = hull
+            self.names.bodies_m[index] = hull
             self._area(hull, facecolor=colour, edgecolor="black", lw=weight, zorder=7, label=label)
-        self._name(vessel.name, here, hull_half_m, index, fontsize=7.5, weight="bold" if own else "normal")
+        self.names.add(vessel.name, here, hull_half_m, index, fontsize=7.5, weight="bold" if own else "normal")
 
     def _colours(self) -> Iterator[tuple[float, ...]]:
         for index in range(len(self.birds_eye.scene.vessels)):
@@ -258,42 +241,5 @@ class _Map:
         recent: Array = (steps <= self.step) & (times[steps] >= times[self.step] - TRAIL_S)
         return recent
 
-    def _place_names(self) -> None:
-        """Move each name beside its place so that none lies on another or on another vessel; or leave it out."""
-        self.figure.draw_without_rendering()
-        point, frame = self.figure.dpi / 72, self.axes.get_window_extent()
-        taken: list[Bbox] = []
-        metre = float(np.ptp(self.axes.transData.transform([(0, 0), (1, 0)])[:, 0]))
-        bodies = {vessel: shapely.Polygon(self.axes.transData.transform(ring)) for vessel, ring in self.bodies.items()}
-        for note, half_m, vessel in self.names:
-            box = note.get_window_extent()
-            text = np.array([box.width, box.height]) / 2
-            beside = text + half_m * metre + 2 * point
-            within = not half_m.any() or bool((half_m * metre > text + 2 * point).all())
-            others = [body for owner, body in bodies.items() if owner != vessel]
-            there = frame.contains((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
-            for around in (_AROUND if within else _AROUND[1:]) if there else ():
-                x, y = (np.array(around) * beside).tolist()
-                moved = box.translated(x, y)
-                if _is_free(moved, frame, others, taken):
-                    note.set_position((x / point, y / point))
-                    taken.append(moved)
-                    break
-            else:
-                note.remove()
-
-
-def _is_free(place: Bbox, frame: Bbox, bodies: list[shapely.Polygon], taken: list[Bbox]) -> bool:
-    """Whether a name may stand there: inside the map, on no other name and on no other vessel."""
-    inside = frame.x0 <= place.x0 and place.x1 <= frame.x1 and frame.y0 <= place.y0 and place.y1 <= frame.y1
-    if not inside or any(place.overlaps(other) for other in taken):
-        return False
-    return not shapely.intersects(shapely.box(*place.extents), bodies).any()
-
 
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
-_AROUND = (
-    *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
-    *((1.0, 1.0), (-1.0, 1.0), (0.0, -2.2), (0.0, 2.2)),
-)
-"""Where a name is tried, in sides of what it names: on it, below, above, beside, ..."""

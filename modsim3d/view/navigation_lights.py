@@ -23,7 +23,7 @@ def lights(sight: Sight, vessels: tuple[Vessel, ...]) -> tuple[Array, Array]:
 
     Args:
         sight: What the camera has before it.
-        vessels: Of the scene.
+        vessels: The vessels of the scene.
 
     Returns:
         Places in the world, shape (n, 3), and colours, shape (n, 3).
@@ -46,17 +46,17 @@ def lights(sight: Sight, vessels: tuple[Vessel, ...]) -> tuple[Array, Array]:
     return np.concatenate(places), np.concatenate(colours)
 
 
-def glow(canvas: NDArray[np.float32], place_px: Array, colour: Array, radius_px: float) -> None:
+def glow(rgb: NDArray[np.float32], place_px: Array, colour: Array, radius_px: float) -> None:
     """Add a light to a picture: a bright point in a halo that fades with distance.
 
     Args:
-        canvas: sRGB from 0 to 1, shape (h, w, 3); changed.
+        rgb: sRGB from 0 to 1, shape (h, w, 3); changed.
         place_px: Column and row, shape (2,).
         colour: Shape (3,).
-        radius_px: Of the point.
+        radius_px: Radius of the point.
     """
     reach = math.ceil(8 * radius_px)
-    height, width = canvas.shape[:2]
+    height, width = rgb.shape[:2]
     column, row = (math.floor(value) for value in place_px)
     rows = np.arange(max(row - reach, 0), min(row + reach + 1, height))
     columns = np.arange(max(column - reach, 0), min(column + reach + 1, width))
@@ -65,4 +65,4 @@ def glow(canvas: NDArray[np.float32], place_px: Array, colour: Array, radius_px:
     squared = ((rows + 0.5 - place_px[1])[:, None] ** 2 + (columns + 0.5 - place_px[0]) ** 2) / radius_px**2
     strength = (1.2 * np.exp(-squared) + 0.25 * np.exp(-squared / 12))[..., None]
     here = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    canvas[here] += (strength * colour).astype(np.float32)
+    rgb[here] += (strength * colour).astype(np.float32)

@@ -9,8 +9,8 @@ from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Region
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 
@@ -29,10 +29,10 @@ def background(
 
     Args:
         window: What to show.
-        sea_half_plane: (a, b, c) of the horizon, in image pixels.
-        image_size_px: Of the camera.
-        sea: Colour.
-        sky: Colour.
+        sea_half_plane: (a, b, c): the sea is where a x + b y + c ≥ 0, in pixels of the image, shape (3,).
+        image_size_px: Width and height of the camera's image.
+        sea: Colour of the sea.
+        sky: Colour of the sky.
     """
     picture = Image.new("RGB", window.size, palette.PAPER)
     draw = ImageDraw.Draw(picture)
@@ -44,16 +44,24 @@ def background(
     draw.rectangle((left, top, right - 1, bottom - 1), fill=sky)
     # A pixel is of the sea if its centre is; whole pixels count from their own corner here.
     frame = np.array([(left, top), (right - 1, top), (right - 1, bottom - 1), (left, bottom - 1)])
-    polygon = _kept(frame, sea_half_plane, window)
+    polygon = below_horizon(frame, (frame + 0.5) / window.scale + (window.x, window.y), sea_half_plane)
     if len(polygon):
         draw.polygon([tuple(point) for point in np.rint(polygon).tolist()], fill=sea)
     return picture
 
 
-def _kept(polygon: Array, half_plane: Array, window: Window) -> Array:
-    """The part of a convex polygon of pixels on the sea's side of the horizon."""
-    image = (polygon + 0.5) / window.scale + (window.x, window.y)
-    value = image @ half_plane[:2] + half_plane[2]
+def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> Array:
+    """The part of a convex polygon on the sea's side of the horizon.
+
+    Args:
+        polygon: Its corners in any affine coordinates of the image, shape (n, 2).
+        polygon_px: The same corners in pixels of the image, shape (n, 2).
+        sea_half_plane: (a, b, c), see `Intrinsics.sea_half_plane`, shape (3,).
+
+    Returns:
+        Corners in the coordinates of `polygon`, shape (m, 2); empty if there is no sea in it.
+    """
+    value = polygon_px @ sea_half_plane[:2] + sea_half_plane[2]
     points = []
     for i in range(len(polygon)):
         if (value[i - 1] >= 0) != (value[i] >= 0):
@@ -64,7 +72,7 @@ def _kept(polygon: Array, half_plane: Array, window: Window) -> Array:
     return np.array(points).reshape(-1, 2)
 
 
-def draw_horizon(pen: Pen, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
+def draw_horizon(canvas: Canvas, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
     """A line where the sea ends."""
     a, b, c = sea_half_plane
     if a == b == 0:
@@ -72,7 +80,7 @@ def draw_horizon(pen: Pen, window: Window, sea_half_plane: Array, image_size_px:
     foot = -c * np.array([a, b])
     reach = 2.0 * sum(image_size_px) + float(np.abs(foot).max())
     along = np.array([-b, a]) * reach
-    pen.segments(window.to_picture(np.array([[foot - along, foot + along]])), palette.HORIZON, 0.5)
+    canvas.segments(window.to_picture(np.array([[foot - along, foot + along]])), palette.HORIZON, 0.5)
 
 
 def fill_solids(
@@ -90,9 +98,9 @@ def fill_solids(
         picture: To draw on.
         window: What it shows.
         solids: The vessels.
-        drawer: Says which is in front.
+        drawer: Draws ID buffers.
         dim: Share of black in all colours, so that boxes stand out.
-        samples: Each side is drawn this much larger and shrunk.
+        samples: Factor by which sides are drawn larger before they are shrunk.
     """
     triangles = solids.triangles
     if not len(triangles.row):
@@ -116,5 +124,5 @@ def fill_solids(
 
 
 def occluder_colour(occluder: int, vessels: int) -> Colour:
-    """The colour of a vessel, or of what else may hide one."""
+    """The colour of a vessel, or that of obstacles for an index beyond the vessels."""
     return palette.vessel_colour(occluder) if occluder < vessels else palette.OBSTACLE

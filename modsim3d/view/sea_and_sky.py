@@ -14,7 +14,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.camera import Intrinsics
-from modsim3d.view.look import Look
+from modsim3d.view.render_style import RenderStyle
 from modsim3d.view.window import Window
 
 Floats = NDArray[np.float32]
@@ -53,7 +53,7 @@ NIGHT = Palette((0.015, 0.025, 0.06), (0.10, 0.13, 0.20), (0.008, 0.015, 0.03), 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Where the pixels of a window look.
+    """Directions in which the pixels of a window look.
 
     Attributes:
         camera: Unit vectors in CCF, shape (h, w, 3).
@@ -97,7 +97,7 @@ class Backdrop:
         colour: sRGB from 0 to 1, shape (h, w, 3).
         sea: Which pixels show the sea, shape (h, w).
         mirror: Share of the light that the sea reflects there, shape (h, w).
-        ripple: How ripples turn the sea, about −1 to 1, shape (h, w).
+        ripple: Strength of the ripples, about −1 to 1, shape (h, w).
     """
 
     colour: Floats
@@ -106,15 +106,15 @@ class Backdrop:
     ripple: Floats
 
 
-def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, look: Look) -> Backdrop:
+def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, style: RenderStyle) -> Backdrop:
     """Sea and sky.
 
     Args:
-        rays: Where the pixels look.
+        rays: Directions in which the pixels look.
         camera_R_world: Rotation WCF to CCF, shape (3, 3).
-        position_m: Of the camera in WCF, shape (3,).
+        position_m: Position of the camera in WCF, shape (3,).
         focal_px: Pixels of the picture for a radian, near its middle.
-        look: Weather and time of day.
+        style: Weather and time of day.
     """
     up = (rays.camera.reshape(-1, 3) @ camera_R_world[:, 2].astype(np.float32)).reshape(rays.inside.shape)
     above = max(float(position_m[2]), 0.1)
@@ -127,16 +127,16 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
     ripple[wet] = _ripple(world, above / down[wet], position_m, focal_px)
     # Seen along the surface, what counts is how waves are turned; their slopes make up for the angle.
     turned = down[wet] + ROUGHNESS * (1 + 0.45 * ripple[wet])
-    sky, water, mirrors = _tables(look.night)
+    sky, water, mirrors = _tables(style.night)
     colour = sky[_place(up)]
     # A pixel on the horizon is part sea, part sky, so that the line has no steps.
     share = np.clip(0.5 - up[wet, :, None] * focal_px, 0, 1)
     colour[wet] += share * (water[_place(turned)] - colour[wet])
     mirror[wet] = mirrors[_place(turned)]
-    if look.extinction_per_m:
+    if style.extinction_per_m:
         # Through fog of some depth: along the sea all the way, upwards until it ends.
         through = np.where(sea, above / down, max(FOG_DEPTH_M - above, 1.0) / np.maximum(up, 1e-6))
-        colour = fogged(colour, through, look)
+        colour = fogged(colour, through, style)
     return Backdrop(colour, sea, mirror, ripple)
 
 
@@ -158,18 +158,18 @@ def _tables(night: bool) -> tuple[Floats, Floats, Floats]:
     return sky, water + mirror[:, None] * (sky - water), mirror
 
 
-def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], look: Look) -> Floats:
+def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style: RenderStyle) -> Floats:
     """Colours behind air: Koschmieder's law, C = C0 e^(−σ d) + A (1 − e^(−σ d)) with A the colour of fog.
 
     Args:
         colour: Shape (..., 3).
         distance_m: Shape (...).
-        look: Has the visibility.
+        style: Has the visibility.
     """
-    if not look.extinction_per_m:
+    if not style.extinction_per_m:
         return colour.astype(np.float32)
-    kept = np.exp(-look.extinction_per_m * distance_m)[..., None]
-    air = np.array((NIGHT if look.night else DAY).fog, np.float32)
+    kept = np.exp(-style.extinction_per_m * distance_m)[..., None]
+    air = np.array((NIGHT if style.night else DAY).fog, np.float32)
     out: Floats = (air + kept * (colour - air)).astype(np.float32)
     return out
 

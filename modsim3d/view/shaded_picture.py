@@ -1,7 +1,7 @@
 """A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
 
-For looking at. Which pixel shows which vessel is as in the ID buffer of the same size; light, fog and night are
-illustration, and nothing in the simulation knows of them.
+Which pixel shows which vessel is as in the ID buffer of the same size. Light, fog and night are illustration: the
+simulation does not use them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.vessels import Vessel
 from modsim3d.view import palette
-from modsim3d.view.look import Look
+from modsim3d.view.canvas import Canvas, font, text_size
 from modsim3d.view.navigation_lights import glow, lights
-from modsim3d.view.pen import Pen, font, text_size
 from modsim3d.view.plain import occluder_colour
+from modsim3d.view.render_style import RenderStyle
 from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
 from modsim3d.view.solids import SUN, Solids
 from modsim3d.view.window import Window
@@ -37,12 +37,12 @@ OVERHEAD = np.array([0.2, -0.3, 1.0])
 """Where the brightest part of the sky is that is not the sun."""
 
 
-class ShadedPainter:
-    """Draws shaded pictures in one look; keeps what all pictures of a camera share."""
+class ShadedPictureRenderer:
+    """Draws shaded pictures in one style; keeps what all pictures of a camera share."""
 
-    def __init__(self, renderer: ShadedRenderer, look: Look) -> None:
+    def __init__(self, renderer: ShadedRenderer, style: RenderStyle) -> None:
         """Take the renderer, which lives as long as its context."""
-        self.look = look
+        self.style = style
         self._renderer = renderer
         self._rays: dict[tuple[Intrinsics, Window], Rays] = {}
         self._behind: dict[tuple[Intrinsics, Window], tuple[Array, Backdrop]] = {}
@@ -55,32 +55,32 @@ class ShadedPainter:
         Args:
             solids: What stands before the camera.
             window: What of its image to show, and how large.
-            vessels: Of the scene, whose lights are shown by night.
-            samples: Buffer pixels for each pixel of the window and axis; 1 blends no edge.
+            vessels: All vessels of the scene, whose lights are shown by night.
+            samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
         """
         poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
         rays = self._rays_of(intrinsics, window)
         behind = self._backdrop(rays, poses, intrinsics, window)
-        canvas = behind.colour.copy()
+        rgb = behind.colour.copy()
         faces = lit_faces(solids)
         if len(faces.colours):
-            self._reflect(canvas, behind, faces, solids, window)
-            depth_m = self._stand(canvas, rays, faces, solids, window, samples)
-            if self.look.night and vessels:
-                self._lights(canvas, depth_m, solids, window, vessels)
-        canvas[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
-        picture = Image.fromarray((np.clip(canvas, 0, 1) * 255 + 0.5).astype(np.uint8))
-        if self.look.caption:
-            _write(picture, self.look.caption)
+            self._reflect(rgb, behind, faces, solids, window)
+            depth_m = self._stand(rgb, rays, faces, solids, window, samples)
+            if self.style.night and vessels:
+                self._lights(rgb, depth_m, solids, window, vessels)
+        rgb[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
+        picture = Image.fromarray((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
+        if self.style.caption:
+            _write(picture, self.style.caption)
         return picture
 
     def _backdrop(self, rays: Rays, poses: CameraPoses, intrinsics: Intrinsics, window: Window) -> Backdrop:
-        """Sea and sky; those of the picture before if the camera has not moved."""
+        """Sea and sky; kept from the last picture if the camera has not moved."""
         pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
         known = self._behind.get((intrinsics, window))
         if known is None or not np.array_equal(known[0], pose):
             focal_px = intrinsics.focal_px[0] * window.scale
-            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.look)
+            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.style)
             known = self._behind[intrinsics, window] = pose, behind
         return known[1]
 
@@ -95,35 +95,33 @@ class ShadedPainter:
         to_picture[:2, 2] = -samples * np.array(
             [window.x * window.scale + region.x, window.y * window.scale + region.y]
         )
-        lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.look)
+        lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.style)
         size = (region.width * samples, region.height * samples)
         pixels = to_picture @ solids.intrinsics.matrix
         return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
 
-    def _stand(
-        self, canvas: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int
-    ) -> Floats:
-        """The solids themselves; gives their depth at each pixel."""
-        depth_m = np.full(canvas.shape[:2], np.inf, np.float32)
+    def _stand(self, rgb: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int) -> Floats:
+        """Draw the solids; returns their depth in metres at each pixel, infinite where there is none, shape (h, w)."""
+        depth_m = np.full(rgb.shape[:2], np.inf, np.float32)
         region = _region(faces, solids, window)
         if not region.width or not region.height:
             return depth_m
         lit = self._lit(faces, solids, window, region, samples)
         here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
         colour = lit.colour
-        if self.look.extinction_per_m:
+        if self.style.extinction_per_m:
             along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
-            misty = fogged(colour / np.float32(255), np.where(lit.drawn, lit.depth_m, 0) / along, self.look)
+            misty = fogged(colour / np.float32(255), np.where(lit.drawn, lit.depth_m, 0) / along, self.style)
             colour = np.rint(misty * lit.drawn[..., None] * 255).astype(np.uint8)
         cover = _reduced(lit.drawn * np.uint8(255), samples)[..., None]
-        canvas[here] = canvas[here] * (1 - cover) + _reduced(colour, samples)
+        rgb[here] = rgb[here] * (1 - cover) + _reduced(colour, samples)
         depth_m[here] = lit.depth_m[::samples, ::samples]
         return depth_m
 
     def _lights(
-        self, canvas: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
+        self, rgb: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
     ) -> None:
-        """The lights of vessels that nothing hides."""
+        """Draw the lights that nothing hides."""
         places, colours = lights(solids.sight, vessels)
         seen = solids.sight.camera_poses.to_camera(places[None])[0]
         pixels = window.to_picture(solids.intrinsics.project(seen))
@@ -132,12 +130,12 @@ class ShadedPainter:
             x, y = float(pixel[0]), float(pixel[1])
             if not (0 <= x < width and 0 <= y < height) or depth_m[int(y), int(x)] < 0.98 * place[2]:
                 continue
-            bright = np.exp(-self.look.extinction_per_m * np.linalg.norm(place))
+            bright = np.exp(-self.style.extinction_per_m * np.linalg.norm(place))
             radius = max(1.0, window.size[0] / 1280 * float(np.clip(400 / place[2], 1.2, 4)))
-            glow(canvas, np.array([x, y]), colour * bright, radius)
+            glow(rgb, np.array([x, y]), colour * bright, radius)
 
-    def _reflect(self, canvas: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
-        """What the sea shows of the solids upside down, moved by ripples."""
+    def _reflect(self, rgb: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
+        """Draw the reflections of the solids, moved by ripples."""
         mirrored = _mirrored(faces, solids)
         if not len(mirrored.colours):
             return
@@ -154,14 +152,14 @@ class ShadedPainter:
         shown = np.flatnonzero(lit.drawn.ravel().take(source) & behind.sea[here].ravel())
         source = source[shown]
         row, column = np.divmod(shown, region.width)
-        target = (row + region.y) * canvas.shape[1] + column + region.x
+        target = (row + region.y) * rgb.shape[1] + column + region.x
         share: Floats = (behind.mirror.ravel().take(target) * np.float32(REFLECTION))[:, None]
         seen = lit.colour.reshape(-1, 3).take(source, axis=0).astype(np.float32) / np.float32(255)
-        if self.look.extinction_per_m:
+        if self.style.extinction_per_m:
             depth = lit.depth_m.ravel().take(source)
-            seen = fogged(seen, depth, self.look)
-            share = share * np.exp(-self.look.extinction_per_m * depth)[:, None]
-        pixels = canvas.reshape(-1, 3)
+            seen = fogged(seen, depth, self.style)
+            share = share * np.exp(-self.style.extinction_per_m * depth)[:, None]
+        pixels = rgb.reshape(-1, 3)
         pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
 
 
@@ -171,7 +169,7 @@ def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
 
 
 def lit_faces(solids: Solids) -> LitFaces:
-    """The solids' triangles as the image of a pinhole shows them: of a lens that distorts, as it bends them."""
+    """The triangles of the solids for a pinhole renderer; a lens that distorts has bent them before."""
     triangles, intrinsics = solids.triangles, solids.intrinsics
     snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
     depth = intrinsics.near_clip_m / triangles.inverse_depth
@@ -182,7 +180,7 @@ def lit_faces(solids: Solids) -> LitFaces:
 
 
 def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
-    """What is above the sea, turned over about it, but for faces that the near plane would cut."""
+    """The faces above the sea mirrored at it, without those that the near plane would cut."""
     poses = solids.sight.camera_poses
     rotation, place = poses.camera_R_world[0], poses.positions_m[0]
     world = faces.corners_camera @ rotation + place
@@ -201,14 +199,14 @@ def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1)
     return Region.around(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), window.size, margin_px)
 
 
-def _lamps(camera_R_world: Array, look: Look) -> tuple[list[Lamp], tuple[float, float, float]]:
+def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
     """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
 
     def turned(world: Iterable[float]) -> tuple[float, float, float]:
         x, y, z = (camera_R_world @ np.array(list(world))).tolist()
         return x, y, z
 
-    if look.night:
+    if style.night:
         moon = Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.3)
         return [moon], (0.022, 0.026, 0.036)
     sun = Lamp(turned(SUN), (1.0, 0.96, 0.88), 2.3)
@@ -219,10 +217,10 @@ def _lamps(camera_R_world: Array, look: Look) -> tuple[list[Lamp], tuple[float, 
 
 def _write(picture: Image.Image, text: str) -> None:
     """A small line at the bottom left."""
-    pen = Pen(picture)
-    size = max(10, round(0.8 * pen.text_px))
+    canvas = Canvas(picture)
+    size = max(10, round(0.8 * canvas.text_px))
     left, top, right, bottom = text_size(text, size)
     pad = size // 3
     y = picture.height - (bottom - top) - 2 * pad
-    pen.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
-    pen.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))
+    canvas.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
+    canvas.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))

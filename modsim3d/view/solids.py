@@ -1,4 +1,4 @@
-"""What stands before a camera at a step, ready to be drawn in a window at the window's own size."""
+"""The solids before a camera at a step, to be drawn in a window at the window's own size."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Solids:
     """The solids before a camera.
 
     Attributes:
-        sight: What the camera has before it, at one step.
+        sight: Poses of the camera and the vessels at one step.
         camera: The camera.
-        outlines: Their rows.
+        outlines: A row for each solid before the camera.
         extents_m: Length, beam and air draft of all vessels, shape (V, 3).
     """
 
@@ -42,14 +42,14 @@ class Solids:
 
     @classmethod
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
-        """What a camera of a scene has before it at a step."""
+        """The solids before a camera of a scene at a step."""
         sight = scene.sight(camera, np.array([step]))
         outlines = sight.outlines()
         return cls(sight, camera, outlines, np.array([vessel.extents_m for vessel in scene.vessels]))
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Of the camera."""
+        """Intrinsics of the camera."""
         return self.camera.intrinsics
 
     @property
@@ -59,16 +59,16 @@ class Solids:
 
     @property
     def occluders(self) -> Indices:
-        """Index into the scene's occluder names of each row, shape (n,)."""
+        """Index of the vessel (or of what else may hide one) of each row, shape (n,)."""
         return self.outlines.occluder
 
     @cached_property
     def triangles(self) -> Triangles:
-        """Of all rows, cut at the near plane and far outside the image."""
+        """The triangles of all rows, cut at the near plane and far outside the image."""
         return triangles_of(self.outlines, self.intrinsics)
 
     def ids(self, window: Window, drawer: IdDrawer, samples: int = 1) -> Ids:
-        """Occluder + 1 at each pixel of a window; zero where nothing is.
+        """Occluder + 1 at each pixel of a window, 0 where there is nothing, shape (h · samples, w · samples).
 
         Args:
             window: What to show.
@@ -79,7 +79,7 @@ class Solids:
         return self._drawn(values, window, drawer, Region(0, 0, *window.size), samples)
 
     def faces(self, window: Window, drawer: IdDrawer, region: Region, samples: int) -> Ids:
-        """Triangle + 1 at each pixel of a region of a window; zero where nothing is."""
+        """Triangle + 1 at each pixel of a region of a window, 0 where there is nothing; shape as of `ids`."""
         return self._drawn(np.arange(len(self.triangles.row)) + 1, window, drawer, region, samples)
 
     def _drawn(
@@ -90,7 +90,7 @@ class Solids:
         return drawer.draw(corners, self.triangles.inverse_depth, values, enlarged)
 
     def normals_camera(self) -> Array:
-        """Unit vectors across each triangle in CCF, from the side that is turned to the camera, shape (T, 3)."""
+        """Unit normals of the triangles in CCF, on the side turned to the camera, shape (T, 3)."""
         depth = self.intrinsics.near_clip_m / self.triangles.inverse_depth
         corners = self.intrinsics.unproject(self.triangles.corners_px, depth)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -102,15 +102,15 @@ class Solids:
         return unit
 
     def light(self) -> Array:
-        """How light each triangle is, by its side of the solid: from `DIMMEST` to 1, shape (T,)."""
+        """Brightness of each triangle by its angle to the sun, from `DIMMEST` to 1, shape (T,)."""
         world = self.normals_camera() @ self.sight.camera_poses.camera_R_world[0]
         light: Array = DIMMEST + (1 - DIMMEST) * (0.5 + 0.5 * world @ (SUN / np.linalg.norm(SUN)))
         return light
 
     def shoeboxes(self) -> list[tuple[int, Array, Array]]:
-        """For each row that is a vessel: its index, its shoebox's edges and its corner points in the image.
+        """Shoeboxes of the vessels: index of the vessel, edges and corner points in the image, in pixels.
 
-        Edges are cut at the near plane, shape (E, 2, 2); corners nearer than it are NaN, shape (8, 2).
+        Edges are cut at the near plane, shape (E, 2, 2). Corners nearer than it are NaN, shape (8, 2).
         """
         body = shoebox().vertices
         near = self.intrinsics.near_clip_m

@@ -22,16 +22,16 @@ class Timetable:
 
     Attributes:
         rate: Pictures a second.
-        shown: How many pictures in a row each frame is shown for; 0 if the film is too fast for it, shape (n,).
+        repeats: Number of pictures that show each frame; 0 if the film is too fast for it, shape (n,).
     """
 
     rate: Fraction
-    shown: Indices
+    repeats: Indices
 
     @property
     def duration_s(self) -> float:
-        """How long the film is."""
-        return float(self.shown.sum() / self.rate)
+        """Length of the film in seconds."""
+        return float(self.repeats.sum() / self.rate)
 
     @classmethod
     def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
@@ -41,9 +41,9 @@ class Timetable:
         picture shows the frame that is due at its time.
 
         Args:
-            durations_s: Of each frame in the run, positive, shape (n,).
-            speed: How many seconds of the run pass in one of the film.
-            most_rate: Pictures a second.
+            durations_s: Duration of each frame in the run, positive, shape (n,).
+            speed: Seconds of the run in one second of the film.
+            most_rate: The highest rate in pictures a second.
         """
         film_s = durations_s / speed
         shortest = float(film_s.min())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from modsim3d.draw_film import open_drawer
+from modsim3d.film_renderer import open_drawer
 from modsim3d.run import run_scene
 from modsim3d.run_report import REPORT_FILE, write_report
 from modsim3d.scene import Scene

@@ -86,8 +86,8 @@ def test_counts_are_those_of_the_run(page, run_folder):
     counts = json.loads((run_folder / "run.json").read_text())["counts"]
     said = {row[0]: int(row[1]) for row in table_after(page, "What happened")}
     assert said == {
-        "Images": counts["frames"],
-        "Vessels in images": counts["vessel_frames"],
+        "Frames": counts["frames"],
+        "Vessels in frames": counts["vessel_frames"],
         "Partly hidden": counts["partly_hidden"],
         "Wholly hidden": counts["fully_hidden"],
         "Annotated": counts["annotated"],

@@ -14,7 +14,7 @@ import numpy as np
 from modsim3d.arrays import Indices
 
 PLACE_BITS = 17
-"""Of a coordinate in a vertex's number."""
+"""Bits of a coordinate in a vertex's number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +22,9 @@ class Contours:
     """Closed lines, those of one shape after the other.
 
     Attributes:
-        shape: That each line belongs to, non-decreasing, shape (l,).
-        count: Corners of each line, shape (l,).
-        corners: Of the lines, one after the other, the first not repeated at the end, shape (k, 2).
+        shape: Index of the shape that each line belongs to, non-decreasing, shape (l,).
+        count: Number of corners of each line, shape (l,).
+        corners: Corners of the lines, line after line, the first not repeated at the end, shape (k, 2).
     """
 
     shape: Indices
@@ -36,7 +36,7 @@ def contours(shape: Indices, corners: Indices) -> Contours:
     """The lines around what triangles cover.
 
     Args:
-        shape: That each triangle belongs to, shape (T,).
+        shape: Index of the shape that each triangle belongs to, shape (T,).
         corners: Whole numbers from 0 to 65,535, all triangles the same way round, shape (T, 3, 2).
     """
     place = (corners[..., 0] << PLACE_BITS) + corners[..., 1]
@@ -51,7 +51,7 @@ def contours(shape: Indices, corners: Indices) -> Contours:
 
 
 def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Indices]:
-    """Directed edges without those that another one takes back; of no length are none."""
+    """Start and end of the directed edges that no opposite edge cancels, shape (e,) each."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     edge, which = np.unique(low * vertices + high, return_inverse=True)
     net = np.bincount(which.reshape(-1), np.sign(end - start), len(edge)).astype(np.int64)
@@ -64,7 +64,10 @@ def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Ind
 
 
 def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
-    """Edges in order along closed lines, and the length of each line; as many begin at each vertex as end there."""
+    """Edges in order along closed lines, shape (e,), and the number of edges of each line, shape (l,).
+
+    As many edges begin at each vertex as end there.
+    """
     after = np.empty_like(start)
     after[np.argsort(end, kind="stable")] = np.argsort(start, kind="stable")
     follows, done = after.tolist(), bytearray(len(start))

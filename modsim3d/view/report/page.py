@@ -14,8 +14,8 @@ from typing import Any
 import orjson
 
 from modsim3d.view.page import heading, table
+from modsim3d.view.report.count_tables import STATE_HEADER, VESSEL_HEADER, Rows
 from modsim3d.view.report.recording import Recording
-from modsim3d.view.report.tally import STATE_HEADER, VESSEL_HEADER, Rows
 
 SCRIPTS = ("recording.js", "picture.js", "timeline.js", "player.js")
 """In the order in which they need each other; in the page they are one script."""
@@ -26,17 +26,17 @@ class Page:
     """What the page says.
 
     Attributes:
-        name: Of the scene.
-        recording: The frames.
-        settings: Of `run.json`.
+        name: Name of the scene.
+        recording: The frames, for the player.
+        settings: The settings in `run.json`.
         overall: Rows of the table of counts.
-        by_vessel: The same by vessel.
-        by_state: The same by performance state.
-        steps: That the run has.
-        planned_steps: That it was to have.
-        finished: Whether the run was.
-        every: Every which step is shown.
-        related: Links to other pages of the run and what they are.
+        by_vessel: Rows of the table of counts by vessel.
+        by_state: Rows of the table of counts by performance state.
+        steps: Number of steps that are there.
+        planned_steps: Number of steps of the scene.
+        finished: Whether the run is finished.
+        every: Every K-th step is shown.
+        related: Addresses and titles of other pages of the run.
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""What the page's player needs of a run, in as few bytes as it can be said in.
+"""The frames of a run for the player of its page, in few bytes.
 
-Columns of small integers, one after the other, gzipped, in base64. A length in the image is a multiple of `quantum_px`,
-which is 0.1 px for all but very large images.
+Columns of small integers are stored one after the other, gzipped, in base64. A length in the image is a multiple of
+`quantum_px`, which is 0.1 px for all but very large images.
 """
 
 from __future__ import annotations
@@ -57,23 +57,23 @@ def quantum_px(image_sizes_px: list[tuple[int, int]]) -> float:
 
 
 def in_quanta(lengths_px: Array, quantum: float) -> NDArray[np.uint16]:
-    """Lengths in the image as multiples of a quantum; `NONE` for NaN."""
+    """Lengths in pixels as multiples of a quantum; `NONE` for NaN. Same shape."""
     counted = np.clip(np.rint(np.nan_to_num(lengths_px) / quantum), 0, NONE - 1)
     return np.where(np.isnan(lengths_px), NONE, counted).astype(np.uint16)
 
 
 def in_250ths(fraction: Array) -> NDArray[np.uint8]:
-    """Visible fractions; what is seen in part is never rounded to all or to nothing."""
+    """Visible fractions in 250ths, `UNKNOWN_FRACTION` for NaN; a part is never rounded to 0 or 1. Same shape."""
     counted = np.clip(np.rint(np.nan_to_num(fraction) * WHOLE), np.where(fraction > 0, 1, 0), WHOLE)
     counted = np.where((fraction < 1) & (counted == WHOLE), WHOLE - 1, counted)
     return np.where(np.isnan(fraction), UNKNOWN_FRACTION, counted).astype(np.uint8)
 
 
 def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
-    """Where the rows of each frame begin, and the end, shape (frames + 1,).
+    """The first row of each frame, and the number of rows, shape (frames + 1,).
 
     Args:
-        frame: Of each row, ascending.
-        frames: Their number.
+        frame: Index of the frame of each row, ascending, shape (n,).
+        frames: Number of frames.
     """
     return np.searchsorted(frame, np.arange(frames + 1)).astype(np.uint32)

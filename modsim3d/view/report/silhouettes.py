@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -21,7 +21,7 @@ from modsim3d.view.report.contours import contours
 from modsim3d.view.report.recording import NONE
 
 MOST_FACES = 300_000
-"""Whose outlines are made together: few calls, little memory."""
+"""Number of faces whose outlines are computed together: few calls, little memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +31,8 @@ class Shape:
     Attributes:
         frame: Number of the outlines' frame.
         occluder: Index into the scene's occluder names.
-        corners: Of its closed lines, one after the other, as multiples of the quantum, shape (k, 2).
-        count: Of corners of each line, shape (l,).
+        corners: Corners of its closed lines, line after line, as multiples of the quantum, shape (k, 2).
+        count: Number of corners of each line, shape (l,).
     """
 
     frame: int
@@ -44,12 +44,12 @@ class Shape:
 def shapes(
     outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, occluder_count: int, hides: Indices
 ) -> Iterator[Shape]:
-    """All there is to be painted, in order of frame and from back to front.
+    """The silhouettes of all frames, frame by frame and from back to front.
 
     Args:
         outlines: What is before the camera.
-        intrinsics: Of the camera.
-        quantum_px: Of lengths in the image.
+        intrinsics: Intrinsics of the camera.
+        quantum_px: The unit of lengths in the image.
         occluder_count: Number of the scene's occluder names.
         hides: What hides what in the truth, see `in_front`.
     """
@@ -86,7 +86,7 @@ def _in_turns(outlines: Outlines) -> list[Indices]:
 
 
 def _closed(outlines: Outlines) -> Mask:
-    """Whether each row's solid is, shape (n,)."""
+    """Whether the solid of each row is closed, shape (n,)."""
     closed = np.zeros(len(outlines), dtype=bool)
     for part in outlines.parts:
         closed[part.rows] = part.solid.closed
@@ -94,7 +94,10 @@ def _closed(outlines: Outlines) -> Mask:
 
 
 def _one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[Mask, Indices]:
-    """Which triangles are needed, and their corners, all the same way round; of closed solids those that face us."""
+    """Which triangles are needed, shape (T,), and their corners in one sense of rotation, shape (T', 3, 2).
+
+    Of a closed solid only the triangles that face the camera are needed.
+    """
     a, b, c = np.moveaxis(corners_px, 1, 0)
     # Rows run downwards: the area of a face turned to the camera is positive this way round.
     doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
@@ -106,8 +109,9 @@ def _one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[M
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
     """Rows that may be hidden in part, and the rows of the same frame that may hide them.
 
-    A plane between two solids, or between the boxes around them, says it. Where there is none the truth does, if one of
-    the two hides the other and not the other way round; it knows nothing of what vessels hide of obstacles.
+    A plane between two solids, or between the boxes around them, tells which one is in front. Without such a plane the
+    truth decides, if one of the two hides the other and not the other way round. It does not say what vessels hide of
+    obstacles.
 
     Args:
         outlines: What is before the camera.
@@ -140,23 +144,24 @@ def _in_a_box(part: Part) -> Part:
 
 
 def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
-    """Of pairs of rows, as in the truth's."""
-    frame_and_hidden = outlines.frame[hidden] * occluder_count + outlines.occluder[hidden]
-    keys: Indices = frame_and_hidden * occluder_count + outlines.occluder[hider]
+    """Keys of pairs of rows, as `in_front` describes them, shape (p,)."""
+    keys: Indices = (
+        outlines.frame[hidden] * occluder_count + outlines.occluder[hidden]
+    ) * occluder_count + outlines.occluder[hider]
     return keys
 
 
 def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: Indices, hider: Indices) -> Indices:
-    """Rows so that what is painted later hides what it is known to hide; farther ones first otherwise.
+    """Sort rows so that each is painted after what it hides, and otherwise the farthest first.
 
-    The distance of the centres alone would put a long ship before the boat that lies in front of its stern.
+    Sorting by depth alone could paint a long ship over the boat that lies in front of its stern.
 
     Args:
-        frame: Of each row, ascending, shape (n,).
-        depth_m: Shape (n,).
-        occluder: Of each row; the pieces of one are painted together where that can be, shape (n,).
-        hidden: Rows of which a part may be hidden, shape (p,).
-        hider: By which row of the same frame, shape (p,).
+        frame: Frame of each row, ascending, shape (n,).
+        depth_m: Depth of each row, shape (n,).
+        occluder: Occluder of each row, shape (n,). The pieces of one are painted together where possible.
+        hidden: Rows that may be hidden in part, shape (p,).
+        hider: For each of them, the row of the same frame that may hide it, shape (p,).
 
     Returns:
         A permutation of the rows, in order of frame, shape (n,).
@@ -178,42 +183,56 @@ def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: In
 
 
 def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, list[int]]) -> list[int]:
-    """The rows, each before those in front of it; where three hide each other in a ring, the farthest comes first.
+    """Sort the rows of a frame so that each comes before those in front of it.
+
+    Rows of the occluder painted last come next if they may, then farther ones before nearer ones. Where three hide each
+    other in a ring, the farthest comes first.
 
     Args:
         far_to_near: Rows of a frame.
-        occluder: Of all rows.
+        occluder: Occluder of each row of all frames, shape (n,).
         before: Row → rows in front of it.
     """
-    place = {row: at for at, row in enumerate(far_to_near)}
-    behind = dict.fromkeys(far_to_near, 0)
-    for row in far_to_near:
-        for front in before.get(row, ()):
-            behind[front] += 1
-    free: list[int] = []
-    free_of: dict[int, list[int]] = defaultdict(list)
-
-    def release(row: int) -> None:
-        heapq.heappush(free, place[row])
-        heapq.heappush(free_of[int(occluder[row])], place[row])
-
+    behind = Counter(front for row in far_to_near for front in before.get(row, ()))
+    free = _FreeRows(far_to_near, occluder)
     for row in far_to_near:
         if not behind[row]:
-            release(row)
-    painted: dict[int, None] = {}
-    waiting, last = iter(far_to_near), free
-    while len(painted) < len(far_to_near):
-        for queue in (last, free):
-            while queue and far_to_near[queue[0]] in painted:
-                heapq.heappop(queue)
-        if last or free:
-            row = far_to_near[heapq.heappop(last or free)]
-        else:
-            row = next(each for each in waiting if each not in painted)
-        painted[row] = None
-        last = free_of[int(occluder[row])]
-        for front in before.get(row, ()):
+            free.add(row)
+    while len(free.painted) < len(far_to_near):
+        for front in before.get(free.paint_next(), ()):
             behind[front] -= 1
-            if not behind[front] and front not in painted:
-                release(front)
-    return list(painted)
+            if not behind[front]:
+                free.add(front)
+    return list(free.painted)
+
+
+class _FreeRows:
+    """The rows of a frame that nothing unpainted is behind of, and what was painted so far."""
+
+    def __init__(self, far_to_near: list[int], occluder: Indices) -> None:
+        """Begin with no free row."""
+        self.painted: dict[int, None] = {}
+        self._rows, self._occluder = far_to_near, occluder
+        self._place = {row: place for place, row in enumerate(far_to_near)}
+        self._free: list[int] = []
+        self._free_of: dict[int, list[int]] = defaultdict(list)
+        self._last_occluder = -1
+
+    def add(self, row: int) -> None:
+        """A row may be painted."""
+        heapq.heappush(self._free, self._place[row])
+        heapq.heappush(self._free_of[int(self._occluder[row])], self._place[row])
+
+    def paint_next(self) -> int:
+        """Take the next row; the farthest one that is left if none is free."""
+        for queue in (self._free_of[self._last_occluder], self._free):
+            while queue:
+                row = self._rows[heapq.heappop(queue)]
+                if row not in self.painted:
+                    return self._paint(row)
+        return self._paint(next(row for row in self._rows if row not in self.painted))
+
+    def _paint(self, row: int) -> int:
+        self.painted[row] = None
+        self._last_occluder = int(self._occluder[row])
+        return row

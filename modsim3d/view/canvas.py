@@ -1,4 +1,4 @@
-"""Lines, boxes and text on a picture, all as thick and as large as the picture asks for."""
+"""Lines, boxes and text on a picture, scaled to its width."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ NOMINAL_PX = 1280
 TEXT_PX, LEAST_TEXT_PX = 15, 11
 LINE_PX = 2.0
 SMOOTH = 4
-"""Slanted lines are drawn this much larger, each vessel's in a small mask of its own, and shrunk."""
+"""Slanted lines are drawn larger by this factor, in a small mask, and shrunk."""
 
 
 @cache
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The font that Pillow carries, so that pictures are the same everywhere."""
+    """The font that comes with Pillow, so that pictures are the same everywhere."""
     return ImageFont.load_default(size)
 
 
 @cache
 def text_size(text: str, size: int) -> tuple[int, int, int, int]:
-    """The box of a text that is set at (0, 0)."""
+    """Bounding box of a text set at (0, 0): left, top, right and bottom in pixels."""
     left, top, right, bottom = font(size).getbbox(text)
     return int(left), int(top), int(right), int(bottom)
 
 
-class Pen:
+class Canvas:
     """Draws on one picture."""
 
     def __init__(self, picture: Image.Image, width_px: int | None = None) -> None:
-        """Take lines and text as large as a picture of a width wants them, its own if None."""
+        """Scale lines and text for a picture of a width in pixels; its own if None."""
         self.picture = picture
         self.draw = ImageDraw.Draw(picture)
         self.unit = (width_px or picture.width) / NOMINAL_PX
@@ -102,9 +102,9 @@ class Pen:
         """Slanted lines without steps.
 
         Args:
-            segments: In picture coordinates, shape (n, 2, 2).
-            colour: Of all of them.
-            weight: Of all of them.
+            segments: Two ends each, in pixels of the picture, shape (n, 2, 2).
+            colour: Colour of all segments.
+            weight: Thickness of all segments, see `line_px`.
         """
         width = LINE_PX * weight * self.unit
         w, h = self.picture.size
@@ -142,7 +142,7 @@ class Pen:
 
 
 def _cut(line: Array, box: Box) -> Array | None:
-    """The part of a segment inside a box (Liang & Barsky, 1984); None if there is none or a corner has no image."""
+    """The part of a segment (2, 2) inside a box (Liang & Barsky, 1984); None if there is none or an end is NaN."""
     if not np.isfinite(line).all():
         return None
     start, step = line[0], line[1] - line[0]

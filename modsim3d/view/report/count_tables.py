@@ -11,19 +11,19 @@ Rows = list[tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
-class Tally:
-    """What is counted: columns over all steps of a run.
+class CountTables:
+    """Tables of counts over all steps of a run. A frame is one camera at one step.
 
     Attributes:
-        frame_state: Performance state of each image, shape (F,).
-        vessel: Of each truth row, shape (n,).
-        state: In the image of each truth row, shape (n,).
-        silhouette_px: Shape (n,).
-        visible_px: NaN where unknown, shape (n,).
-        annotated: Shape (n,).
-        detected: Shape (n,).
-        false_state: State in the image of each false positive, shape (m,).
-        mislabelled: Detections of a vessel under another label.
+        frame_state: Performance state of each frame, shape (F,).
+        vessel: Index of the vessel of each truth row, shape (n,).
+        state: Performance state of the frame of each truth row, shape (n,).
+        silhouette_px: Area of the silhouette in pixels, shape (n,).
+        visible_px: Pixels of it that are seen, NaN where unknown, shape (n,).
+        annotated: Whether the row was given to the detector, shape (n,).
+        detected: Whether it was detected, shape (n,).
+        false_state: Performance state of the frame of each false positive, shape (m,).
+        mislabelled: Number of detections with another label than their vessel's.
     """
 
     frame_state: Indices
@@ -38,23 +38,23 @@ class Tally:
 
     @property
     def hidden_in_part(self) -> Mask:
-        """Truth rows of which something is seen and something is hidden."""
+        """Truth rows that are hidden in part, shape (n,)."""
         hidden: Mask = (self.visible_px > 0) & (self.visible_px < self.silhouette_px)
         return hidden
 
     @property
     def hidden_wholly(self) -> Mask:
-        """Truth rows that have pixels, none of them seen."""
+        """Truth rows that are hidden wholly, shape (n,)."""
         hidden: Mask = (self.visible_px == 0) & (self.silhouette_px > 0)
         return hidden
 
     def overall(self) -> Rows:
-        """What happened, summed over images: name, count, and what it is a share of."""
+        """What happened, summed over frames: name, count, and its share."""
         annotated, detected = int(self.annotated.sum()), int((self.annotated & self.detected).sum())
         false = len(self.false_state)
         return [
-            ("Images", str(len(self.frame_state)), ""),
-            ("Vessels in images", str(len(self.vessel)), "summed over images"),
+            ("Frames", str(len(self.frame_state)), ""),
+            ("Vessels in frames", str(len(self.vessel)), "summed over frames"),
             ("Partly hidden", str(int(self.hidden_in_part.sum())), share(self.hidden_in_part.sum(), len(self.vessel))),
             ("Wholly hidden", str(int(self.hidden_wholly.sum())), ""),
             ("Annotated", str(annotated), "given to the detector"),
@@ -65,7 +65,7 @@ class Tally:
         ]
 
     def by_vessel(self, names: Sequence[str]) -> Rows:
-        """For each vessel: images, of those hidden in part and wholly, annotated, detected, missed, their share."""
+        """For each vessel: frames, those hidden in part and wholly, annotated, detected, missed, miss rate."""
         rows = []
         for index, name in enumerate(names):
             mine = self.vessel == index
@@ -77,23 +77,23 @@ class Tally:
         return rows
 
     def by_state(self, names: Sequence[str]) -> Rows:
-        """For each state: images, annotated, detected, missed, their share, false positives, their share."""
+        """For each state: frames, annotated, detected, missed, miss rate, false positives, share of detections."""
         rows = []
         for index, name in enumerate(names):
             mine = self.state == index
             annotated, detected = int((self.annotated & mine).sum()), int((self.detected & mine).sum())
-            false, images = int((self.false_state == index).sum()), int((self.frame_state == index).sum())
+            false, frames = int((self.false_state == index).sum()), int((self.frame_state == index).sum())
             missed = annotated - detected
-            numbers = (images, annotated, detected, missed)
+            numbers = (frames, annotated, detected, missed)
             shares = share(missed, annotated), str(false), share(false, detected + false)
             rows.append((name, *map(str, numbers), *shares))
         return rows
 
 
-VESSEL_HEADER = ("Vessel", "Images", "Partly hidden", "Wholly hidden", "Annotated", "Detected", "Missed", "Miss rate")
+VESSEL_HEADER = ("Vessel", "Frames", "Partly hidden", "Wholly hidden", "Annotated", "Detected", "Missed", "Miss rate")
 STATE_HEADER = (
     "Performance state",
-    "Images",
+    "Frames",
     "Annotated",
     "Detected",
     "Missed",

@@ -12,11 +12,11 @@ from modsim3d.block import Frame
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.canvas import Canvas
 from modsim3d.view.hatching import hatch_hidden
 from modsim3d.view.labels import Label, draw_labels
 from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
-from modsim3d.view.pen import Pen
 from modsim3d.view.plain import background, draw_horizon, fill_solids
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Box, Window
@@ -28,7 +28,7 @@ SHORT_BELOW_PX = 480
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class CameraView:
     """A frame and what stood before the camera.
 
     Attributes:
@@ -42,7 +42,7 @@ class Subject:
     vessels: tuple[str, ...]
 
     @classmethod
-    def of(cls, scene: Scene, frame: Frame) -> Subject:
+    def of(cls, scene: Scene, frame: Frame) -> CameraView:
         """A frame of a scene."""
         (camera,) = (camera for camera in scene.cameras if camera.name == frame.camera)
         return cls(frame, Solids.at(scene, camera, frame.step), scene.vessel_names)
@@ -57,8 +57,8 @@ class Subject:
         return palette.vessel_colour(self.vessels.index(vessel))
 
 
-def paint(
-    subject: Subject,
+def frame_picture(
+    camera_view: CameraView,
     window: Window,
     layers: Layers,
     drawer: IdDrawer,
@@ -69,19 +69,19 @@ def paint(
     """Draw a frame.
 
     Args:
-        subject: The frame.
+        camera_view: The frame.
         window: What to show, and how large.
         layers: What to draw of it.
         drawer: Draws ID buffers, for filled and hatched silhouettes.
         ground: A picture to draw on, in place of plain sea and sky.
         nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
     """
-    solids = subject.solids
+    solids = camera_view.solids
     half_plane = solids.sea_half_plane
-    picture = ground or background(window, half_plane, subject.image_size_px)
-    pen = Pen(picture, nominal_width_px)
+    picture = ground or background(window, half_plane, camera_view.image_size_px)
+    canvas = Canvas(picture, nominal_width_px)
     if layers.horizon:
-        draw_horizon(pen, window, half_plane, subject.image_size_px)
+        draw_horizon(canvas, window, half_plane, camera_view.image_size_px)
     if layers.silhouettes:
         if (
             layers.truth or layers.detections
@@ -89,43 +89,43 @@ def paint(
             fill_solids(picture, window, solids, drawer, dim=DIM, samples=1)
         else:
             fill_solids(picture, window, solids, drawer)
-    if layers.hatching and any(subject.frame.truth.occluded_by):
-        hatch_hidden(picture, window, solids, solids.ids(window, drawer), pen.unit)
+    if layers.hatching and any(camera_view.frame.truth.occluded_by):
+        hatch_hidden(picture, window, solids, solids.ids(window, drawer), canvas.unit)
     if layers.wires or layers.points:
-        _draw_shoeboxes(pen, window, solids, layers)
-    labels = _draw_truth(pen, window, subject, layers) + _draw_detections(pen, window, subject, layers)
-    boxes = [window.corners(box) for box in subject.frame.truth.full_boxes_px] + [label.box for label in labels]
-    draw_labels(pen, sorted(labels, key=lambda label: label.colour != palette.ALARM), boxes)
+        _draw_shoeboxes(canvas, window, solids, layers)
+    labels = _draw_truth(canvas, window, camera_view, layers) + _draw_detections(canvas, window, camera_view, layers)
+    boxes = [window.corners(box) for box in camera_view.frame.truth.full_boxes_px] + [label.box for label in labels]
+    draw_labels(canvas, sorted(labels, key=lambda label: label.colour != palette.ALARM), boxes)
     return picture
 
 
-def _draw_shoeboxes(pen: Pen, window: Window, solids: Solids, layers: Layers) -> None:
+def _draw_shoeboxes(canvas: Canvas, window: Window, solids: Solids, layers: Layers) -> None:
     for vessel, edges, corners in solids.shoeboxes():
         colour = palette.vessel_colour(vessel)
         if layers.wires:
-            pen.segments(window.to_picture(edges), colour, 0.75)
+            canvas.segments(window.to_picture(edges), colour, 0.75)
         if layers.points:
-            radius = max(1.5, 2.5 * pen.unit)
+            radius = max(1.5, 2.5 * canvas.unit)
             for x, y in window.to_picture(corners[np.isfinite(corners).all(axis=1)]).tolist():
-                pen.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour, outline=palette.INK)
+                canvas.draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour, outline=palette.INK)
 
 
-def _draw_truth(pen: Pen, window: Window, subject: Subject, layers: Layers) -> list[Label]:
-    truth, short = subject.frame.truth, pen.picture.width < SHORT_BELOW_PX
+def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
+    truth, short = camera_view.frame.truth, canvas.picture.width < SHORT_BELOW_PX
     labels = []
     for i in range(len(truth)):
         full = window.corners(truth.full_boxes_px[i])
         annotated = bool(truth.annotated[i])
         for shown, boxes in ((layers.full, truth.full_boxes_px), (layers.visible, truth.visible_boxes_px)):
             if shown and _is_another(boxes[i], truth.boxes_px[i] if annotated else None):
-                pen.dashed_box(window.corners(boxes[i]), palette.TRUTH, 0.75)
+                canvas.dashed_box(window.corners(boxes[i]), palette.TRUTH, 0.75)
         if layers.truth and annotated:
-            pen.box(window.corners(truth.boxes_px[i]), palette.TRUTH, 0.75, halo=True)
+            canvas.box(window.corners(truth.boxes_px[i]), palette.TRUTH, 0.75, halo=True)
         share = ""
         if layers.fractions and truth.visible_fraction[i] < 1:
             share = _percent(float(truth.visible_fraction[i]), short)
         if layers.missed and annotated and not truth.detected[i]:
-            pen.brackets(window.corners(truth.boxes_px[i]), palette.ALARM, 1.5)
+            canvas.brackets(window.corners(truth.boxes_px[i]), palette.ALARM, 1.5)
             if layers.labels:
                 text = "missed" if short else f"missed {truth.vessels[i]}"
                 labels.append(Label(full, text + (f", {share}" if share else ""), palette.ALARM, below=True))
@@ -146,8 +146,8 @@ def _percent(fraction: float, short: bool) -> str:
     return percent if short else f"{percent} seen"
 
 
-def _draw_detections(pen: Pen, window: Window, subject: Subject, layers: Layers) -> list[Label]:
-    detections = subject.frame.detections
+def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
+    detections = camera_view.frame.detections
     labels = []
     order: Indices = np.argsort(detections.confidence, kind="stable")  # the surest is drawn last, on top
     for i in order.tolist():
@@ -155,22 +155,22 @@ def _draw_detections(pen: Pen, window: Window, subject: Subject, layers: Layers)
         box = window.corners(detections.boxes_px[i])
         if not (layers.false_positives if vessel is None else layers.detections):
             continue
-        colour = palette.ALARM if vessel is None else subject.colour(vessel)
-        _draw_detection(pen, box, colour, false=vessel is None)
+        colour = palette.ALARM if vessel is None else camera_view.colour(vessel)
+        _draw_detection(canvas, box, colour, false=vessel is None)
         if layers.labels:
             text = f"{detections.confidence[i]:.2f}"
-            if pen.picture.width >= SHORT_BELOW_PX:
+            if canvas.picture.width >= SHORT_BELOW_PX:
                 text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {text}"
             labels.append(Label(box, text, colour))
     return labels[::-1]
 
 
-def _draw_detection(pen: Pen, box: Box, colour: Colour, *, false: bool) -> None:
+def _draw_detection(canvas: Canvas, box: Box, colour: Colour, *, false: bool) -> None:
     if false:
-        pen.crossed(box, colour)
-        pen.dashed_box(box, colour, 1.5)
+        canvas.crossed(box, colour)
+        canvas.dashed_box(box, colour, 1.5)
     else:
-        pen.box(box, colour, 1.5)
+        canvas.box(box, colour, 1.5)
 
 
 def _remark(kind: str) -> str:

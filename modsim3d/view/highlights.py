@@ -1,4 +1,4 @@
-"""Which frames of a run are worth a look."""
+"""Chooses frames of a run that are worth looking at."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Mask
+from modsim3d.boxes import SIDES
 from modsim3d.formats.columns import flags, numbers
-from modsim3d.formats.tables import BOX_SIDES
 
 
 @dataclass(frozen=True)
-class Moment:
+class Highlight:
     """A frame of a run and what to look at in it.
 
     Attributes:
-        step: Of the frame.
-        camera: Its ID.
-        focus_px: Box to look at: x_min, y_min, x_max, y_max.
-        caption: What happens there.
+        step: Step of the frame.
+        camera: ID of the camera that took it.
+        focus_px: The box to look at: x_min, y_min, x_max, y_max, in pixels.
+        caption: What happens in the box.
     """
 
     step: int
@@ -69,11 +69,11 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Rows that are wanted, what they are ranked by (the least is shown), and what is said of it."""
+    """A kind of highlight: which rows it may be, their rank (the least is shown), and the caption of a row."""
 
     wanted: Callable[[_Rows], Mask]
     rank: Callable[[_Rows], Array]
-    say: Callable[[dict[str, Any]], str]
+    caption: Callable[[dict[str, Any]], str]
 
 
 def _hider(row: dict[str, Any]) -> str:
@@ -93,8 +93,8 @@ KINDS = (
 )
 
 
-def pick_moments(folder: Path) -> list[Moment]:
-    """One moment of each kind that the run has: occlusion, recovery from it, a miss, a false alarm, and so on.
+def pick_highlights(folder: Path) -> list[Highlight]:
+    """One highlight of each kind that the run has: occlusion, recovery from it, a miss, a false alarm, and so on.
 
     Args:
         folder: A finished run directory.
@@ -105,8 +105,12 @@ def pick_moments(folder: Path) -> list[Moment]:
         for k, kind in enumerate(KINDS):
             best[k] = _better(best[k], table, np.where(kind.wanted(rows), kind.rank(rows), np.inf))
     found = [
-        Moment(row["step"], row["camera"], tuple(row[f"full_{side}"] for side in BOX_SIDES), f"{row['vessel']}: {say}")
-        for row, say in ((entry[1], kind.say(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry)
+        Highlight(
+            row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {caption}"
+        )
+        for row, caption in (
+            (entry[1], kind.caption(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry
+        )
     ]
     false: tuple[float, dict[str, Any]] | None = None
     for table in _parts(folder / "detections.parquet"):
@@ -133,7 +137,9 @@ def _better(
     return least, table.slice(row, 1).to_pylist()[0]
 
 
-def _false_alarm(row: dict[str, Any]) -> Moment:
+def _false_alarm(row: dict[str, Any]) -> Highlight:
     """The largest false positive."""
     x, y, half = row["x_px"], row["y_px"], (row["width_px"] / 2, row["height_px"] / 2)
-    return Moment(row["step"], row["camera"], (x - half[0], y - half[1], x + half[0], y + half[1]), "a false positive")
+    return Highlight(
+        row["step"], row["camera"], (x - half[0], y - half[1], x + half[0], y + half[1]), "a false positive"
+    )

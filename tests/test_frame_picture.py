@@ -12,13 +12,12 @@ from modsim3d.scene import Scene
 from modsim3d.scene_reader import load_scene
 from modsim3d.simulate import simulate_frames
 from modsim3d.view import palette
+from modsim3d.view.frame_picture import CameraView, frame_picture
 from modsim3d.view.hatching import silhouette_mask
 from modsim3d.view.ids_picture import ids_picture
-from modsim3d.view.layers import DETECTIONS, Layers
+from modsim3d.view.layers import DETECTIONS, SCENE, Layers
 from modsim3d.view.legend import id_entries, letters
-from modsim3d.view.painter import Subject, paint
 from modsim3d.view.plain import background
-from modsim3d.view.scene_picture import scene_picture
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 from tests.scenes import crossing
@@ -32,23 +31,23 @@ def scene(tmp_path_factory) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def subjects(scene) -> list[Subject]:
-    return [Subject.of(scene, frame) for frame in simulate_frames(scene)]
+def camera_views(scene) -> list[CameraView]:
+    return [CameraView.of(scene, frame) for frame in simulate_frames(scene)]
 
 
 @pytest.fixture(scope="module")
-def hiding(subjects) -> Subject:
+def hiding(camera_views) -> CameraView:
     """The ship hides a boat in part."""
-    fractions = [np.append(s.frame.truth.visible_fraction, 1.0).min() for s in subjects]
-    return next(s for s, fraction in zip(subjects, fractions, strict=True) if 0.05 < fraction < 0.95)
+    fractions = [np.append(s.frame.truth.visible_fraction, 1.0).min() for s in camera_views]
+    return next(s for s, fraction in zip(camera_views, fractions, strict=True) if 0.05 < fraction < 0.95)
 
 
 def count(picture: Image.Image, colour) -> int:
     return int((np.asarray(picture) == colour).all(axis=-1).sum())
 
 
-def whole(subject: Subject, width: int) -> Window:
-    return Window.whole(subject.image_size_px, width)
+def whole(camera_view: CameraView, width: int) -> Window:
+    return Window.whole(camera_view.image_size_px, width)
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.1, -2.0, np.pi])
@@ -72,7 +71,7 @@ def test_outside_the_image_is_paper():
 @pytest.mark.parametrize("width", SIZES)
 def test_a_picture_has_the_size_asked_for_and_truth_where_it_is(hiding, width):
     window = whole(hiding, width)
-    picture = paint(hiding, window, Layers(truth=True), PlainIds())
+    picture = frame_picture(hiding, window, Layers(truth=True), PlainIds())
     assert picture.size == (width, width * 3 // 4)
     for box in hiding.frame.truth.boxes_px[hiding.frame.truth.annotated]:
         x0, y0, x1, y1 = (round(side) for side in window.corners(box))
@@ -83,31 +82,31 @@ def test_a_picture_has_the_size_asked_for_and_truth_where_it_is(hiding, width):
 def test_lines_and_text_grow_with_the_picture(hiding):
     shares = []
     for width in SIZES:
-        picture = paint(hiding, whole(hiding, width), replace(DETECTIONS, silhouettes=False), PlainIds())
-        plain = paint(hiding, whole(hiding, width), Layers(horizon=True), PlainIds())
+        picture = frame_picture(hiding, whole(hiding, width), replace(DETECTIONS, silhouettes=False), PlainIds())
+        plain = frame_picture(hiding, whole(hiding, width), Layers(horizon=True), PlainIds())
         shares.append((np.asarray(picture) != np.asarray(plain)).any(axis=-1).mean())
     assert shares[1] == pytest.approx(shares[2], rel=0.25)
     assert shares[0] > shares[1]  # on a thumbnail they stop growing smaller
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Layers)])
-def test_each_layer_draws_something_and_only_when_it_is_on(subjects, name):
+def test_each_layer_draws_something_and_only_when_it_is_on(camera_views, name):
     """Fractions and labels are drawn next to the boxes of others."""
     companions = {"labels": {"detections": True, "missed": True}}.get(name, {})
     without, with_it = Layers(**companions), replace(Layers(**companions), **{name: True})
     changed = 0
-    for subject in subjects:
-        mode_0 = replace(subject.frame.truth, boxes_px=subject.frame.truth.full_boxes_px)
+    for camera_view in camera_views:
+        mode_0 = replace(camera_view.frame.truth, boxes_px=camera_view.frame.truth.full_boxes_px)
         if name == "visible":
-            subject = replace(subject, frame=replace(subject.frame, truth=mode_0))
+            camera_view = replace(camera_view, frame=replace(camera_view.frame, truth=mode_0))
         elif name == "missed":
             truth = replace(mode_0, detected=np.zeros(len(mode_0), dtype=bool))
-            subject = replace(subject, frame=replace(subject.frame, truth=truth))
+            camera_view = replace(camera_view, frame=replace(camera_view.frame, truth=truth))
         elif name == "false_positives":
-            nobody = replace(subject.frame.detections, vessels=(None,) * len(subject.frame.detections))
-            subject = replace(subject, frame=replace(subject.frame, detections=nobody))
-        window = whole(subject, 640)
-        a, b = (np.asarray(paint(subject, window, layers, PlainIds())) for layers in (without, with_it))
+            nobody = replace(camera_view.frame.detections, vessels=(None,) * len(camera_view.frame.detections))
+            camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=nobody))
+        window = whole(camera_view, 640)
+        a, b = (np.asarray(frame_picture(camera_view, window, layers, PlainIds())) for layers in (without, with_it))
         changed += int((a != b).any(axis=-1).sum())
     assert changed > 0
 
@@ -118,24 +117,28 @@ def test_a_detection_without_a_vessel_is_a_false_one_whatever_its_kind(hiding):
         vessels=(None,) * len(hiding.frame.detections),
         kinds=("persistent_false_positive",) * len(hiding.frame.detections),
     )
-    subject = replace(hiding, frame=replace(hiding.frame, detections=detections))
-    picture = paint(subject, whole(subject, 1280), Layers.of(["detections", "false_positives"]), PlainIds())
+    camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
+    picture = frame_picture(
+        camera_view, whole(camera_view, 1280), Layers.of(["detections", "false_positives"]), PlainIds()
+    )
     assert count(picture, palette.ALARM) > 100
     assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
 
 
 def test_a_detection_of_a_vessel_has_its_colour_whatever_its_kind(hiding):
     detections = replace(hiding.frame.detections, kinds=("duplicate",) * len(hiding.frame.detections))
-    subject = replace(hiding, frame=replace(hiding.frame, detections=detections))
-    picture = paint(subject, whole(subject, 1280), Layers.of(["detections", "false_positives"]), PlainIds())
+    camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
+    picture = frame_picture(
+        camera_view, whole(camera_view, 1280), Layers.of(["detections", "false_positives"]), PlainIds()
+    )
     for vessel in filter(None, detections.vessels):
-        assert count(picture, subject.colour(vessel)) > 100
+        assert count(picture, camera_view.colour(vessel)) > 100
 
 
 def test_wires_go_through_the_corner_points(hiding):
     window = whole(hiding, 1280)
-    picture = np.asarray(paint(hiding, window, Layers(wires=True), PlainIds())).astype(int)
-    plain = np.asarray(paint(hiding, window, Layers(), PlainIds())).astype(int)
+    picture = np.asarray(frame_picture(hiding, window, Layers(wires=True), PlainIds())).astype(int)
+    plain = np.asarray(frame_picture(hiding, window, Layers(), PlainIds())).astype(int)
     for _, edges, corners in hiding.solids.shoeboxes():
         assert edges.shape == (12, 2, 2)
         np.testing.assert_allclose(np.linalg.norm(edges[:, :, None] - corners, axis=-1).min(axis=-1), 0, atol=1e-9)
@@ -196,19 +199,19 @@ def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):
     truth = hiding.frame.truth
     i = int(np.argmin(np.where(truth.visible_fraction > 0, truth.visible_fraction, 1.0)))
     window = whole(hiding, 800)
-    plain = paint(hiding, window, Layers(), PlainIds())
-    hatched = paint(hiding, window, Layers(hatching=True), PlainIds())
+    plain = frame_picture(hiding, window, Layers(), PlainIds())
+    hatched = frame_picture(hiding, window, Layers(hatching=True), PlainIds())
     colour = hiding.colour(truth.vessels[i])
     hidden = truth.silhouette_px[i] - truth.visible_px[i]
     assert count(plain, colour) == 0
     assert 0.3 * hidden < count(hatched, colour) < 0.7 * hidden
 
 
-def test_silhouette_mask_covers_what_the_truth_counts(subjects):
-    for subject in subjects:
-        truth, solids = subject.frame.truth, subject.solids
-        for row, occluder in enumerate(solids.occluders.tolist()):
-            i = truth.vessels.index(subject.vessels[occluder])
+def test_silhouette_mask_covers_what_the_truth_counts(camera_views):
+    for camera_view in camera_views:
+        truth, solids = camera_view.frame.truth, camera_view.solids
+        for row, owner in enumerate(solids.occluders.tolist()):
+            i = truth.vessels.index(camera_view.vessels[owner])
             _, mask = silhouette_mask(solids, row, Window(0, 0, 1, (800, 600)))
             box = truth.full_boxes_px[i]
             boundary = 2 * (box[2] - box[0] + box[3] - box[1])
@@ -218,7 +221,7 @@ def test_silhouette_mask_covers_what_the_truth_counts(subjects):
 def test_the_scene_shows_sea_sky_and_each_vessel_in_shades_of_its_hue(scene, hiding, renderer):
     camera, step = hiding.solids.camera, hiding.frame.step
     window = Window.whole(camera.intrinsics.image_size_px, 800)
-    picture = np.asarray(scene_picture(scene, camera, step, window, renderer)).astype(float)
+    picture = np.asarray(frame_picture(hiding, window, SCENE, renderer)).astype(float)
     ids = Solids.at(scene, camera, step).ids(window, renderer)
     assert len(np.unique(ids)) > 3
     for value in np.unique(ids[ids > 0]).tolist():

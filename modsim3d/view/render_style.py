@@ -7,22 +7,21 @@ from dataclasses import dataclass
 
 from modsim3d.errors import ModsimError
 
-PLAIN, SHADED = "plain", "shaded"
 CONTRAST = 0.02
 """The visibility is the distance at which a black thing keeps this contrast against the sky."""
 
 
 @dataclass(frozen=True)
-class Look:
+class RenderStyle:
     """How a scene is drawn.
 
     Attributes:
-        style: `plain` or `shaded`.
+        shaded: Whether it is drawn in light and shade, by pyrender.
         visibility_m: Meteorological visibility; clear air if None. Shaded pictures only.
         night: Whether it is dark. Shaded pictures only.
     """
 
-    style: str = PLAIN
+    shaded: bool = False
     visibility_m: float | None = None
     night: bool = False
 
@@ -33,15 +32,12 @@ class Look:
             ModsimError: With what is wrong.
         """
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
-            raise ModsimError(f"--visibility {self.visibility_m:g}: metres are needed, such as 800 for fog")
-        if self.style == PLAIN and (self.visibility_m is not None or self.night):
+            raise ModsimError(
+                f"--visibility {self.visibility_m:g}: give a positive distance in metres, such as 800 for fog"
+            )
+        if not self.shaded and (self.visibility_m is not None or self.night):
             option = "--night" if self.night else "--visibility"
-            raise ModsimError(f"{option} is for shaded pictures: leave out --look plain")
-
-    @property
-    def shaded(self) -> bool:
-        """Whether it is drawn in light and shade."""
-        return self.style == SHADED
+            raise ModsimError(f"{option} works in shaded pictures only: leave out --look plain")
 
     @property
     def extinction_per_m(self) -> float:
@@ -53,7 +49,7 @@ class Look:
         """What is said on the picture, so that nobody takes weather for a part of the simulation."""
         fog = [] if self.visibility_m is None else [f"visibility {self.visibility_m:,.0f} m"]
         weather = fog + (["night"] if self.night else [])
-        return f"illustration: {', '.join(weather)}; truth and detector know nothing of it" if weather else ""
+        return f"illustration: {', '.join(weather)}; not part of truth or detections" if weather else ""
 
 
-PLAIN_LOOK = Look()
+PLAIN_STYLE = RenderStyle()

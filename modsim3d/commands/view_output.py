@@ -1,0 +1,63 @@
+"""Where `modsim3d view` writes to, and as what."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from modsim3d.commands.view_options import Format
+from modsim3d.errors import ModsimError
+
+
+def film_format(option: Format | None, out: Path | None) -> str:
+    """The format that `--format` asks for, or the ending of the file's name.
+
+    Raises:
+        ModsimError: The two differ, or no film has such an ending.
+    """
+    ending = out.suffix.lower().removeprefix(".") if out is not None else ""
+    if option is None:
+        if ending and ending not in ("mp4", "gif"):
+            raise ModsimError(
+                f"{out}: films cannot be written as .{ending}; use .mp4, .gif, or --format png with a folder"
+            )
+        return ending or "mp4"
+    if ending in [known.value for known in Format] and ending != option.value:
+        raise ModsimError(f"the ending of {out} contradicts --format {option.value}")
+    return option.value
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """Check that a file can be written.
+
+    Raises:
+        ModsimError: Its folder is missing, it is a folder itself, or it exists and is not to be overwritten.
+    """
+    _check_parent(path)
+    if path.is_dir():
+        raise ModsimError(f"{path} is a folder: choose another name with --out")
+    if path.exists() and not overwrite:
+        raise ModsimError(f"{path} exists: use --overwrite, or another name with --out")
+
+
+def check_free_folder(path: Path, overwrite: bool) -> None:
+    """Check that the PNG files of a film can be written to a folder.
+
+    Raises:
+        ModsimError: It is a file, holds other files than a film's, or holds a film that is not to be overwritten.
+    """
+    _check_parent(path)
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise ModsimError(f"{path} is a file: choose another name with --out")
+    entries = list(path.iterdir())
+    strange = [entry.name for entry in entries if not entry.match("frame_*.png")]
+    if strange:
+        raise ModsimError(f"{path} holds other files than frames of a film ({strange[0]}): choose another folder")
+    if entries and not overwrite:
+        raise ModsimError(f"{path} exists: use --overwrite, or another name with --out")
+
+
+def _check_parent(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise ModsimError(f"{path.parent} does not exist")
