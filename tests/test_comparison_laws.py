@@ -35,6 +35,7 @@ def hidden_px(seen):
 @law(40)
 @given(SEEDS)
 @example(seed=1741)  # two that touch, both across the near plane, where the cut of one must close it
+@example(seed=4)  # small solids that scan conversion cannot do, drawn alone in one buffer
 def test_no_difference_between_pixels_and_geometry_is_unexplained(renderer, seed):
     _, _, lens, _, outlines = scene_of(seed)
     drawn = rendered_occlusion(outlines, lens, renderer)
