@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.arrays import Array
 from modsim3d.block import Block
-from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.records import TRUE
 from modsim3d.detector.truncation import standard_points, truncated_errors
 from modsim3d.scene import Scene
@@ -66,7 +66,7 @@ class BoxSample:
         In the units of the detector file, averaged over the sampled boxes: the share of first draws that is drawn
         anew, the mean and covariance that are left, and the standard error that the sampling gives that mean.
         """
-        error, points = NormalBoxError.from_model(scene.detector), standard_points(POINTS_A_BOX)
+        error, points = BoxErrorSource.from_model(scene.detector), standard_points(POINTS_A_BOX)
         report = {}
         for index, performance in enumerate(scene.detector.states):
             ours = self.rows[self.rows[:, 1] == index]
@@ -87,12 +87,12 @@ class BoxSample:
             mean = means.mean(axis=0)
             covariance = np.concatenate([part.second_moments for part in left]).mean(axis=0) - np.outer(mean, mean)
             report[performance.name] = {
-                "unit": performance.box_error_unit,
+                "unit": performance.box_error.unit,
                 "detections": self.counts[index],
                 "boxes": len(ours),
                 "redrawn": _rounded(1 - np.concatenate([part.accepted for part in left]).mean()),
                 "mean": _rounded(mean),
-                "mean_shift": _rounded(mean - performance.box_error_mean_px),
+                "mean_shift": _rounded(mean - performance.box_error.mean),
                 "mean_standard_error": _rounded(means.std(axis=0) / np.sqrt(len(means))),
                 "covariance": _rounded(covariance),
             }

@@ -12,7 +12,7 @@ import orjson
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import sizes
-from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.learn.class_checks import miss_probabilities
@@ -223,7 +223,7 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
 def _scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[str]:
     found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
     state_of_hits = evidence.chances.state[evidence.hits.chance]
-    scale, figures = NormalBoxError.from_model(model), []
+    scale, figures = BoxErrorSource.from_model(model), []
     for index, state in enumerate(model.states):
         rows = np.flatnonzero((state_of_hits == index) & (evidence.hits.kind == TRUE))
         if not len(rows):
@@ -232,7 +232,7 @@ def _scatters(verification: Verification, model: DetectorModel, evidence: Eviden
         errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.hits.errors_px[rows])
         path = f"states.{state.name}.box_error"
         laws = [_law(found, path, measured) for measured in (False, True)]
-        unit = "sides" if state.box_error_unit == "relative" else "px"
+        unit = "sides" if state.box_error.relative else "px"
         drawings = [_scatter(errors, pair, laws, state.name, unit) for pair in ((0, 1), (2, 3))]
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "

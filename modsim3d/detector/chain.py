@@ -9,12 +9,12 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes, unions
-from modsim3d.detector.box_error import Misplaced, NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
 from modsim3d.detector.confidence import Confidence
 from modsim3d.detector.doubles import Events, halves
-from modsim3d.detector.draws import normals, select, target_uniforms
+from modsim3d.detector.draws import latent_normals, select, target_uniforms
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
@@ -99,7 +99,7 @@ class Detector:
         self._states = PerformanceStates(model, self._streams)
         self._noise = VesselNoise(model.persistence, self._streams, clock)
         self._classifier = ConfusionClassifier.from_model(model, reference)
-        self._box_error = NormalBoxError.from_model(model)
+        self._box_error = BoxErrorSource.from_model(model)
         self._clutter = clutter_of(model, reference)
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
@@ -113,7 +113,8 @@ class Detector:
         passed = self.model.gates.passed(frames, targets)
         shown = self._shown(frames, states, targets, np.flatnonzero(passed))
         vessels = shown.targets
-        placed = self._box_error.misplace(self._streams, frames, states, vessels, self._noise.normals(frames, vessels))
+        latent = self._noise.normals(frames, vessels, self._box_error.extra_normals)
+        placed = self._box_error.misplace(self._streams, TrueBoxes.of(frames, states, vessels), latent)
         single = shown.partner < 0
         events = self.model.doubles.events(self._streams, frames, vessels, placed.boxes_px, single)
         found = [
@@ -139,7 +140,7 @@ class Detector:
         rest = np.setdiff1d(np.arange(len(rows)), smaller)
         return _Shown(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
 
-    def _true(self, frames: Frames, shown: _Shown, placed: Misplaced, events: Events) -> _Found:
+    def _true(self, frames: Frames, shown: _Shown, placed: MisplacedBoxes, events: Events) -> _Found:
         """One detection of each vessel shown."""
         boxes, errors = placed.boxes_px, placed.errors_px
         kind = np.where(shown.partner >= 0, MERGED, TRUE)
@@ -154,14 +155,15 @@ class Detector:
         )
 
     def _second_boxes(
-        self, frames: Frames, states: Indices, shown: _Shown, placed: Misplaced, events: Events
+        self, frames: Frames, states: Indices, shown: _Shown, placed: MisplacedBoxes, events: Events
     ) -> Sequence[_Found]:
         """Further boxes of vessels that have one."""
         found = []
         if len(events.doubled):
             vessels = select(shown.targets, events.doubled)
-            standard = normals(target_uniforms(self._streams, "detector.duplicate", frames, vessels, width=4))
-            again = self._box_error.misplace(self._streams, frames, states, vessels, standard, "detector.duplicate")
+            extra, true = self._box_error.extra_normals, TrueBoxes.of(frames, states, vessels)
+            latent = latent_normals(self._streams, "detector.duplicate", frames, vessels, extra)
+            again = self._box_error.misplace(self._streams, true, latent, "detector.duplicate")
             final = self._final(frames, vessels, "duplicate_")
             kind = np.full(len(vessels), DUPLICATE)
             found.append(

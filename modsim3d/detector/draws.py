@@ -14,6 +14,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.error_distributions import ERROR_NORMALS
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.random_streams import Streams
 
@@ -76,6 +77,17 @@ def step_uniforms(streams: Streams, purpose: str, *names: str, steps: Indices, w
 def target_uniforms(streams: Streams, purpose: str, frames: Frames, targets: Targets, width: int) -> Array:
     """Uniform numbers of each target's vessel at its step, shape (n, width)."""
     return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids, width)
+
+
+def latent_purposes(purpose: str, extra: int) -> dict[str, int]:
+    """Streams of the normal numbers behind box errors, and how many each gives: extra ones have their own."""
+    return {purpose: ERROR_NORMALS} | ({f"{purpose}_shape": extra} if extra else {})
+
+
+def latent_normals(streams: Streams, purpose: str, frames: Frames, targets: Targets, extra: int) -> Array:
+    """Independent standard normal numbers behind the box error of each target, shape (n, 4 + extra)."""
+    parts = latent_purposes(purpose, extra).items()
+    return normals(np.concatenate([target_uniforms(streams, name, frames, targets, n) for name, n in parts], axis=1))
 
 
 def select(targets: Targets, rows: Indices) -> Targets:

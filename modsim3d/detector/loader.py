@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -13,17 +12,19 @@ from pydantic import ValidationError
 
 from modsim3d.arrays import Array, read_only
 from modsim3d.detector.agreement import agreement_problems
+from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.doubles import Doubles
 from modsim3d.detector.dropout import Dropout, Slope, Table
+from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.gates import Gates
 from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.placement import Placement
-from modsim3d.detector.schema import DetectorFile, FalsePositivesSection, StateSection
+from modsim3d.detector.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.schema_models import (
     ConfidenceKeys,
     DropoutSection,
@@ -102,22 +103,26 @@ def _model(content: DetectorFile) -> DetectorModel:
 
 
 def _state(name: str, section: StateSection, content: DetectorFile) -> PerformanceState:
-    covariance = np.array(section.box_error.covariance, dtype=np.float64)
-    usual = section.confidence.true or section.confidence
     per_image = section.false_positives_per_image
     return PerformanceState(
         name=name,
         confusion=_normalised(section.confusion),
         false_positive_labels=_normalised(section.false_positive_labels),
         false_discovery_rate=section.false_discovery_rate,
-        box_error_mean_px=read_only(section.box_error.mean),
-        box_error_covariance_px2=read_only((covariance + covariance.T) / 2),
-        confidence_mean=math.nan if usual.mean is None else usual.mean,
-        confidence_std=math.nan if usual.std is None else usual.std,
+        box_error=_box_error(section.box_error),
         confidence=_confidence(section.confidence, content.confidence_threshold),
-        box_error_unit=section.box_error.unit,
-        box_error_growth=read_only(section.box_error.growth or np.zeros(4)),
         false_positives_per_image=(content.false_positives.rate or 0.0) if per_image is None else per_image,
+    )
+
+
+def _box_error(section: BoxErrorSection) -> BoxErrorLaw:
+    covariance = np.array(section.covariance, dtype=np.float64)
+    return BoxErrorLaw(
+        mean=read_only(section.mean),
+        covariance=read_only((covariance + covariance.T) / 2),
+        unit=section.unit,
+        growth=read_only(section.growth or np.zeros(4)),
+        distribution=ERROR_DISTRIBUTIONS["normal"](),
     )
 
 

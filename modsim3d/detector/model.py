@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from modsim3d.arrays import Array, read_only
+from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.doubles import Doubles
@@ -16,7 +16,9 @@ from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
-"""Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height, in pixels."""
+"""Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height."""
+ERROR_PAIRS = tuple(itertools.combinations(range(len(ERROR_COMPONENTS)), 2))
+"""Pairs of components, in the order in which files and tables list their correlations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +31,8 @@ class PerformanceState:
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
         false_discovery_rate: False positives over all detections, in [0, 1).
-        box_error_mean_px: Shape (4,), in the order of `ERROR_COMPONENTS`; in sides of the box where relative.
-        box_error_covariance_px2: Shape (4, 4), symmetric and positive semi-definite; likewise.
-        confidence_mean: Of true detections before clipping to [threshold, 1]; NaN where it is not a normal one.
-        confidence_std: Likewise.
+        box_error: How far boxes are from the truth.
         confidence: Of true and of false detections.
-        box_error_unit: `px`, `relative` or `mixed`.
-        box_error_growth: By how many pixels the standard deviations of mixed errors grow with each pixel of the
-            side along their axis, shape (4,).
         false_positives_per_image: For the model of false positives that has such a rate.
     """
 
@@ -44,13 +40,8 @@ class PerformanceState:
     confusion: Array
     false_positive_labels: Array
     false_discovery_rate: float
-    box_error_mean_px: Array
-    box_error_covariance_px2: Array
-    confidence_mean: float
-    confidence_std: float
+    box_error: BoxErrorLaw
     confidence: StateConfidence
-    box_error_unit: str = "px"
-    box_error_growth: Array = field(default_factory=lambda: read_only(np.zeros(4)))
     false_positives_per_image: float = 0.0
 
 

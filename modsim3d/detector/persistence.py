@@ -16,7 +16,8 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.draws import normals, target_uniforms
+from modsim3d.detector.draws import latent_normals, latent_purposes, normals, target_uniforms
+from modsim3d.detector.error_distributions import ERROR_NORMALS
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
@@ -81,18 +82,20 @@ class KeptUniform:
 
 @dataclass(frozen=True)
 class Autoregressive:
-    """Four standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process.
+    """Standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process.
 
     z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ), which is exact for steps of any length (an Ornstein–Uhlenbeck process,
     Gillespie (1996), "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9).
     """
 
     correlation_s: float
-    width: int = 4
+    width: int = ERROR_NORMALS
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """Independent standard normal numbers."""
-        return normals(streams.uniforms("detector.box_error", camera, vessel, first=first, count=count, width=4))
+        parts = latent_purposes("detector.box_error", self.width - ERROR_NORMALS).items()
+        uniforms = [streams.uniforms(name, camera, vessel, first=first, count=count, width=n) for name, n in parts]
+        return normals(np.concatenate(uniforms, axis=1))
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """Mix old and new."""
@@ -167,11 +170,11 @@ class VesselNoise:
             return target_uniforms(self._streams, "detector.class", frames, targets, width=1)[:, 0]
         return self._walked(KeptUniform(self._persistence.class_s), frames, targets)[:, 0]
 
-    def normals(self, frames: Frames, targets: Targets) -> Array:
-        """What box errors are made from, shape (n, 4)."""
+    def normals(self, frames: Frames, targets: Targets, extra: int = 0) -> Array:
+        """Standard normal numbers that box errors are made from, shape (n, 4 + extra)."""
         if not self._persistence.box_s:
-            return normals(target_uniforms(self._streams, "detector.box_error", frames, targets, width=4))
-        return self._walked(Autoregressive(self._persistence.box_s), frames, targets)
+            return latent_normals(self._streams, "detector.box_error", frames, targets, extra)
+        return self._walked(Autoregressive(self._persistence.box_s, ERROR_NORMALS + extra), frames, targets)
 
     def _walked(self, process: Process, frames: Frames, targets: Targets) -> Array:
         key = (type(process), frames.camera, targets.vessel_ids)

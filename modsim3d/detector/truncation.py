@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel, inside_image, move, sizes
-from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.draws import normals
 
 POINTS = 4096
@@ -55,7 +55,7 @@ def _radical_inverse(count: int, base: int) -> Array:
 
 
 def truncated_errors(
-    error: NormalBoxError,
+    error: BoxErrorSource,
     state: Indices,
     boxes_px: Array,
     image_size_px: tuple[int, int],

@@ -125,8 +125,7 @@ def usable_hits(model: DetectorModel, evidence: Evidence) -> Mask:
 
 
 def _is_singular(state: PerformanceState) -> bool:
-    covariance = np.array(state.box_error_covariance_px2)
-    std = np.sqrt(np.diag(covariance))
+    covariance, std = state.box_error.covariance, state.box_error.std
     return bool((std <= 0).any() or np.linalg.cond(covariance / np.outer(std, std)) > _CONDITION)
 
 
@@ -186,10 +185,10 @@ def _truncation_note(fit: ErrorFit) -> str:
 
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
     """Of a covariance without an inverse: errors that have no spread are their mean."""
-    law = NormalLaw(np.array(state.box_error_mean_px), np.zeros(4), np.eye(4), state.box_error_unit == "relative")
+    law = NormalLaw(state.box_error.mean, np.zeros(4), np.eye(4), state.box_error.relative)
     means, _ = law.at(evidence.chances.boxes_px[evidence.hits.chance[rows]])
     off = np.abs(evidence.hits.errors_px[rows] - means) > _ROUNDING_PX
-    still = (np.diag(state.box_error_covariance_px2) <= 0) & (np.array(state.box_error_growth) <= 0)
+    still = (state.box_error.std <= 0) & (state.box_error.growth <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):
         path = f"states.{state.name}.box_error.std[{entry}]"

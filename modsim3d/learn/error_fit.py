@@ -46,11 +46,9 @@ class NormalLaw:
     @classmethod
     def of(cls, state: PerformanceState) -> NormalLaw:
         """That of a performance state."""
-        covariance = np.array(state.box_error_covariance_px2)
-        std = np.sqrt(np.diag(covariance))
-        correlation = covariance / np.outer(std, std)
-        relative = state.box_error_unit == "relative"
-        return cls(np.array(state.box_error_mean_px), std, correlation, relative, np.array(state.box_error_growth))
+        asked = state.box_error
+        correlation = asked.covariance / np.outer(asked.std, asked.std)
+        return cls(asked.mean, asked.std, correlation, asked.relative, asked.growth)
 
     @property
     def growing(self) -> Indices:

@@ -21,7 +21,7 @@ from detector_builders import (
 from scipy import stats
 
 from modsim3d.detector import Detections, parse_detector
-from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.truncation import POINTS, standard_points, truncated_errors
 
 SEEN = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
@@ -85,8 +85,8 @@ def test_thin_boxes_are_a_pixel_when_errors_are_relative() -> None:
     assert np.all(found.boxes_px[:, 2:] - found.boxes_px[:, :2] >= 1)
 
 
-def model_of(error: dict[str, Any]) -> NormalBoxError:
-    return NormalBoxError.from_model(parse_detector(one_state_data(**SEEN, box_error=error)))
+def model_of(error: dict[str, Any]) -> BoxErrorSource:
+    return BoxErrorSource.from_model(parse_detector(one_state_data(**SEEN, box_error=error)))
 
 
 BOXES = [centred(20, 20), centred(47, 67), [0, 1000, 60, 1040], [3590, 1000, 3600, 1100], [1800, 2395, 1900, 2400]]
