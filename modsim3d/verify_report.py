@@ -13,13 +13,12 @@ import orjson
 from modsim3d.arrays import Array
 from modsim3d.boxes import sizes
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.learn.class_checks import miss_probabilities
-from modsim3d.learn.error_fit import PAIRS
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.measures import Exact
-from modsim3d.learn.parameters import FALLS_SHORT, OVERALL_ALPHA, UNTESTED, Verdict, Verification
+from modsim3d.learn.parameters import FALLS_SHORT, OVERALL_ALPHA, UNCHECKED, UNTESTED, Verdict, Verification
 from modsim3d.learn.run_lengths import expected_run_lengths, missed_again, run_lengths
 from modsim3d.verify_run import VerifiedRun
 from modsim3d.view import charts, page
@@ -79,7 +78,7 @@ def notes_of(verification: Verification) -> list[str]:
 
 def conclusion(verification: Verification) -> str:
     """The outcome in a sentence."""
-    tested = sum(verdict.verdict != UNTESTED for verdict in verification.verdicts)
+    tested = sum(verdict.verdict not in (UNTESTED, UNCHECKED) for verdict in verification.verdicts)
     cause = verification.cause
     if cause is None:
         short = sum(verdict.verdict == FALLS_SHORT for verdict in verification.verdicts)
@@ -248,13 +247,13 @@ Law = tuple[Array, Array] | None
 def _law(found: dict[str, Verdict], path: str, measured: bool) -> Law:
     """Mean and covariance of a state's box errors, asked or measured; None where it was not looked at."""
     names = [f"{path}.mean[{c}]" for c in ERROR_COMPONENTS] + [f"{path}.std[{c}]" for c in ERROR_COMPONENTS]
-    names += [f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in PAIRS]
+    names += [f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS]
     values = [(found[name].measured if measured else found[name].asked) if name in found else None for name in names]
     numbers = np.array([np.nan if value is None else value for value in values])
     if np.isnan(numbers).any():
         return None
     correlation = np.eye(4)
-    for value, (i, j) in zip(numbers[8:], PAIRS, strict=True):
+    for value, (i, j) in zip(numbers[8:], ERROR_PAIRS, strict=True):
         correlation[i, j] = correlation[j, i] = value
     return numbers[:4], correlation * np.outer(numbers[4:8], numbers[4:8])
 

@@ -11,7 +11,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes, unions
 from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
 from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
+from modsim3d.detector.clutter import Clutter, ClutterSource, Surroundings
+from modsim3d.detector.clutter_models import ClutterRates, FrameCounts
 from modsim3d.detector.confidence import Confidence
 from modsim3d.detector.doubles import Events, halves
 from modsim3d.detector.draws import latent_normals, select, target_uniforms
@@ -183,10 +184,12 @@ class Detector:
         vessels = shown.targets
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         due = self.model.gates.due(frames)
-        setting = Setting(self._streams, frames, states, due, vessels, n_true, events.expected)
-        found = [self._of_clutter(frames, self._clutter.draw(setting), FALSE_POSITIVE, "detector.clutter_confidence")]
+        counts = FrameCounts(states, due, n_true, events.expected)
+        around = Surroundings(self._streams, frames, counts, vessels)
+        transient = self._clutter.draw_transient(around)
+        found = [self._of_clutter(frames, transient, FALSE_POSITIVE, "detector.clutter_confidence")]
         if self.model.clutter.persistent_share:
-            clutter = self._clutter.draw_persistent(setting)
+            clutter = self._clutter.draw_persistent(around)
             found.append(self._of_clutter(frames, clutter, PERSISTENT, "detector.persistent_confidence"))
         return found
 
@@ -277,12 +280,13 @@ def clutter_of(model: DetectorModel, reference: Reference | None) -> ClutterSour
     Raises:
         ModsimError: Their sizes come from the scene, and there is no reference.
     """
-    rates = Rates(
-        model.column("false_discovery_rate"),
-        model.column("false_positives_per_image"),
-        model.confidence_threshold,
-    )
-    return ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), reference)
+    return ClutterSource.of(model.clutter, clutter_rates(model), model.column("false_positive_labels"), reference)
+
+
+def clutter_rates(model: DetectorModel) -> ClutterRates:
+    """How many false positives each state of a detector asks for."""
+    discovery, per_image = model.column("false_discovery_rate"), model.column("false_positives_per_image")
+    return ClutterRates(discovery, per_image, model.confidence_threshold)
 
 
 def reference_of(model: DetectorModel, frames: Frames, targets: Targets) -> Reference:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy import special
@@ -35,6 +37,17 @@ def distance_m(targets: Targets) -> Array:
 
 
 ATTRIBUTES = {"visible_fraction": visible_fraction, "size_px": size_px, "distance_m": distance_m}
+
+
+class Effect(Protocol):
+    """How an attribute of a vessel changes the odds of a miss."""
+
+    @property
+    def attribute(self) -> str:
+        """One of `ATTRIBUTES`."""
+
+    def of(self, targets: Targets) -> Array:
+        """Log-odds added for each target, shape (n,); none where the attribute is unknown."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +94,10 @@ class Table:
         return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right")])
 
 
+EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": Table}
+"""By the name that `dropout.model` has in a detector file."""
+
+
 @dataclass(frozen=True)
 class Dropout:
     """How the rate of misses follows what a vessel looks like.
@@ -90,7 +107,7 @@ class Dropout:
         anchored: Whether each state's rate is held as the average over the scene.
     """
 
-    effects: tuple[Slope | Table, ...] = ()
+    effects: tuple[Effect, ...] = ()
     anchored: bool = False
 
     def log_odds(self, targets: Targets) -> Array:

@@ -17,7 +17,7 @@ from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.doubles import Doubles
-from modsim3d.detector.dropout import Dropout, Slope, Table
+from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
 from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.gates import Gates
 from modsim3d.detector.model import DetectorModel, PerformanceState
@@ -92,7 +92,6 @@ def _model(content: DetectorFile) -> DetectorModel:
         transition_matrix=_normalised(content.transition_matrix),
         states=tuple(_state(name, section, content) for name, section in content.states.items()),
         transition_interval_s=content.transition_interval_s,
-        false_positives=content.false_positives.model,
         dropout=_dropout(content.dropout),
         gates=Gates(**content.gates.model_dump()),
         persistence=Persistence(**content.persistence.model_dump()),
@@ -145,7 +144,7 @@ def _scores(section: ScoreSection) -> Scores:
 
 
 def _dropout(section: DropoutSection) -> Dropout:
-    effects: list[Slope | Table] = []
+    effects: list[Effect] = []
     for name, keys in section.effects().items():
         if keys.edges is not None and keys.odds is not None:
             effects.append(Table(name, tuple(keys.edges), tuple(keys.odds)))

@@ -56,7 +56,6 @@ class DetectorModel:
         transition_matrix: Pr(next is i | now is j), columns sum to one (Jessen & Mohr (2023), eq. 6.1).
         states: In the order of the matrix's rows and columns.
         transition_interval_s: Time between transitions; None means one at each step.
-        false_positives: Name of the model of false positives.
         dropout: How misses follow what a vessel looks like.
         gates: Hard limits.
         persistence: How long noise stays with a vessel.
@@ -71,7 +70,6 @@ class DetectorModel:
     transition_matrix: Array
     states: tuple[PerformanceState, ...]
     transition_interval_s: float | None = None
-    false_positives: str = "calibrated"
     dropout: Dropout = field(default_factory=Dropout)
     gates: Gates = field(default_factory=Gates)
     persistence: Persistence = field(default_factory=Persistence)

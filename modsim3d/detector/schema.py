@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from modsim3d.detector import checks
-from modsim3d.detector.clutter import CLUTTER_MODELS
+from modsim3d.detector.clutter_models import CLUTTER_MODELS
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.detector.schema_models import (
     ClutterKeys,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -50,6 +50,10 @@ class QuantileScores:
         start = self.quantiles[below]
         value: Array = start + (place - below) * (self.quantiles[below + 1] - start)
         return value
+
+
+SCORES: Mapping[str, type[Scores]] = {"normal": NormalScores, "quantiles": QuantileScores}
+"""Distributions of confidence by name; a precision-recall curve is turned into quantiles."""
 
 
 @dataclass(frozen=True, eq=False)

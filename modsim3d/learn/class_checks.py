@@ -11,6 +11,7 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part
 from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.limits import limit_note
@@ -19,7 +20,6 @@ from modsim3d.learn.pairs import inflation, turn_before
 from modsim3d.learn.parameters import Parameter
 from modsim3d.learn.rate_measures import Rate
 
-GROUP = "dropout and class"
 BACKGROUND = "background"
 LEAST_CHANCES = 30
 """Independent chances to see a label in a state, below which its column is not tested."""
@@ -76,7 +76,7 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
                 measure = None if note else _entry(model, evidence, asked, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
                 said = note or _asked_note(model, row, measure)
-                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=said))
+                parameters.append(Parameter(name, Part.CLASS, measure, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, asked, note)]
 
 
@@ -94,7 +94,7 @@ def _gate_checks(evidence: Evidence, asked: Asked) -> list[Parameter]:
         return []
     seen = (evidence.chances.outcome != -1) & ~asked.passed
     measure = Exact(int(seen.sum()), int((~asked.passed).sum()))
-    return [Parameter("gates: nothing seen beyond them", GROUP, measure, in_file=False)]
+    return [Parameter("gates: nothing seen beyond them", Part.CLASS, measure, in_file=False)]
 
 
 def _entry(model: DetectorModel, evidence: Evidence, asked: Asked, rows: Indices, row: int) -> Measure | None:
@@ -152,9 +152,9 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, asked: Asked, note
     overall = None if note else _share(model, evidence, rows, missed, low, high)
     persistence = None if note else _persistence(model, evidence, asked)
     return [
-        Parameter("dropout, all states", GROUP, overall, in_file=False, note=note),
-        *([] if note else dropout_checks(model, evidence, asked.passed, asked.missed, GROUP)),
-        Parameter("persistence.class_s", GROUP, persistence, note=correlation_note(persistence)),
+        Parameter("dropout, all states", Part.CLASS, overall, in_file=False, note=note),
+        *([] if note else dropout_checks(model, evidence, asked.passed, asked.missed)),
+        Parameter("persistence.class_s", Part.CLASS, persistence, note=correlation_note(persistence)),
     ]
 
 

@@ -9,6 +9,7 @@ from modsim3d.boxes import centres, sizes, unions
 from modsim3d.detector.chain import clutter_of
 from modsim3d.detector.draws import select
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part
 from modsim3d.detector.persistent_clutter import wanderers
 from modsim3d.detector.placement import DRAWS
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Frames, Targets
@@ -19,7 +20,6 @@ from modsim3d.learn.measures import Estimate
 from modsim3d.learn.parameters import Parameter
 from modsim3d.random_streams import Streams
 
-GROUP = "false positives"
 LEAST_FALSE = 50
 LEAST_LIFETIMES = 20
 """Lifetimes that a run has to last, times how many are there, below which they are not tested."""
@@ -40,12 +40,14 @@ def clutter_box_checks(model: DetectorModel, evidence: Evidence, lasting: Array)
     names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
     laws = [None] * len(names) if note else _laws(model, evidence)
     parameters = [
-        Parameter(f"false_positives.{name}", GROUP, law, 0.0, note=note) for name, law in zip(names, laws, strict=True)
+        Parameter(f"false_positives.{name}", Part.FALSE_POSITIVES, law, 0.0, note=note)
+        for name, law in zip(names, laws, strict=True)
     ]
     if model.clutter.persistent_share:
         lifetime = None if note else _lifetime(model, evidence, lasting)
-        said = "as the correlation of their number from one frame to the next"
-        parameters.append(Parameter("false_positives.persistence.lifetime_s", GROUP, lifetime, note=note or said))
+        note = note or "as the correlation of their number from one frame to the next"
+        name = "false_positives.persistence.lifetime_s"
+        parameters.append(Parameter(name, Part.FALSE_POSITIVES, lifetime, note=note))
     return parameters
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,8 @@ from modsim3d.arrays import Array
 from modsim3d.boxes import sizes
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.scores import NormalScores, QuantileScores, Scores
+from modsim3d.detector.parts import Part, model_name
+from modsim3d.detector.scores import SCORES, NormalScores, QuantileScores, Scores
 from modsim3d.learn.clipped_normal import Clipped
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.law_measures import Law
@@ -18,7 +20,6 @@ from modsim3d.learn.limits import limit_note
 from modsim3d.learn.measures import Exact, Measure
 from modsim3d.learn.parameters import Parameter
 
-GROUP = "confidence"
 LEAST_DETECTIONS = 50
 
 
@@ -58,12 +59,12 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         for name, scores, found in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [
-                Parameter(f"{path}.{entry}", GROUP, None if note else measure, asked, state=state.name, note=note)
+                Parameter(f"{path}.{entry}", Part.CONFIDENCE, measure, asked, state=state.name).unless(note)
                 for entry, asked, measure in _measures(law, scores, found, threshold)
             ]
     every = np.concatenate([evidence.hits.confidence, evidence.clutter.confidence])
     outside = int(((every < threshold) | (every > 1)).sum())
-    return [*parameters, Parameter("confidence_threshold", GROUP, Exact(outside, len(every)))]
+    return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]
 
 
 def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
@@ -83,10 +84,13 @@ def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, S
     return parts[0], parts[1]
 
 
-def _measures(
-    law: StateConfidence, scores: Scores, found: Scored, threshold: float
-) -> list[tuple[str, float, Measure | None]]:
-    """Name, asked value and measure of each number of a law."""
+Slope = tuple[str, float, Array]
+"""Name of a slope, its value, and by how much it raises the mean of each detection for each unit."""
+Number = tuple[str, float, Measure | None]
+"""Name, asked value and measure of one of a law's numbers."""
+
+
+def _measures(law: StateConfidence, scores: Scores, found: Scored, threshold: float) -> list[Number]:
     slopes = [
         (name, slope, -amount)
         for name, slope, amount in (
@@ -95,17 +99,18 @@ def _measures(
         )
         if slope
     ]
-    if isinstance(scores, NormalScores):
-        return _normal(scores, slopes, found, threshold)
-    if slopes or not isinstance(scores, QuantileScores) or len(found.scores) < LEAST_DETECTIONS:
+    check = SCORE_CHECKS.get(model_name(SCORES, scores))
+    return [] if check is None else check(scores, slopes, found, threshold)
+
+
+def _quantiles(scores: QuantileScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
+    if slopes or len(found.scores) < LEAST_DETECTIONS:
         return [("law", 0.0, None)]
     inside = scores.quantiles.clip(threshold, 1)
     return [("law", 0.0, Law.of(found.scores, inside))]
 
 
-def _normal(
-    scores: NormalScores, slopes: list[tuple[str, float, Array]], found: Scored, threshold: float
-) -> list[tuple[str, float, Measure | None]]:
+def _normal(scores: NormalScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
     shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(len(found.scores)))
     names = ["mean", "std", *(name for name, _, _ in slopes)]
     asked = [scores.mean, scores.std, *(slope for _, slope, _ in slopes)]
@@ -118,3 +123,7 @@ def _normal(
     clipped = Clipped(found.scores, np.column_stack([np.ones(len(shift)), *(a for _, _, a in slopes)]), threshold)
     fitted = clipped.measures(np.array([scores.mean, *(slope for _, slope, _ in slopes)]), scores.std)
     return [(name, value, measure) for name, value, measure in zip(names, asked, fitted, strict=True)]
+
+
+SCORE_CHECKS: Mapping[str, Callable[..., list[Number]]] = {"normal": _normal, "quantiles": _quantiles}
+"""From scores, slopes, detections and threshold, by the name of the distribution."""

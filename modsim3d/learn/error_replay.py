@@ -11,7 +11,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.box_error import symmetric_root
-from modsim3d.learn.error_fit import ErrorSample, NormalLaw
+from modsim3d.learn.error_fit import ErrorSample
+from modsim3d.learn.error_parameters import ErrorParameters
 
 REPLAYS = 300
 _MOST_DRAWS = 2000
@@ -39,7 +40,7 @@ def latent_paths(tracks: Indices, times_s: Array, correlation_s: float, rng: np.
     return np.swapaxes(result, 0, 1)
 
 
-def replayed_errors(law: NormalLaw, sample: ErrorSample, latent: Array, rng: np.random.Generator) -> Array:
+def replayed_errors(law: ErrorParameters, sample: ErrorSample, latent: Array, rng: np.random.Generator) -> Array:
     """Errors in the law's standard deviations, shape (count, n, 4), of a sample's boxes from latent numbers."""
     boxes, images = sample.boxes_px[sample.rows], sample.images_px[sample.rows]
     means, stds = law.at(boxes)
@@ -57,7 +58,7 @@ def replayed_errors(law: NormalLaw, sample: ErrorSample, latent: Array, rng: np.
     return standard
 
 
-def own_root(law: NormalLaw) -> Array:
+def own_root(law: ErrorParameters) -> Array:
     """How latent numbers become standardised errors, shape (4, 4): the root is that of the file's covariance."""
     covariance = law.correlation * np.outer(law.std, law.std)
     return symmetric_root(covariance) / law.std[:, None]

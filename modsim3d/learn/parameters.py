@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from modsim3d.learn.measures import Interval, Measure, Noticed
 
 OVERALL_ALPHA = 0.01
 """Chance that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
 OBEYS, DIFFERS, FALLS_SHORT, UNTESTED = "obeys", "DIFFERS", "obeys its rule, not the asked rate", "too little seen"
+UNCHECKED = "no check"
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Parameter:
         in_file: Whether the file has this number: only such a one can be the cause of a failure.
         promised: What the file asks for where the model's own rule aims at something else, which is `measure.asked`.
         note: What else a reader should know.
+        checked: Whether there is a check; a model without one is listed as such.
     """
 
     name: str
@@ -37,6 +39,11 @@ class Parameter:
     in_file: bool = True
     promised: float | None = None
     note: str = ""
+    checked: bool = True
+
+    def unless(self, note: str) -> Parameter:
+        """The same without a measure if a note says why it cannot be tested."""
+        return replace(self, measure=None, note=note) if note else self
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,7 @@ class Verdict:
         interval: Of the measured value, at the level of all tests together.
         p_value: Not corrected.
         noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
-        verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT` or `UNTESTED`.
+        verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
     """
 
     parameter: Parameter
@@ -116,7 +123,7 @@ def _verdict(parameter: Parameter, alpha: float) -> Verdict:
     measure = parameter.measure
     if measure is None:
         asked = float("nan") if parameter.asked is None else parameter.asked
-        return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED)
+        return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED)
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
     interval = measure.interval(alpha)

@@ -181,7 +181,7 @@ def test_a_model_holds_what_the_mapping_says() -> None:
     assert model.labels == ("sail", "motor")
     assert model.initial_state == 1
     assert model.transition_interval_s == 5
-    assert model.false_positives == "calibrated"
+    assert model.clutter.model == "calibrated"
     assert [state.name for state in model.states] == ["clear", "fog"]
     assert model.states[1].confusion.tolist() == [[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]]
     assert model.states[1].false_discovery_rate == 0.4
@@ -198,7 +198,7 @@ def test_arrays_of_a_model_cannot_be_written_to() -> None:
 def test_calibrated_is_the_default() -> None:
     data = detector_data()
     del data["false_positives"]
-    assert parse_detector(data).false_positives == "calibrated"
+    assert parse_detector(data).clutter.model == "calibrated"
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
