@@ -12,7 +12,7 @@ from modsim3d.arrays import Array
 from modsim3d.block import Block
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.records import TRUE
-from modsim3d.detector.truncation import standard_points, truncated_errors
+from modsim3d.detector.truncation import truncated_errors
 from modsim3d.scene import Scene
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
@@ -66,7 +66,7 @@ class BoxSample:
         In the units of the detector file, averaged over the sampled boxes: the share of first draws that is drawn
         anew, the mean and covariance that are left, and the standard error that the sampling gives that mean.
         """
-        error, points = BoxErrorSource.from_model(scene.detector), standard_points(POINTS_A_BOX)
+        source = BoxErrorSource.from_model(scene.detector)
         report = {}
         for index, performance in enumerate(scene.detector.states):
             ours = self.rows[self.rows[:, 1] == index]
@@ -74,12 +74,12 @@ class BoxSample:
                 continue
             left = [
                 truncated_errors(
-                    error,
-                    np.full(int((ours[:, 2] == number).sum()), index),
+                    source,
+                    index,
                     ours[ours[:, 2] == number, 3:],
                     camera.intrinsics.image_size_px,
                     in_file_units=True,
-                    points=points,
+                    points=POINTS_A_BOX,
                 )
                 for number, camera in enumerate(scene.cameras)
             ]

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask, read_only
 from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
 from modsim3d.detector.draws import latent_purposes
-from modsim3d.detector.error_distributions import ErrorDistribution
+from modsim3d.detector.error_distributions import ErrorDistribution, standardised
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Frames, Targets
 from modsim3d.errors import ModsimError
@@ -167,11 +167,23 @@ class BoxErrorSource:
     def _standardised(self, state: Indices, latent: Array) -> Array:
         """Standardised errors of each state's distribution, shape (n, ..., 4)."""
         if len(set(self.distributions)) == 1:
-            return self.distributions[0].standardise(latent)
+            return standardised(self.distributions[0], latent)
         standard = np.empty((*latent.shape[:-1], 4))
         for index, distribution in enumerate(self.distributions):
-            standard[state == index] = distribution.standardise(latent[state == index])
+            standard[state == index] = standardised(distribution, latent[state == index])
         return standard
+
+    def moments_px(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
+        """Means and covariances in pixels of the errors of boxes before truncation, shapes (n, 4) and (n, 4, 4).
+
+        Args:
+            state: Shape (n,).
+            sizes_px: Width and height of the true boxes, shape (n, 2).
+        """
+        sides, relative = np.tile(sizes_px, 2), self.relative[state][:, None]
+        factors = np.where(relative, sides, 1 + self.growths[state] * sides)
+        roots = factors[:, :, None] * self.roots[state]
+        return np.where(relative, sides, 1.0) * self.means[state], roots @ np.swapaxes(roots, 1, 2)
 
     def in_file_units(self, state: Indices, sizes_px: Array, errors_px: Array) -> Array:
         """Undo what the size of a box does to its errors, so that they have the mean and covariance of the file.

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from modsim3d.arrays import Array
 
 ERROR_NORMALS = 4
@@ -13,17 +15,17 @@ ERROR_NORMALS = 4
 
 
 class ErrorDistribution(Protocol):
-    """A distribution of standardised errors, made from independent standard normal numbers.
+    """A distribution of standardised errors: four independent standard normal numbers times one random scale.
 
     Its dataclass fields are the keys that `box_error` has for it in a detector file.
     """
 
     @property
     def extra_normals(self) -> int:
-        """Normal numbers that an error needs beyond `ERROR_NORMALS`."""
+        """Normal numbers that the scale is made from."""
 
-    def standardise(self, latent: Array) -> Array:
-        """Standardised errors from normal numbers of shape (..., 4 + extra), shape (..., 4)."""
+    def scales(self, extra: Array) -> Array:
+        """Scales from independent standard normal numbers of shape (..., extra), shape (...)."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,17 @@ class Normal:
 
     extra_normals = 0
 
-    def standardise(self, latent: Array) -> Array:
-        """The numbers themselves."""
-        return latent[..., :ERROR_NORMALS]
+    def scales(self, extra: Array) -> Array:
+        """One, shape (...)."""
+        return np.ones(extra.shape[:-1])
+
+
+def standardised(distribution: ErrorDistribution, latent: Array) -> Array:
+    """Standardised errors from normal numbers of shape (..., at least 4 + extra), shape (..., 4)."""
+    normal, extra = latent[..., :ERROR_NORMALS], distribution.extra_normals
+    if not extra:
+        return normal
+    return normal * distribution.scales(latent[..., ERROR_NORMALS : ERROR_NORMALS + extra])[..., None]
 
 
 ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {"normal": Normal}

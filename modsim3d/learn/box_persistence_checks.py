@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.error_distributions import ERROR_NORMALS
 from modsim3d.detector.model import DetectorModel
 from modsim3d.learn.error_fit import StateFit
 from modsim3d.learn.error_replay import REPLAYS, latent_paths, own_root, products, replayed_errors
@@ -57,8 +58,9 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
     found = []
+    width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, REPLAYS, _REPLAYS_AT_ONCE):
-        latent = latent_paths(tracks, chances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE)
+        latent = latent_paths(tracks, chances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE, width)
         whitened = np.empty((_REPLAYS_AT_ONCE, len(chance), 4))
         for k, fit in enumerate(fits):
             ours = slice(ends[k], ends[k + 1])

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.detector.truncation import Accepted, accepted_errors
 from modsim3d.learn.error_parameters import ErrorParameters
-from modsim3d.learn.truncation import Accepted, accepted_errors
 
 _FAR, _STEPS, _SETTLED = 4.5, 6, 1e-3
 _SINGULAR = 1e10
@@ -26,7 +26,7 @@ def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator
     """Points of the truncated law of boxes, some at a time, and the statistics at each."""
     means, stds = law.at(boxes_px)
     covariances = law.correlation * stds[:, :, None] * stds[:, None, :]
-    for part in accepted_errors(boxes_px, images_px, means, covariances):
+    for part in accepted_errors(boxes_px, images_px, means, covariances, law.distribution):
         standard = (part.errors - means[part.rows, None]) / stds[part.rows, None]
         yield part, law.statistics(standard)
 

@@ -21,7 +21,7 @@ from tests.detector_variants import CHANGES, variant
 DRAWING = {
     Part.STATE: "at",
     Part.CLASS: ("classify", "of"),
-    Part.BOX_ERROR: "standardise",
+    Part.BOX_ERROR: "scales",
     Part.FALSE_POSITIVES: "draw",
     Part.CONFIDENCE: "at",
 }
