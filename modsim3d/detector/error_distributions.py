@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array
 
@@ -17,8 +18,11 @@ ERROR_NORMALS = 4
 class ErrorDistribution(Protocol):
     """A distribution of standardised errors: four independent standard normal numbers times one random scale.
 
-    Its dataclass fields are the keys that `box_error` has for it in a detector file.
+    Attributes:
+        keys: What `box_error` has for it in a detector file: its fields.
     """
+
+    keys: ClassVar[tuple[str, ...]]
 
     @property
     def extra_normals(self) -> int:
@@ -32,11 +36,35 @@ class ErrorDistribution(Protocol):
 class Normal:
     """The multivariate normal distribution (Jessen & Mohr (2023), section 7.6.2)."""
 
+    keys: ClassVar[tuple[str, ...]] = ()
     extra_normals = 0
 
     def scales(self, extra: Array) -> Array:
         """One, shape (...)."""
         return np.ones(extra.shape[:-1])
+
+
+@dataclass(frozen=True)
+class StudentT:
+    """The multivariate t distribution, scaled to have the identity as covariance.
+
+    A normal number times √((ν − 2) / w), with w chi-square of ν degrees of freedom and common to the four components.
+
+    Attributes:
+        degrees_of_freedom: ν, above 2: with less there is no covariance.
+    """
+
+    degrees_of_freedom: float
+
+    keys: ClassVar[tuple[str, ...]] = ("degrees_of_freedom",)
+    extra_normals = 1
+
+    def scales(self, extra: Array) -> Array:
+        """From one normal number each, read as its probability and that as the quantile of w, shape (...)."""
+        half = self.degrees_of_freedom / 2
+        chi_square = 2 * special.gammaincinv(half, special.ndtr(extra[..., 0]))
+        scales: Array = np.sqrt((self.degrees_of_freedom - 2) / chi_square)
+        return scales
 
 
 def standardised(distribution: ErrorDistribution, latent: Array) -> Array:
@@ -47,5 +75,5 @@ def standardised(distribution: ErrorDistribution, latent: Array) -> Array:
     return normal * distribution.scales(latent[..., ERROR_NORMALS : ERROR_NORMALS + extra])[..., None]
 
 
-ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {"normal": Normal}
+ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {"normal": Normal, "student_t": StudentT}
 """By the name that `box_error.law` has in a detector file."""

@@ -115,13 +115,13 @@ def _state(name: str, section: StateSection, content: DetectorFile) -> Performan
 
 
 def _box_error(section: BoxErrorSection) -> BoxErrorLaw:
-    covariance = np.array(section.covariance, dtype=np.float64)
+    covariance, distribution = np.array(section.covariance, dtype=np.float64), ERROR_DISTRIBUTIONS[section.law]
     return BoxErrorLaw(
         mean=read_only(section.mean),
         covariance=read_only((covariance + covariance.T) / 2),
         unit=section.unit,
         growth=read_only(section.growth or np.zeros(4)),
-        distribution=ERROR_DISTRIBUTIONS["normal"](),
+        distribution=distribution(**{key: getattr(section, key) for key in distribution.keys}),
     )
 
 

@@ -31,6 +31,8 @@ LEAST_WORTH = 300
 
 They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
 """
+MOST_SHAPE_ERROR = 1.0
+"""Standard error of a number of the distribution itself, in its own units, above which it is not tested."""
 _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
 
@@ -125,6 +127,7 @@ def _state_checks(
     for k, (name, asked) in enumerate(zip(law.names(), law.numbers(), strict=True)):
         measure = None if fit is None else _estimate(fit, k, replayed)
         few = measure is not None and replayed is not None and measure.count < LEAST_WORTH
+        few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MOST_SHAPE_ERROR
         path, unit = f"states.{state.name}.box_error.{name}", "" if k >= 8 else "sides" if law.relative else "px"
         parameter = Parameter(path, Part.BOX_ERROR, None if few else measure, float(asked), unit, state.name)
         parameters.append(replace(parameter, note=note) if k == 0 else parameter)
