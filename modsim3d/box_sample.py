@@ -16,7 +16,7 @@ from modsim3d.detector.truncation import truncated_errors
 from modsim3d.scene import Scene
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
-"""Few enough that a run hardly takes longer for them; what so few boxes leave open is told beside the mean."""
+"""Few enough to cost a run little time; the standard error of the mean says how much so few boxes leave open."""
 _MIX = np.array([2_654_435_761, 40_503, 97_003], dtype=np.int64)
 _RANGE = 2**32
 
@@ -30,8 +30,8 @@ class BoxSample:
     """Boxes spread evenly over a run, the same however it was split into blocks.
 
     Attributes:
-        rows: Key, state, camera and annotated box of each, in order of state and key, shape (n, 7). Kept are those of
-            the least keys of each state.
+        rows: Key, state, camera and annotated box of each, in order of state and key, shape (n, 7): the least keys of
+            each state.
         counts: How many detections of a vessel each state had in all, by the state's index.
     """
 
@@ -61,10 +61,10 @@ class BoxSample:
         return BoxSample(_least(np.concatenate([self.rows, other.rows])), counts)
 
     def truncation(self, scene: Scene) -> dict[str, dict[str, Any]]:
-        """What drawing degenerate boxes anew does to the errors, by name of the state, ready for a file.
+        """What resampling degenerate boxes does to the errors, by name of the state, ready for a file.
 
-        In the units of the detector file, averaged over the sampled boxes: the share of first draws that is drawn
-        anew, the mean and covariance that are left, and the standard error that the sampling gives that mean.
+        In the units of the detector file, averaged over the sampled boxes: the share of first draws that are
+        resampled, the mean and covariance that are left, and the standard error of that mean from the sampling.
         """
         source = BoxErrorSource.from_model(scene.detector)
         report = {}

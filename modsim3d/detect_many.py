@@ -8,7 +8,7 @@ from modsim3d.annotate.record import Truth, concatenate
 from modsim3d.detector.chain import Detector, reference_of
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.reference import Reference
-from modsim3d.learn.evidence import Evidence, Seen
+from modsim3d.learn.evidence import CameraEvidence, Evidence
 from modsim3d.scene import Scene
 from modsim3d.simulate import DetectorInput, block_ranges, block_steps, detector_inputs, open_renderer, truth_block
 
@@ -47,5 +47,8 @@ class ManyDetections:
         """What a run with this detector and seed would show."""
         detector = Detector(model, seed, self.scene.times_s, self.reference(model))
         return Evidence.of(
-            [Seen(part.frames, part.targets, detector.detect(part.frames, part.targets)) for part in self.inputs]
+            [
+                CameraEvidence(part.frames, part.targets, detector.detect(part.frames, part.targets))
+                for part in self.inputs
+            ]
         )

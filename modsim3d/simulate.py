@@ -19,7 +19,7 @@ from modsim3d.arrays import Indices
 from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
 from modsim3d.detector.chain import Detector, reference_of
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.poses import LivePoses
@@ -113,7 +113,7 @@ class DetectorInput:
 
     truth: Truth
     rows: Indices
-    frames: Frames
+    frames: CameraFrames
     targets: Targets
 
 
@@ -126,7 +126,7 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
         seen = truth.take(truth.camera == number)
         rows = np.flatnonzero(seen.annotated)
         steps, before = scene.frame_steps(camera, first, stop), scene.last_frame(camera, first)
-        frames = Frames(
+        frames = CameraFrames(
             camera=camera.name,
             steps=steps,
             times_s=times_s[steps - first],

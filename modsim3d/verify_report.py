@@ -163,12 +163,13 @@ def write_report(verified: VerifiedRun, folder: Path) -> None:
 
 def _page(verified: VerifiedRun) -> str:
     verification, model, evidence = verified.verification, verified.model, verified.evidence
+    found, false = evidence.true_detections, evidence.false_detections
     body = [
         page.paragraph(conclusion(verification), "lead" if verification.obeys else "bad"),
         page.paragraph(
-            f"{verified.run.steps} steps, {len(evidence.chances.state)} chances to detect a vessel, "
-            f"{len(evidence.hits.chance)} true detections, {len(evidence.clutter.image)} false ones. Each interval "
-            "holds the values that its test would not have rejected; the level of all tests together is "
+            f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
+            f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
+            "that its test would not have rejected; the level of all tests together is "
             f"{OVERALL_ALPHA:.0%}. “Noticed from” is the smallest change of the file that this run would have shown, "
             "with 90 % power.",
             "soft",
@@ -211,7 +212,7 @@ def _timelines(model: DetectorModel, evidence: Evidence) -> list[str]:
 
 
 def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
-    images = evidence.images
+    images = evidence.frames
     ours = images.camera == camera
     times, states = images.time_s[ours], images.state[ours]
     changes = np.flatnonzero(np.diff(states, prepend=states[0] - 1))
@@ -221,14 +222,14 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
 
 def _scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[str]:
     found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
-    state_of_hits = evidence.chances.state[evidence.hits.chance]
+    state_of_hits = evidence.instances.state[evidence.true_detections.instance]
     scale, figures = BoxErrorSource.from_model(model), []
     for index, state in enumerate(model.states):
-        rows = np.flatnonzero((state_of_hits == index) & (evidence.hits.kind == TRUE))
+        rows = np.flatnonzero((state_of_hits == index) & (evidence.true_detections.kind == TRUE))
         if not len(rows):
             continue
-        boxes = evidence.chances.boxes_px[evidence.hits.chance[rows]]
-        errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.hits.errors_px[rows])
+        boxes = evidence.instances.boxes_px[evidence.true_detections.instance[rows]]
+        errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.true_detections.errors_px[rows])
         path = f"states.{state.name}.box_error"
         laws = [_law(found, path, measured) for measured in (False, True)]
         unit = "sides" if state.box_error.relative else "px"
@@ -284,7 +285,7 @@ def _run_lengths(model: DetectorModel, evidence: Evidence) -> str:
     most = max(len(found) - 1, 4)
     missed = miss_probabilities(model, evidence)
     again = missed_again(model, evidence, missed)
-    expected = expected_run_lengths(missed, again, evidence.chances.before, most)
+    expected = expected_run_lengths(missed, again, evidence.instances.before, most)
     counts = np.zeros(most)
     counts[: len(found) - 1] = found[1:]
     lengths = np.arange(1.0, most + 1)
@@ -295,7 +296,7 @@ def _run_lengths(model: DetectorModel, evidence: Evidence) -> str:
 
 
 def _reliability(evidence: Evidence) -> str:
-    true, false = evidence.hits.confidence, evidence.clutter.confidence
+    true, false = evidence.true_detections.confidence, evidence.false_detections.confidence
     edges = np.linspace(0, 1, _BINS + 1)
     n_true, _ = np.histogram(true, edges)
     n_all = n_true + np.histogram(false, edges)[0]

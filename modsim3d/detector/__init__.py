@@ -3,7 +3,7 @@
 from modsim3d.detector.chain import Detector, reference_of
 from modsim3d.detector.loader import load_detector, parse_detector
 from modsim3d.detector.model import DetectorModel, PerformanceState
-from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, TRUE, Detections, Frames, Targets
+from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, TRUE, CameraFrames, Detections, Targets
 from modsim3d.detector.reference import Reference
 
 __all__ = [
@@ -11,10 +11,10 @@ __all__ = [
     "FALSE_POSITIVE",
     "KINDS",
     "TRUE",
+    "CameraFrames",
     "Detections",
     "Detector",
     "DetectorModel",
-    "Frames",
     "PerformanceState",
     "Reference",
     "Targets",

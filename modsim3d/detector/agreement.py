@@ -1,4 +1,4 @@
-"""What has to hold between the sections of a detector file, each of which is right by itself."""
+"""Contradictions between the sections of a detector file, each of which is valid by itself."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from modsim3d.detector.clutter_models import CLUTTER_MODELS
 from modsim3d.detector.schema import DetectorFile, StateSection
 
 RATE_TOLERANCE = 0.01
-"""How far the end of a precision-recall curve may lie from the rates that the state is run at."""
+"""Greatest difference between the end of a precision-recall curve and the rates of its state."""
 
 
 def agreement_problems(file: DetectorFile) -> list[str]:
@@ -57,7 +57,7 @@ def _rate_problems(file: DetectorFile) -> list[str]:
 
 
 def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
-    """Second boxes are false too: they must fit into the rate asked for."""
+    """Second boxes are false positives too, so the false discovery rate must leave room for them."""
     keys = file.false_positives
     rate, extra = state.false_discovery_rate, keys.duplicates + keys.splits
     if not CLUTTER_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
@@ -69,7 +69,7 @@ def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[
 
 
 def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
-    """A curve ends where the state is run: at its share of vessels found, and at its share of false detections."""
+    """A curve must end at the recall and the precision that the state has."""
     curve = state.confidence.precision_recall
     if curve is None:
         return []

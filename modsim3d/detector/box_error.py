@@ -12,7 +12,7 @@ from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
 from modsim3d.detector.draws import latent_purposes
 from modsim3d.detector.error_distributions import ErrorDistribution, standardised
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 
@@ -48,13 +48,13 @@ class TrueBoxes:
         boxes_px: At least a pixel wide and high, shape (n, 4).
     """
 
-    frames: Frames
+    frames: CameraFrames
     targets: Targets
     state: Indices
     boxes_px: Array
 
     @classmethod
-    def of(cls, frames: Frames, states: Indices, targets: Targets) -> TrueBoxes:
+    def of(cls, frames: CameraFrames, states: Indices, targets: Targets) -> TrueBoxes:
         """Boxes of targets, given the state of each frame, shape (S,)."""
         return cls(frames, targets, states[targets.frame], at_least_a_pixel(targets.boxes_px, frames.image_size_px))
 

@@ -14,8 +14,8 @@ from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter import Clutter, ClutterSource, Surroundings
 from modsim3d.detector.clutter_models import ClutterRates, FrameCounts
 from modsim3d.detector.confidence import Confidence
-from modsim3d.detector.doubles import Events, halves
 from modsim3d.detector.draws import latent_normals, select, target_uniforms
+from modsim3d.detector.merges_and_splits import Events, halves
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
@@ -27,8 +27,8 @@ from modsim3d.detector.records import (
     PERSISTENT,
     SPLIT,
     TRUE,
+    CameraFrames,
     Detections,
-    Frames,
     Targets,
 )
 from modsim3d.detector.reference import Reference
@@ -38,7 +38,7 @@ from modsim3d.random_streams import Streams
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Detections of one origin, before they are scored: columns of `Detections`, and what the score needs.
+    """Detections of one origin before they have a confidence: columns of `Detections`, and what confidence needs.
 
     Attributes:
         visible_fraction: Of the vessel, NaN where there is none, shape (m,).
@@ -59,13 +59,13 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """Vessels as the detector takes them, two that are merged as one.
+    """Detected vessels, with two merged ones as one.
 
     Attributes:
         targets: With the box around both where merged.
         row: Row of the annotated target, shape (n,).
         partner: Row of the smaller of two that are merged, else -1, shape (n,).
-        label: What each is taken for, shape (n,).
+        label: Detected label, shape (n,).
     """
 
     targets: Targets
@@ -104,8 +104,8 @@ class Detector:
         self._clutter = clutter_of(model, reference)
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
-    def detect(self, frames: Frames, targets: Targets) -> Detections:
-        """What the detector puts out for a run of frames of one camera.
+    def detect(self, frames: CameraFrames, targets: Targets) -> Detections:
+        """The detections in a run of frames of one camera.
 
         Raises:
             ModsimError: The box error of a state leaves nothing of a box, however often it is drawn.
@@ -117,7 +117,7 @@ class Detector:
         latent = self._noise.normals(frames, vessels, self._box_error.extra_normals)
         placed = self._box_error.misplace(self._streams, TrueBoxes.of(frames, states, vessels), latent)
         single = shown.partner < 0
-        events = self.model.doubles.events(self._streams, frames, vessels, placed.boxes_px, single)
+        events = self.model.merges_and_splits.events(self._streams, frames, vessels, placed.boxes_px, single)
         found = [
             self._true(frames, shown, placed, events),
             *self._second_boxes(frames, states, shown, placed, events),
@@ -125,14 +125,14 @@ class Detector:
         ]
         return self._scored(states, found, passed)
 
-    def _shown(self, frames: Frames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
+    def _shown(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
         """Vessels that are neither missed nor merged into another's box."""
         candidates = targets if len(passed) == len(targets) else select(targets, passed)
         label = self._classifier.classify(frames, states, candidates, self._noise.uniforms(frames, candidates))
         detected = np.flatnonzero(label >= 0)
         rows, label = passed[detected], label[detected]
         kept = select(targets, rows)
-        pairs = self.model.doubles.merged_pairs(self._streams, frames, kept)
+        pairs = self.model.merges_and_splits.merged_pairs(self._streams, frames, kept)
         if not len(pairs):
             return _Shown(kept, rows, np.full(len(rows), -1), label)
         larger, smaller = pairs.T
@@ -141,7 +141,7 @@ class Detector:
         rest = np.setdiff1d(np.arange(len(rows)), smaller)
         return _Shown(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
 
-    def _true(self, frames: Frames, shown: _Shown, placed: MisplacedBoxes, events: Events) -> _Found:
+    def _true(self, frames: CameraFrames, shown: _Shown, placed: MisplacedBoxes, events: Events) -> _Found:
         """One detection of each vessel shown."""
         boxes, errors = placed.boxes_px, placed.errors_px
         kind = np.where(shown.partner >= 0, MERGED, TRUE)
@@ -156,7 +156,7 @@ class Detector:
         )
 
     def _second_boxes(
-        self, frames: Frames, states: Indices, shown: _Shown, placed: MisplacedBoxes, events: Events
+        self, frames: CameraFrames, states: Indices, shown: _Shown, placed: MisplacedBoxes, events: Events
     ) -> Sequence[_Found]:
         """Further boxes of vessels that have one."""
         found = []
@@ -179,7 +179,7 @@ class Detector:
             found.append(_of_vessels(shown, events.split, kind, smaller, nothing, redrawn, final))
         return found
 
-    def _false(self, frames: Frames, states: Indices, shown: _Shown, events: Events) -> Sequence[_Found]:
+    def _false(self, frames: CameraFrames, states: Indices, shown: _Shown, events: Events) -> Sequence[_Found]:
         """Detections of nothing."""
         vessels = shown.targets
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
@@ -193,7 +193,7 @@ class Detector:
             found.append(self._of_clutter(frames, clutter, PERSISTENT, "detector.persistent_confidence"))
         return found
 
-    def _of_clutter(self, frames: Frames, clutter: Clutter, kind: int, purpose: str) -> _Found:
+    def _of_clutter(self, frames: CameraFrames, clutter: Clutter, kind: int, purpose: str) -> _Found:
         count = len(clutter.frame)
         nobody, unknown = np.full(count, -1), np.full(count, np.nan)
         return _Found(
@@ -209,12 +209,12 @@ class Detector:
             uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
         )
 
-    def _final(self, frames: Frames, vessels: Targets, prefix: str) -> Array:
+    def _final(self, frames: CameraFrames, vessels: Targets, prefix: str) -> Array:
         """Numbers for confidence and order, shape (n, 2)."""
         return target_uniforms(self._streams, f"detector.{prefix}confidence", frames, vessels, width=2)
 
     def _scored(self, states: Indices, found: Sequence[_Found], passed: Mask) -> Detections:
-        """All of them with their confidence; their order within a frame is random and tells nothing."""
+        """All of them with their confidence; their order within a frame is random."""
         every = _Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in _COLUMNS})
         width, height = sizes(every.boxes_px).T
         false = np.isin(every.kind, FALSE_KINDS)
@@ -225,13 +225,13 @@ class Detector:
             np.sqrt(width * height),
             every.uniforms[:, 0],
         )
-        put_out = self.model.gates.surest(every.frame, confidence, every.uniforms[:, 1])
+        output = self.model.gates.most_confident(every.frame, confidence, every.uniforms[:, 1])
         order = np.lexsort((every.uniforms[:, 1], every.frame))
         gated = ~passed
-        if not put_out.all():
-            order = order[put_out[order]]
-            gated[every.target[~put_out & ~false]] = True
-            gated[np.setdiff1d(every.partner[~put_out], [-1])] = True
+        if not output.all():
+            order = order[output[order]]
+            gated[every.target[~output & ~false]] = True
+            gated[np.setdiff1d(every.partner[~output], [-1])] = True
         return Detections(
             states=states,
             frame=every.frame[order],
@@ -289,7 +289,7 @@ def clutter_rates(model: DetectorModel) -> ClutterRates:
     return ClutterRates(discovery, per_image, model.confidence_threshold)
 
 
-def reference_of(model: DetectorModel, frames: Frames, targets: Targets) -> Reference:
+def reference_of(model: DetectorModel, frames: CameraFrames, targets: Targets) -> Reference:
     """What a detector that `needs_reference` must know of each part of a scene; parts add up."""
     passed = np.flatnonzero(model.gates.passed(frames, targets))
     return Reference.of(model.dropout, frames, select(targets, passed))

@@ -18,9 +18,9 @@ from modsim3d.detector.clutter_models import (
 )
 from modsim3d.detector.clutter_sizes import SceneSizes, Sizes
 from modsim3d.detector.draws import choose, cumulative
-from modsim3d.detector.persistent_clutter import wanderers
+from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS, Placement
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
@@ -76,7 +76,7 @@ class Clutter:
     boxes_px: Array
     label: Indices
 
-    def uniforms(self, streams: Streams, purpose: str, frames: Frames, width: int) -> Array:
+    def uniforms(self, streams: Streams, purpose: str, frames: CameraFrames, width: int) -> Array:
         """Uniform numbers of each false positive, shape (m, width)."""
         return ordinal_uniforms(streams, purpose, frames, self.frame, self.ordinal, width)
 
@@ -93,7 +93,7 @@ class Surroundings:
     """
 
     streams: Streams
-    frames: Frames
+    frames: CameraFrames
     counts: FrameCounts
     detected: Targets
 
@@ -104,9 +104,9 @@ class ClutterSource:
 
     Attributes:
         options: What the file says.
-        rates: How many there are.
+        rates: Their rates in each state.
         label_distributions: Distribution function over labels of each state, shape (states, labels).
-        sizes: Of the whole scene's vessels, or as asked; None for those of the vessels in the same frame.
+        sizes: Of the whole scene's vessels, or of the file; None for those of detected vessels in the same frame.
     """
 
     options: ClutterOptions
@@ -122,7 +122,7 @@ class ClutterSource:
 
         Args:
             options: What the file says.
-            rates: How many there are.
+            rates: Their rates in each state.
             false_positive_labels: Distribution over labels of each state, shape (states, labels).
             reference: The scene's targets, if sizes come from them.
 
@@ -153,7 +153,7 @@ class ClutterSource:
         """False positives that stay for a while and drift along the horizon."""
         options = self.options
         means = options.persistent_share * options.numbers.means(self.rates, around.counts)
-        found = wanderers(around.streams, around.frames, means, options.lifetime_s)
+        found = persistent_clutter(around.streams, around.frames, means, options.lifetime_s)
         ordinal = np.arange(len(found.frame)) - np.searchsorted(found.frame, found.frame)
         drift_px = found.sign * options.drift_px_s * found.age_s
         return self._clutter(around, found.frame, ordinal, found.uniforms, drift_px)
@@ -166,7 +166,7 @@ class ClutterSource:
         return Clutter(frame, ordinal, boxes, labels)
 
     def boxes_px(
-        self, frames: Frames, detected: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None
+        self, frames: CameraFrames, detected: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None
     ) -> Array:
         """Boxes of false positives from uniform numbers, shape (m, 4).
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.draws import keyed_uniforms, poisson_quantile, step_uniforms
-from modsim3d.detector.records import Frames
+from modsim3d.detector.records import CameraFrames
 from modsim3d.random_streams import Streams
 
 RateKey = Literal["false_discovery_rate", "false_positives_per_image"]
@@ -77,7 +77,7 @@ class ClutterModel(Protocol):
         """Variance of the number of transient ones over its mean, shape (S,)."""
 
     def draw(
-        self, streams: Streams, camera_frames: Frames, rates: ClutterRates, frames: FrameCounts, share: float
+        self, streams: Streams, camera_frames: CameraFrames, rates: ClutterRates, frames: FrameCounts, share: float
     ) -> Indices:
         """Number of transient ones in each frame, given their share of all, shape (S,)."""
 
@@ -96,7 +96,7 @@ class PoissonNumbers:
         return np.ones(len(frames.states))
 
     def draw(
-        self, streams: Streams, camera_frames: Frames, rates: ClutterRates, frames: FrameCounts, share: float
+        self, streams: Streams, camera_frames: CameraFrames, rates: ClutterRates, frames: FrameCounts, share: float
     ) -> Indices:
         """Poisson numbers, shape (S,)."""
         purpose, camera = "detector.clutter_count", camera_frames.camera
@@ -155,7 +155,7 @@ class Thesis:
         return 1 - rates.false_discovery[frames.states]
 
     def draw(
-        self, streams: Streams, camera_frames: Frames, rates: ClutterRates, frames: FrameCounts, share: float
+        self, streams: Streams, camera_frames: CameraFrames, rates: ClutterRates, frames: FrameCounts, share: float
     ) -> Indices:
         """Successes among the trials of each frame; none of them persists."""
         rate = rates.false_discovery[frames.states]
@@ -181,7 +181,7 @@ def numbered_rows(counts: Indices) -> tuple[Indices, Indices]:
 
 
 def ordinal_uniforms(
-    streams: Streams, purpose: str, frames: Frames, frame: Indices, ordinal: Indices, width: int
+    streams: Streams, purpose: str, frames: CameraFrames, frame: Indices, ordinal: Indices, width: int
 ) -> Array:
     """Uniform numbers of the first, second, ... false positive of a step, however many there are, shape (m, width)."""
     names: Sequence[str] = [str(number) for number in range(int(ordinal.max(initial=-1)) + 1)]

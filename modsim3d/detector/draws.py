@@ -15,7 +15,7 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.error_distributions import ERROR_NORMALS
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Streams
 
 _LN_2 = math.log(2)
@@ -25,7 +25,7 @@ _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: stands for the 0 w
 def keyed_uniforms(
     streams: Streams,
     purpose: str,
-    frames: Frames,
+    frames: CameraFrames,
     frame: Indices,
     owner: Indices,
     owners: Sequence[str],
@@ -74,7 +74,7 @@ def step_uniforms(streams: Streams, purpose: str, *names: str, steps: Indices, w
     return streams.uniforms(purpose, *names, first=first, count=last - first + 1, width=width)[steps - first]
 
 
-def target_uniforms(streams: Streams, purpose: str, frames: Frames, targets: Targets, width: int) -> Array:
+def target_uniforms(streams: Streams, purpose: str, frames: CameraFrames, targets: Targets, width: int) -> Array:
     """Uniform numbers of each target's vessel at its step, shape (n, width)."""
     return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids, width)
 
@@ -84,7 +84,7 @@ def latent_purposes(purpose: str, extra: int) -> dict[str, int]:
     return {purpose: ERROR_NORMALS} | ({f"{purpose}_shape": extra} if extra else {})
 
 
-def latent_normals(streams: Streams, purpose: str, frames: Frames, targets: Targets, extra: int) -> Array:
+def latent_normals(streams: Streams, purpose: str, frames: CameraFrames, targets: Targets, extra: int) -> Array:
     """Independent standard normal numbers behind the box error of each target, shape (n, 4 + extra)."""
     parts = latent_purposes(purpose, extra).items()
     return normals(np.concatenate([target_uniforms(streams, name, frames, targets, n) for name, n in parts], axis=1))

@@ -1,4 +1,4 @@
-"""Misses that depend on what a vessel looks like: log-odds that are added to those of its state."""
+"""Misses that depend on what a vessel looks like: log-odds added to those of its state."""
 
 from __future__ import annotations
 
@@ -100,10 +100,10 @@ EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": Table}
 
 @dataclass(frozen=True)
 class Dropout:
-    """How the rate of misses follows what a vessel looks like.
+    """How the rate of misses depends on what a vessel looks like.
 
     Attributes:
-        effects: Their log-odds are summed.
+        effects: Their log-odds add up.
         anchored: Whether each state's rate is held as the average over the scene.
     """
 
@@ -111,7 +111,7 @@ class Dropout:
     anchored: bool = False
 
     def log_odds(self, targets: Targets) -> Array:
-        """Log-odds added for each target, shape (n,)."""
+        """Sum of the log-odds added for each target, shape (n,)."""
         total = np.zeros(len(targets))
         for effect in self.effects:
             total = total + effect.of(targets)
@@ -119,13 +119,13 @@ class Dropout:
 
 
 def shifted_rate(rate: Array, log_odds: Array) -> Array:
-    """A rate whose log-odds are changed; 0 and 1 stay what they are."""
+    """Rates with log-odds added, shapes (n,); 0 and 1 stay what they are."""
     shifted: Array = special.expit(special.logit(rate) + log_odds)
     return shifted
 
 
 def anchor(rate: float, log_odds: Array, weights: Array) -> float:
-    """What has to be added to all log-odds so that the weighted mean of the changed rates is the rate.
+    """The log-odds to add to all so that the weighted mean of the changed rates is the rate.
 
     Args:
         rate: In [0, 1].

@@ -1,4 +1,4 @@
-"""Detector files in, detector models out; everything that is wrong is said at once."""
+"""Reads detector files into detector models; reports all problems at once."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
 from modsim3d.detector.confidence import StateConfidence
-from modsim3d.detector.doubles import Doubles
 from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
 from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.gates import Gates
+from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
@@ -79,7 +79,7 @@ def _names(data: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _normalised(columns: Any) -> Array:
-    """Columns that sum to one but for the digits a file leaves off, made to do so."""
+    """Columns that sum to one but for rounding, made to sum to one exactly."""
     array = np.array(columns, dtype=np.float64)
     return read_only(array / array.sum(axis=0))
 
@@ -96,7 +96,9 @@ def _model(content: DetectorFile) -> DetectorModel:
         gates=Gates(**content.gates.model_dump()),
         persistence=Persistence(**content.persistence.model_dump()),
         clutter=_clutter(content.false_positives),
-        doubles=Doubles(**{field.name: getattr(content.false_positives, field.name) for field in fields(Doubles)}),
+        merges_and_splits=MergesAndSplits(
+            **{field.name: getattr(content.false_positives, field.name) for field in fields(MergesAndSplits)}
+        ),
         performance=_performance(content.performance, list(content.states)),
     )
 
@@ -155,15 +157,15 @@ def _dropout(section: DropoutSection) -> Dropout:
 
 
 def _clutter(section: FalsePositivesSection) -> ClutterOptions:
-    wanderers = section.persistence
+    persistent = section.persistence
     density = None if section.density is None else read_only(section.density)
     return ClutterOptions(
         model=section.model,
         placement=Placement(section.band_px, section.far_half_px, density),
         size=None if section.size is None else _sizes(section.size),
-        lifetime_s=wanderers.lifetime_s if wanderers else 1.0,
-        drift_px_s=wanderers.drift_px_s if wanderers else 0.0,
-        persistent_share=wanderers.share if wanderers else 0.0,
+        lifetime_s=persistent.lifetime_s if persistent else 1.0,
+        drift_px_s=persistent.drift_px_s if persistent else 0.0,
+        persistent_share=persistent.share if persistent else 0.0,
     )
 
 

@@ -9,9 +9,9 @@ from modsim3d.arrays import Array, read_only
 from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.confidence import StateConfidence
-from modsim3d.detector.doubles import Doubles
 from modsim3d.detector.dropout import Dropout
 from modsim3d.detector.gates import Gates
+from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 
@@ -60,7 +60,7 @@ class DetectorModel:
         gates: Hard limits.
         persistence: How long noise stays with a vessel.
         clutter: How false positives are made.
-        doubles: How often boxes and vessels do not match one to one.
+        merges_and_splits: How often boxes and vessels do not match one to one.
         performance: Who shares the chain of states, and when a state is forced.
     """
 
@@ -74,7 +74,7 @@ class DetectorModel:
     gates: Gates = field(default_factory=Gates)
     persistence: Persistence = field(default_factory=Persistence)
     clutter: ClutterOptions = field(default_factory=ClutterOptions)
-    doubles: Doubles = field(default_factory=Doubles)
+    merges_and_splits: MergesAndSplits = field(default_factory=MergesAndSplits)
     performance: Performance = field(default_factory=Performance)
 
     @property

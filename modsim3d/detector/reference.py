@@ -14,7 +14,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
 from modsim3d.detector.draws import cumulative, log2
 from modsim3d.detector.dropout import Dropout
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 
 LOG_ODDS_STEP = 1 / 4096
 """Width of a range of log-odds: a rate held over them is off by at most half of it times p·(1 − p), so 3e-5."""
@@ -65,7 +65,7 @@ class Reference:
     sides: Tally = field(default_factory=_nothing)
 
     @classmethod
-    def of(cls, dropout: Dropout, frames: Frames, targets: Targets) -> Reference:
+    def of(cls, dropout: Dropout, frames: CameraFrames, targets: Targets) -> Reference:
         """Count some targets, which have passed the gates.
 
         Args:

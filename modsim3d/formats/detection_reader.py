@@ -11,13 +11,13 @@ import pyarrow as pa
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import corner_form
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import KINDS, MERGED, Detections, Frames, Targets
+from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.table_reader import ERRORS, read_where
 from modsim3d.formats.tables import CENTRE_FORM
 
 
-def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets: Targets) -> Detections:
+def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, targets: Targets) -> Detections:
     """The detections of a camera in a finished run.
 
     Whether a box error was drawn anew is not in the tables, and so not in the record; nor is whether a vessel was lost
@@ -55,7 +55,7 @@ def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets:
 
 
 def _partners(
-    folder: Path, frames: Frames, targets: Targets, frame: Indices, target: Indices, kind: Indices
+    folder: Path, frames: CameraFrames, targets: Targets, frame: Indices, target: Indices, kind: Indices
 ) -> Indices:
     """The second vessel of each merged box: one of its frame that was detected and has no box, else −1.
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import clip, move, sizes
-from modsim3d.detector.doubles import LEAST_SPLIT_PX
 from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
+from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.parts import Part, model_name
 from modsim3d.detector.records import TRUE
@@ -20,7 +20,7 @@ from modsim3d.learn.error_fit import ErrorSample, FitStep, MomentTable, StateFit
 from modsim3d.learn.error_likelihoods import LIKELIHOODS
 from modsim3d.learn.error_parameters import ErrorParameters
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.limits import limit_note
+from modsim3d.learn.max_detections import max_detections_note
 from modsim3d.learn.measures import Estimate, Exact
 from modsim3d.learn.parameters import Parameter
 
@@ -43,8 +43,8 @@ def box_error_checks(
     """The parameters of each state; the boxes themselves; correlation from frame to frame.
 
     Args:
-        model: What was asked for.
-        evidence: What the run shows.
+        model: The detector file.
+        evidence: The truth and the detections of the run.
         table: Expectations that are known already.
         states: Names of the states to look at; all if None.
     """
@@ -72,28 +72,28 @@ def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
     """Rows of the true detections of a state whose errors are tested."""
     if _limited(model, evidence, s):
         return np.empty(0, dtype=np.int64)
-    of_state = evidence.chances.state[evidence.hits.chance] == s
-    return np.flatnonzero(of_state & usable_hits(model, evidence))
+    of_state = evidence.instances.state[evidence.true_detections.instance] == s
+    return np.flatnonzero(of_state & with_known_errors(model, evidence))
 
 
 def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
     """Why a state cannot be tested: among the most confident detections, boxes that came out large are too many."""
-    return limit_note(model, evidence) if model.states[s].confidence.size_slope else ""
+    return max_detections_note(model, evidence) if model.states[s].confidence.size_slope else ""
 
 
-def usable_hits(model: DetectorModel, evidence: Evidence) -> Mask:
-    """Hits that are one box of one vessel, chosen in a way that does not depend on the error, shape (m,).
+def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
+    """True detections that are one box of one vessel, chosen independently of their errors, shape (m,).
 
-    Only boxes that come out wide enough are split, and of those that are the error is not known. Left alone the others
-    would be too narrow on average, so as large a share of the narrow boxes of long vessels is left out.
+    Only boxes that come out wide enough are split, and the errors of split boxes are not known. The others alone would
+    be too narrow on average, so as large a share of the narrow boxes of long vessels is left out.
     """
-    hits = evidence.hits
-    usable: Mask = hits.kind == TRUE
-    if not model.doubles.splits:
+    found, rule = evidence.true_detections, model.merges_and_splits
+    usable: Mask = found.kind == TRUE
+    if not rule.splits:
         return usable
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    narrow = model.doubles.looks_long(truth[hits.chance]) & (sizes(hits.boxes_px)[:, 0] < LEAST_SPLIT_PX)
-    left_out = np.random.default_rng(0).random(len(narrow)) < model.doubles.splits
+    narrow = rule.looks_long(truth[found.instance]) & (sizes(found.boxes_px)[:, 0] < LEAST_SPLIT_PX)
+    left_out = np.random.default_rng(0).random(len(narrow)) < rule.splits
     return usable & ~(narrow & left_out)
 
 
@@ -109,8 +109,8 @@ def _is_singular(state: PerformanceState) -> bool:
 def _fit(state: PerformanceState, evidence: Evidence, rows: Indices, table: MomentTable) -> StateFit | None:
     if len(rows) < LEAST_DETECTIONS or _is_singular(state):
         return None
-    law, hits, chances = ErrorParameters.of(state.box_error), evidence.hits, evidence.chances
-    sample = ErrorSample(hits.errors_px[rows], hits.chance[rows], chances.boxes_px, chances.image_px)
+    law, found, instances = ErrorParameters.of(state.box_error), evidence.true_detections, evidence.instances
+    sample = ErrorSample(found.errors_px[rows], found.instance[rows], instances.boxes_px, instances.image_px)
     step = fit_step(law, sample, table)
     return None if step is None else StateFit(law, fitted_law(law, step, sample), step, sample, rows)
 
@@ -158,8 +158,8 @@ def _truncation_note(step: FitStep) -> str:
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
     """Of a covariance without an inverse: errors that have no spread are their mean."""
     law = ErrorParameters(state.box_error.mean, np.zeros(4), np.eye(4), state.box_error.relative)
-    means, _ = law.at(evidence.chances.boxes_px[evidence.hits.chance[rows]])
-    off = np.abs(evidence.hits.errors_px[rows] - means) > _ROUNDING_PX
+    means, _ = law.at(evidence.instances.boxes_px[evidence.true_detections.instance[rows]])
+    off = np.abs(evidence.true_detections.errors_px[rows] - means) > _ROUNDING_PX
     still = (state.box_error.std <= 0) & (state.box_error.growth <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):
@@ -172,13 +172,13 @@ def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) ->
 
 def _box_check(evidence: Evidence) -> Parameter:
     """Whether every box is its truth moved by its error and clipped to the image."""
-    single = np.flatnonzero(evidence.hits.kind == TRUE)
-    hits, chances = evidence.hits, evidence.chances
-    rows = hits.chance[single]
+    single = np.flatnonzero(evidence.true_detections.kind == TRUE)
+    true_detections, instances = evidence.true_detections, evidence.instances
+    rows = true_detections.instance[single]
     wrong = 0
     for camera, seen in enumerate(evidence.cameras):
-        ours = np.flatnonzero(chances.camera[rows] == camera)
-        moved = move(chances.boxes_px[rows[ours]], hits.errors_px[single[ours]])
-        off = np.abs(hits.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
+        ours = np.flatnonzero(instances.camera[rows] == camera)
+        moved = move(instances.boxes_px[rows[ours]], true_detections.errors_px[single[ours]])
+        off = np.abs(true_detections.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
         wrong += int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
     return Parameter("boxes are truth and error, clipped", Part.BOX_ERROR, Exact(wrong, len(single)), in_file=False)

@@ -37,8 +37,8 @@ class Replayed:
 def _frame_pairs(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> tuple[Indices, Indices]:
     """Places, in the fits' rows one after the other, of detections of one vessel, one turn of the detector apart."""
     rows = np.concatenate([fit.rows for fit in fits])
-    chance = evidence.hits.chance[rows]
-    place = np.full(len(evidence.chances.state), -1)
+    chance = evidence.true_detections.instance[rows]
+    place = np.full(len(evidence.instances.state), -1)
     place[chance] = np.arange(len(rows))
     before = turn_before(model, evidence)[chance]
     before = np.where(before >= 0, place[before], -1)
@@ -51,16 +51,16 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     if not fits:
         return None
     rng = np.random.default_rng(0)
-    chances = evidence.chances
-    chance = np.concatenate([evidence.hits.chance[fit.rows] for fit in fits])
-    tracks = np.stack([chances.camera[chance], chances.vessel[chance]], axis=1)
+    instances = evidence.instances
+    chance = np.concatenate([evidence.true_detections.instance[fit.rows] for fit in fits])
+    tracks = np.stack([instances.camera[chance], instances.vessel[chance]], axis=1)
     now, before = _frame_pairs(model, evidence, fits)
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
     found = []
     width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, REPLAYS, _REPLAYS_AT_ONCE):
-        latent = latent_paths(tracks, chances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE, width)
+        latent = latent_paths(tracks, instances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE, width)
         whitened = np.empty((_REPLAYS_AT_ONCE, len(chance), 4))
         for k, fit in enumerate(fits):
             ours = slice(ends[k], ends[k + 1])
@@ -88,9 +88,9 @@ def box_persistence(
     if replayed is None:
         asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
     else:
-        chances = evidence.chances
-        rows = np.concatenate([evidence.hits.chance[fit.rows] for fit in fits])
-        apart = chances.time_s[rows[now]] - chances.time_s[rows[before]]
+        instances = evidence.instances
+        rows = np.concatenate([evidence.true_detections.instance[fit.rows] for fit in fits])
+        apart = instances.time_s[rows[now]] - instances.time_s[rows[before]]
         asked = float(np.exp(-apart / model.persistence.box_s).mean())
         left, error = float(replayed.products.mean()), float(replayed.products.std())
         known = error / math.sqrt(len(replayed.products))

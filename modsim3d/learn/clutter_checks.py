@@ -2,196 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
-
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import sizes
-from modsim3d.detector.chain import clutter_rates
-from modsim3d.detector.clutter_models import FrameCounts
-from modsim3d.detector.doubles import LEAST_SPLIT_PX, Doubles
+from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part
-from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, PERSISTENT, SPLIT, TRUE
+from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, PERSISTENT
 from modsim3d.learn.clutter_box_checks import clutter_box_checks
+from modsim3d.learn.clutter_rate_checks import RATE_CHECKS, ClutterEvidence, expected_clutter, second_box_candidates
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.limits import limit_broken, limit_note
+from modsim3d.learn.max_detections import frames_above_max, max_detections_note
 from modsim3d.learn.measures import Exact
-from modsim3d.learn.pairs import lag_pairs
 from modsim3d.learn.parameters import Parameter
-from modsim3d.learn.rate_measures import DiscoveryRate, ImageRate, Rate
-
-
-@dataclass(frozen=True, eq=False)
-class ExpectedClutter:
-    """False positives to be expected in each image, given what was detected; shapes (s,).
-
-    Attributes:
-        due: Whether the detector runs.
-        transient: Mean number in one image only.
-        persistent: Mean number of persistent ones.
-        extras: Mean number of second boxes of vessels.
-        extra_variance: Variance of the number of second boxes.
-        dispersion: Variance of the number of transient ones over its mean: 1 for a Poisson number.
-    """
-
-    due: Mask
-    transient: Array
-    persistent: Array
-    extras: Array
-    extra_variance: Array
-    dispersion: Array
-
-    @property
-    def all(self) -> Array:
-        """Mean number of every kind."""
-        return self.transient + self.persistent + self.extras
-
-
-def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutter:
-    """What the detector's own model of false positives makes of the images."""
-    images, numbers, rates = evidence.images, model.clutter.numbers, clutter_rates(model)
-    due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
-    extras, variance = _extras(model, evidence)
-    frames = FrameCounts(images.state, due, images.n_kept, extras)
-    means, share = numbers.means(rates, frames), model.clutter.persistent_share
-    return ExpectedClutter(due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames))
-
-
-@dataclass(frozen=True, eq=False)
-class ClutterEvidence:
-    """What the rates of false positives are measured from."""
-
-    model: DetectorModel
-    evidence: Evidence
-    expected: ExpectedClutter
-
-    def persistent_variance(self, ours: Mask) -> float:
-        """Variance of the number of persistent ones in some images of s.
-
-        Those in two images Δt apart share min(m, m′)·e^(−Δt/lifetime).
-        """
-        rows = np.flatnonzero(ours & (self.expected.persistent > 0))
-        if not len(rows):
-            return 0.0
-        images, mean = self.evidence.images, self.expected.persistent[rows]
-        total, lifetime = float(mean.sum()), self.model.clutter.lifetime_s
-        for later, earlier, apart in lag_pairs(images.camera[rows, None], images.time_s[rows], lifetime):
-            total += 2 * float((np.exp(-apart / lifetime) * np.minimum(mean[later], mean[earlier])).sum())
-        return total
-
-
-class RateCheck(Protocol):
-    """Measures the rate of false positives that one model has."""
-
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
-        """The rate of a state."""
-
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
-        """The rate of all states together, if that says more."""
-
-
-@dataclass(frozen=True)
-class DiscoveryRateCheck:
-    """The false discovery rate.
-
-    Attributes:
-        falls_short: Whether the model's own rule aims at another rate than the file's.
-    """
-
-    falls_short: bool = False
-
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
-        """The rate of a state."""
-        state = seen.model.states[s]
-        rate = state.false_discovery_rate
-        return Parameter(
-            f"states.{state.name}.false_discovery_rate",
-            Part.FALSE_POSITIVES,
-            self._measure(seen, seen.evidence.images.state == s),
-            rate,
-            state=state.name,
-            promised=rate if self.falls_short else None,
-            note="asked: what the rule of eq. 7.35 gives here" if self.falls_short else "",
-        )
-
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
-        """The rate of all states together."""
-        measure = self._measure(seen, np.ones(len(seen.evidence.images.state), dtype=bool))
-        promised = self._promised(seen) if self.falls_short else None
-        name = "false discovery rate, all states"
-        return [Parameter(name, Part.FALSE_POSITIVES, measure, in_file=False, promised=promised)]
-
-    @staticmethod
-    def _promised(seen: ClutterEvidence) -> float | None:
-        """The share of false positives that the states' rates ask for together."""
-        kept = seen.evidence.images.n_kept
-        rate = seen.model.column("false_discovery_rate")[seen.evidence.images.state]
-        asked = float((kept * rate / (1 - rate)).sum())
-        return asked / (asked + float(kept.sum())) if kept.sum() else None
-
-    @staticmethod
-    def _measure(seen: ClutterEvidence, ours: Mask) -> DiscoveryRate | None:
-        images, expected = seen.evidence.images, seen.expected
-        true = float(images.n_kept[ours].sum())
-        if not true:
-            return None
-        mean = float(expected.all[ours].sum())
-        variance = float((expected.transient * expected.dispersion + expected.extra_variance)[ours].sum())
-        variance += seen.persistent_variance(ours)
-        inflation = variance / mean if mean > 0 else 1.0
-        return DiscoveryRate(float(images.n_false[ours].sum()), true, mean, inflation or 1.0)
-
-
-class ImageRateCheck:
-    """The number of false positives in an image."""
-
-    def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
-        """The rate of a state."""
-        state = seen.model.states[s]
-        return Parameter(
-            f"states.{state.name}.false_positives_per_image",
-            Part.FALSE_POSITIVES,
-            self._measure(seen, s),
-            state.false_positives_per_image,
-            state=state.name,
-        )
-
-    def overall(self, seen: ClutterEvidence) -> list[Parameter]:
-        """Nothing: images of different rates have no common one."""
-        return []
-
-    @staticmethod
-    def _measure(seen: ClutterEvidence, s: int) -> ImageRate | None:
-        ours, expected, clutter = seen.evidence.images.state == s, seen.expected, seen.evidence.clutter
-        found = int(np.isin(clutter.kind, (FALSE_POSITIVE, PERSISTENT))[clutter.state == s].sum())
-        images = float(expected.due[ours].sum())
-        if not images:
-            return None
-        mean = float((expected.transient + expected.persistent)[ours].sum())
-        variance = float((expected.transient * expected.dispersion)[ours].sum()) + seen.persistent_variance(ours)
-        return ImageRate(found, images, mean / images, variance / mean if mean else 1.0)
-
-
-RATE_CHECKS: Mapping[str, RateCheck] = {
-    "calibrated": DiscoveryRateCheck(),
-    "thesis": DiscoveryRateCheck(falls_short=True),
-    "per_image": ImageRateCheck(),
-}
-"""By the name of the model of false positives; a model that is not here is reported as unchecked."""
+from modsim3d.learn.rate_measures import Rate
 
 
 def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """The rate of each state and of all, the kinds, and the labels of false positives."""
-    note = limit_note(model, evidence)
+    note = max_detections_note(model, evidence)
     seen = ClutterEvidence(model, evidence, expected_clutter(model, evidence))
     check = RATE_CHECKS.get(model.clutter.model)
     parameters = []
     if model.gates.max_detections is not None:
-        wrong = Exact(limit_broken(model, evidence), len(evidence.images.state))
+        wrong = Exact(frames_above_max(model, evidence), len(evidence.frames.state))
         parameters.append(Parameter("gates.max_detections", Part.FALSE_POSITIVES, wrong))
     for s in range(len(model.states)):
         parameters += [] if check is None else [check.of_state(seen, s).unless(note)]
@@ -203,7 +36,7 @@ def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
 
 def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Parameter]:
     """The labels of transient ones: a persistent one keeps its label, so only the others are independent."""
-    state, clutter = model.states[s], evidence.clutter
+    state, clutter = model.states[s], evidence.false_detections
     if len(model.labels) < 2:
         return []
     found = clutter.label[(clutter.state == s) & (clutter.kind == FALSE_POSITIVE)]
@@ -221,61 +54,30 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     ]
 
 
-def _eligible(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
-    """True detections that may be doubled or split, and which of them are long enough to be split."""
-    hits, clutter = evidence.hits, evidence.clutter
-    single = np.flatnonzero((hits.kind == TRUE) | (hits.kind == SPLIT))
-    chances = hits.chance[single]
-    placed = sizes(hits.boxes_px[single])[:, 0]
-    pieces = np.flatnonzero(clutter.kind == FRAGMENT)
-    of = {int(chance): int(row) for row, chance in zip(pieces, clutter.chance[pieces], strict=True)}
-    split = np.flatnonzero(hits.kind[single] == SPLIT)
-    other = np.array([of[int(chance)] for chance in chances[split]], dtype=np.int64)
-    placed[split] += sizes(clutter.boxes_px[other])[:, 0]  # both parts together
-    truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    return single, model.doubles.looks_long(truth[chances]) & (placed >= LEAST_SPLIT_PX)
-
-
-def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
-    """Mean and variance of the number of second boxes in each image, shapes (s,)."""
-    doubles, size = model.doubles, len(evidence.images.state)
-    if not doubles.duplicates and not doubles.splits:
-        return np.zeros(size), np.zeros(size)
-    single, long = _eligible(model, evidence)
-    chance = doubles.duplicates + doubles.splits * long
-    image = _images_of(evidence, evidence.hits.chance[single])
-    return (
-        np.bincount(image, chance, minlength=size).astype(np.float64),
-        np.bincount(image, chance * (1 - chance), minlength=size).astype(np.float64),
-    )
-
-
-def _images_of(evidence: Evidence, chances: Indices) -> Indices:
-    """Row of `Images` of chances."""
-    first = np.cumsum([0, *(len(seen.frames) for seen in evidence.cameras)])
-    return first[evidence.chances.camera[chances]] + evidence.chances.frame[chances]
-
-
 def _kind_checks(seen: ClutterEvidence) -> list[Parameter]:
     """Second boxes, merged boxes and the share of persistent ones."""
     return [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
 
 
 def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
-    doubles, kinds = seen.model.doubles, seen.evidence.clutter.kind
-    if doubles == Doubles() and not np.isin(kinds, (DUPLICATE, FRAGMENT)).any():
+    rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
+    if rule == MergesAndSplits() and not np.isin(kinds, (DUPLICATE, FRAGMENT)).any():
         return []
-    single, long = _eligible(seen.model, seen.evidence)
+    single, long = second_box_candidates(seen.model, seen.evidence)
     parameters = []
     for name, kind, count in (("duplicates", DUPLICATE, len(single)), ("splits", FRAGMENT, int(long.sum()))):
-        asked = float(getattr(doubles, name))
+        asked = float(getattr(rule, name))
         measure = Rate(int((kinds == kind).sum()), count, asked) if count else None
         parameters.append(Parameter(f"false_positives.{name}", Part.FALSE_POSITIVES, measure, asked))
     return parameters
 
 
 def _merge_check(seen: ClutterEvidence) -> Parameter:
-    name, merges, kinds = "false_positives.merges", seen.model.doubles.merges, seen.evidence.hits.kind
+    name, merges, kinds = (
+        "false_positives.merges",
+        seen.model.merges_and_splits.merges,
+        seen.evidence.true_detections.kind,
+    )
     if merges == 0:
         return Parameter(name, Part.FALSE_POSITIVES, Exact(int((kinds == MERGED).sum()), len(kinds)))
     note = "which pairs could have been merged depends on others that were: only counted"
@@ -286,7 +88,7 @@ def _persistent_share_check(seen: ClutterEvidence) -> Parameter:
     name, share, kinds = (
         "false_positives.persistence.share",
         seen.model.clutter.persistent_share,
-        seen.evidence.clutter.kind,
+        seen.evidence.false_detections.kind,
     )
     persistent, transient = int((kinds == PERSISTENT).sum()), int((kinds == FALSE_POSITIVE).sum())
     if not share:

@@ -16,7 +16,7 @@ from modsim3d.detector.scores import SCORES, NormalScores, QuantileScores, Score
 from modsim3d.learn.clipped_normal import Clipped
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.law_measures import Law
-from modsim3d.learn.limits import limit_note
+from modsim3d.learn.max_detections import max_detections_note
 from modsim3d.learn.measures import Exact, Measure
 from modsim3d.learn.parameters import Parameter
 
@@ -45,7 +45,7 @@ class Scored:
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """Of every state, true and false detections together where the file does not tell them apart."""
-    note = limit_note(model, evidence)
+    note = max_detections_note(model, evidence)
     threshold = model.confidence_threshold
     parameters = []
     for s, state in enumerate(model.states):
@@ -62,20 +62,20 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
                 Parameter(f"{path}.{entry}", Part.CONFIDENCE, measure, asked, state=state.name).unless(note)
                 for entry, asked, measure in _measures(law, scores, found, threshold)
             ]
-    every = np.concatenate([evidence.hits.confidence, evidence.clutter.confidence])
+    every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
     outside = int(((every < threshold) | (every > 1)).sum())
     return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]
 
 
 def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
     """True and false detections of a state."""
-    hits, clutter, chances = evidence.hits, evidence.clutter, evidence.chances
-    true, false = np.flatnonzero(chances.state[hits.chance] == s), np.flatnonzero(clutter.state == s)
-    seen = np.append(chances.visible_fraction, np.nan)  # the last for chance −1: no vessel
+    true_detections, clutter, instances = evidence.true_detections, evidence.false_detections, evidence.instances
+    true, false = np.flatnonzero(instances.state[true_detections.instance] == s), np.flatnonzero(clutter.state == s)
+    seen = np.append(instances.visible_fraction, np.nan)  # the last for chance −1: no vessel
     parts = []
     for scores, chance, boxes in (
-        (hits.confidence[true], hits.chance[true], hits.boxes_px[true]),
-        (clutter.confidence[false], clutter.chance[false], clutter.boxes_px[false]),
+        (true_detections.confidence[true], true_detections.instance[true], true_detections.boxes_px[true]),
+        (clutter.confidence[false], clutter.instance[false], clutter.boxes_px[false]),
     ):
         visible = seen[chance]
         width, height = sizes(boxes).T

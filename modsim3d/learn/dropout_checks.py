@@ -1,4 +1,4 @@
-"""What misses depend on: slopes and tables of visible fraction, size and distance."""
+"""Checks of dropout's effects: slopes and tables of visible fraction, size and distance."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ LEAST_MISSES = 30
 
 
 def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
-    """Each slope, and each range of each table, with the rates of all states and labels free beside it.
+    """Each slope, and each range of each table, with the rates of all states and labels free.
 
     Args:
-        model: What was asked for.
-        evidence: What the run shows.
-        passed: Chances that the gates let pass, shape (n,).
+        model: The detector file.
+        evidence: The truth and the detections of the run.
+        passed: Instances that the gates let pass, shape (n,).
         missed: Asked probability of a miss, shape (n,).
     """
     parameters = []
@@ -68,14 +68,14 @@ def _effect(
     asked: float,
 ) -> Estimate | None:
     """One step of a logistic regression from the asked probabilities, with an intercept for each state and label."""
-    chances = evidence.chances
+    instances = evidence.instances
     rows = np.flatnonzero(passed & (missed > 0) & (missed < 1))
     p = missed[rows]
-    happened = chances.outcome[rows] == -1
+    happened = instances.outcome[rows] == -1
     if happened.sum() < LEAST_MISSES:
         return None
     spread, amount = p * (1 - p), column[rows]
-    group = chances.state[rows] * len(model.labels) + chances.label[rows]
+    group = instances.state[rows] * len(model.labels) + instances.label[rows]
     weight = np.bincount(group, spread)
     mean = np.bincount(group, spread * amount) / np.where(weight > 0, weight, 1)
     free = amount - mean[group]  # what no change of the states' rates could explain
@@ -84,8 +84,8 @@ def _effect(
         return None
     variance = information
     if model.persistence.class_s > 0:
-        tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
-        for later, earlier, apart in lag_pairs(tracks, chances.time_s[rows], model.persistence.class_s):
+        tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
+        for later, earlier, apart in lag_pairs(tracks, instances.time_s[rows], model.persistence.class_s):
             kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]
             shared = np.exp(-apart / model.persistence.class_s) * kept * free[later] * free[earlier]
             variance += 2 * float(shared.sum())

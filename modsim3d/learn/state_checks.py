@@ -60,14 +60,14 @@ def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
 def _shared_check(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     if model.performance.per_camera:
         return []
-    images = evidence.images
+    images = evidence.frames
     steps, first = np.unique(images.step, return_index=True)
     apart = int((images.state != images.state[first][np.searchsorted(steps, images.step)]).sum())
     return [Parameter("states shared by all cameras", Part.STATE, Exact(apart, len(images.step)), in_file=False)]
 
 
 def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
-    images, cameras = evidence.images, evidence.cameras
+    images, cameras = evidence.frames, evidence.cameras
     if model.performance.per_camera:
         groups = [(f", {seen.frames.camera}", np.flatnonzero(images.camera == i)) for i, seen in enumerate(cameras)]
     else:

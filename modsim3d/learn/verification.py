@@ -9,7 +9,8 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, Part, used_models
 from modsim3d.learn.box_error_checks import box_error_checks
 from modsim3d.learn.class_checks import class_checks
-from modsim3d.learn.clutter_checks import RATE_CHECKS, clutter_checks
+from modsim3d.learn.clutter_checks import clutter_checks
+from modsim3d.learn.clutter_rate_checks import RATE_CHECKS
 from modsim3d.learn.confidence_checks import SCORE_CHECKS, confidence_checks
 from modsim3d.learn.dropout_checks import EFFECT_CHECKS
 from modsim3d.learn.error_fit import MomentTable
@@ -32,9 +33,9 @@ def verify(model: DetectorModel, evidence: Evidence, table: MomentTable | None =
     """Hold what a run shows against a detector's parameters.
 
     Args:
-        model: What was asked for.
-        evidence: What the run shows.
-        table: Kept between calls over the same truth, it saves most of the work.
+        model: The detector file.
+        evidence: The truth and the detections of the run.
+        table: Expectations of box errors; keep it between calls over the same truth to save most of the work.
     """
     box_errors = partial(box_error_checks, table=table or MomentTable())
     # In the order in which the detector works.

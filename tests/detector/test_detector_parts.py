@@ -13,7 +13,7 @@ from modsim3d.arrays import Array
 from modsim3d.detector import Detector, parse_detector
 from modsim3d.detector.clutter_models import CLUTTER_MODELS, ClutterRates, FrameCounts, PerImage
 from modsim3d.detector.parts import MODELS, Part, model_name, used_models
-from modsim3d.learn.evidence import Evidence, Seen
+from modsim3d.learn.evidence import CameraEvidence, Evidence
 from modsim3d.learn.parameters import UNCHECKED
 from modsim3d.learn.verification import CHECKED, unchecked, verify
 from tests.detector_variants import CHANGES, variant
@@ -60,7 +60,7 @@ class EverySecondFrame(PerImage):
 
 def seen(model: Any) -> Evidence:
     frames, targets = make_frames(200), make_targets(same_boxes(200, 2, [100, 100, 300, 200]))
-    return Evidence.of([Seen(frames, targets, Detector(model, 1).detect(frames, targets))])
+    return Evidence.of([CameraEvidence(frames, targets, Detector(model, 1).detect(frames, targets))])
 
 
 def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,7 +69,7 @@ def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: py
     data = one_state_data() | {"false_positives": {"model": "fourth", "rate": 2.0, "size": sizes}}
     model = parse_detector(data)
     evidence = seen(model)
-    assert evidence.images.n_false[::2].sum() == 0 < evidence.images.n_false[1::2].sum()
+    assert evidence.frames.n_false[::2].sum() == 0 < evidence.frames.n_false[1::2].sum()
     verdicts = verify(model, evidence).verdicts
     (verdict,) = [each for each in verdicts if each.verdict == UNCHECKED]
     assert verdict.parameter.name == "false_positives.model"
