@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -49,26 +50,23 @@ class FrameCounts:
 
 
 class ClutterModel(Protocol):
-    """A model of the number of false positives.
-
-    Attributes:
-        rate_key: The key of a state that holds its rate.
-        empty_frames: Whether a frame without vessels may have false positives.
-        counts_second_boxes: Whether its rate includes second boxes of vessels.
-        side_px: Side of its square boxes; None if the detector file describes places and sizes.
-    """
+    """A model of the number of false positives."""
 
     @property
-    def rate_key(self) -> RateKey: ...  # noqa: D102
+    def rate_key(self) -> RateKey:
+        """The key of a state that holds its rate."""
 
     @property
-    def empty_frames(self) -> bool: ...  # noqa: D102
+    def empty_frames(self) -> bool:
+        """Whether a frame without vessels may have false positives."""
 
     @property
-    def counts_second_boxes(self) -> bool: ...  # noqa: D102
+    def counts_second_boxes(self) -> bool:
+        """Whether its rate includes second boxes of vessels."""
 
     @property
-    def side_px(self) -> float | None: ...  # noqa: D102
+    def side_px(self) -> float | None:
+        """Side of its square boxes; None if the detector file describes places and sizes."""
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """Mean number in each frame, persistent and transient ones together, shape (S,)."""
@@ -82,14 +80,14 @@ class ClutterModel(Protocol):
         """Number of transient ones in each frame, given their share of all, shape (S,)."""
 
 
-class PoissonNumbers:
+class PoissonNumbers(ABC):
     """Base of models whose number is Poisson, read from one uniform number a frame."""
 
     side_px: float | None = None
 
+    @abstractmethod
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """Mean number in each frame, shape (S,)."""
-        raise NotImplementedError
 
     def dispersion(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """One in each frame, shape (S,)."""
@@ -117,7 +115,7 @@ class Calibrated(PoissonNumbers):
     counts_second_boxes = True
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
-        """In proportion to the vessels detected."""
+        """In proportion to the vessels detected, shape (S,)."""
         rate = rates.false_discovery[frames.states]
         return np.maximum(frames.n_true * rate / (1 - rate) - frames.extras, 0)
 
@@ -130,7 +128,7 @@ class PerImage(PoissonNumbers):
     counts_second_boxes = False
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
-        """The state's rate, at frames at which the detector runs."""
+        """The state's rate, at frames at which the detector runs, shape (S,)."""
         return np.where(frames.due, rates.per_image[frames.states], 0.0)
 
 
@@ -147,17 +145,17 @@ class Thesis:
     side_px: float | None = 100.0
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
-        """Trials times their probability."""
+        """Trials times their probability, shape (S,)."""
         return self._trials(rates, frames) * rates.false_discovery[frames.states]
 
     def dispersion(self, rates: ClutterRates, frames: FrameCounts) -> Array:
-        """That of a binomial number."""
+        """That of a binomial number, shape (S,)."""
         return 1 - rates.false_discovery[frames.states]
 
     def draw(
         self, streams: Streams, camera_frames: CameraFrames, rates: ClutterRates, frames: FrameCounts, share: float
     ) -> Indices:
-        """Successes among the trials of each frame; none of them persists."""
+        """Successes among the trials of each frame, shape (S,); none of them persists."""
         rate = rates.false_discovery[frames.states]
         frame, ordinal = numbered_rows(self._trials(rates, frames))
         uniforms = ordinal_uniforms(streams, "detector.clutter_trial", camera_frames, frame, ordinal, width=1)

@@ -1,4 +1,4 @@
-"""How long box errors persist, and what is left of other tests of box errors that do."""
+"""Checks of how long box errors persist, and standard errors of all other tests of persistent box errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _KNOWN, _LEAST_SHARE = 10.0, 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What replays of errors that persist show.
+    """Statistics of replayed errors.
 
     Attributes:
         errors: Standard errors of each state's step, shapes (p,).
@@ -35,7 +35,7 @@ class Replayed:
 
 
 def _frame_pairs(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> tuple[Indices, Indices]:
-    """Places, in the fits' rows one after the other, of detections of one vessel, one turn of the detector apart."""
+    """Pairs of detections of one vessel, one turn of the detector apart: places in the joined rows of the fits."""
     rows = np.concatenate([fit.rows for fit in fits])
     chance = evidence.true_detections.instance[rows]
     place = np.full(len(evidence.instances.state), -1)
@@ -47,7 +47,7 @@ def _frame_pairs(model: DetectorModel, evidence: Evidence, fits: list[StateFit])
 
 
 def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Replayed | None:
-    """Draw the errors of the same detections again and again; None if there are none."""
+    """Simulate the errors of the same detections many times; None if there are none."""
     if not fits:
         return None
     rng = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def box_persistence(
     now, before = _frame_pairs(model, evidence, fits)
     if len(now) < LEAST_PAIRS:
         return None
-    # Means and spreads that are off would look like a correlation: they are taken out as they were found.
+    # A wrong mean or spread would look like a correlation, so the sample's own are removed.
     whitened = np.concatenate([_own_scale(fit.step.whitened) for fit in fits])
     product = float(products(whitened, now, before))
     if replayed is None:
@@ -94,7 +94,7 @@ def box_persistence(
         asked = float(np.exp(-apart / model.persistence.box_s).mean())
         left, error = float(replayed.products.mean()), float(replayed.products.std())
         known = error / math.sqrt(len(replayed.products))
-    # Of a correlation truncation leaves a part: that is what replays show, or for a small one what boxes leave of it.
+    # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
     share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
     scale = 1 / max(share, _LEAST_SHARE)
     return Estimate(
@@ -121,6 +121,6 @@ def _shares_left(fits: list[StateFit], now: Indices, before: Indices) -> Array:
 
 
 def _own_scale(whitened: Array) -> Array:
-    """With mean zero and variance one as found."""
+    """Scaled to have sample mean zero and sample variance one, shape (n, 4)."""
     scaled: Array = (whitened - whitened.mean(axis=0)) / np.maximum(whitened.std(axis=0), 1e-12)
     return scaled

@@ -1,4 +1,4 @@
-"""Dropout and class: the columns of the confusion matrix, what misses depend on, and how long they persist."""
+"""Checks of dropout and class: confusion matrices, the effects on misses, and how long misses persist."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from modsim3d.learn.rate_measures import Rate
 
 BACKGROUND = "background"
 LEAST_CHANCES = 30
-"""Independent instances to see a label in a state, below which its column is not tested."""
+"""Independent instances of a label in a state, below which its column is not tested."""
 LEAST_PAIRS = 100
 
 
@@ -62,7 +62,7 @@ def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutco
 
 
 def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    """Every entry of every state's confusion matrix that is free: of a column with two entries only the dropout."""
+    """Every free entry of every state's confusion matrix; of a column with two entries only the dropout."""
     expected = expected_outcomes(model, evidence)
     note = max_detections_note(model, evidence)
     parameters = _gate_checks(evidence, expected)
@@ -81,7 +81,7 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
 
 
 def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
-    """What the asked number is where it is not the file's own."""
+    """A note on what the asked number is where it is not the file's own."""
     if measure is None:
         return ""
     if model.merges_and_splits.merges and row < len(model.labels):
@@ -117,7 +117,7 @@ def _entry(
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
 ) -> Measure | None:
-    """How often a uniform number was between bounds, which each row has for itself."""
+    """How often a uniform number was between the bounds low and high of each row, shapes (n,)."""
     if len(rows) < LEAST_CHANCES:
         return None
     probability = high - low
@@ -163,7 +163,7 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
 
 
 def correlation_note(measure: Estimate | None) -> str:
-    """What the numbers beside a correlation time are."""
+    """A note on the unit of the numbers beside a correlation time."""
     return (
         "as the correlation from one frame at which the detector runs to the next"
         if measure is not None and measure.asked
@@ -172,7 +172,7 @@ def correlation_note(measure: Estimate | None) -> str:
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes) -> Estimate | None:
-    """Chance that a vessel keeps its number from one frame to the next.
+    """Probability that a vessel keeps its number from one frame to the next.
 
     Given whether it was missed one frame before, a vessel is missed with a probability that is linear in that chance
     κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.

@@ -20,13 +20,13 @@ _REACH = 9.0  # standard deviations that the integrals go to
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
 _LEVELS = 100
-"""Means that the integrals are made for; those between are interpolated."""
+"""Means at which the integrals are computed; those between are interpolated."""
 _MOST_ROUNDS, _SETTLED = 400, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Clipped:
-    """Numbers, and what their means depend on.
+    """Clipped numbers and what their means depend on.
 
     Attributes:
         scores: Shape (n,).
@@ -39,10 +39,10 @@ class Clipped:
     threshold: float
 
     def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
-        """First coefficient, standard deviation, other coefficients.
+        """Estimates of the first coefficient, the standard deviation, and the other coefficients.
 
-        One step from the asked values towards the largest likelihood, which also is the test (the score test of each
-        with the others free); of an estimate that is far off, as many steps as it takes.
+        One step from the asked values towards the maximum likelihood, which is also the score test of each with the
+        others free; several steps for an estimate that is far off.
         """
         step, covariance, third = self._step(coefficients, std)
         if step is None:
@@ -123,7 +123,7 @@ def _hazard(z: Array) -> Array:
 
 
 def _law(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
-    """Places that stand for the whole law, and their probabilities."""
+    """Quadrature nodes of the clipped law and their probabilities, shapes (nodes,)."""
     low, high = max((threshold - mean) / std, -_REACH), min((1 - mean) / std, _REACH)
     nodes, weights = np.zeros(0), np.zeros(0)
     if high > low:
@@ -135,7 +135,7 @@ def _law(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
 
 
 def clipped_sums(values: Array, low: float, high: float) -> Array:
-    """What the fit needs of each number of shape (n,), shape (n, 5).
+    """The sums that the fit needs, of each number of shape (n,), shape (n, 5).
 
     Whether it is at the low end, at the high end and between, and there its value and square.
     """
@@ -145,12 +145,12 @@ def clipped_sums(values: Array, low: float, high: float) -> Array:
 
 
 def fit_clipped(sums: Array, low: float, high: float) -> tuple[Array, Array]:
-    """Mean and standard deviation of largest likelihood, by expectation and maximisation (Dempster et al. (1977)).
+    """Mean and standard deviation of maximum likelihood, by expectation and maximisation (Dempster et al. (1977)).
 
     Args:
         sums: Of `clipped_sums`, shape (rows, 5).
-        low: End of the range, at which what was below it lies.
-        high: The other end.
+        low: Lower end of the range; smaller numbers were moved to it.
+        high: Upper end.
 
     Returns:
         Shapes (rows,); NaN where there is nothing.

@@ -1,4 +1,4 @@
-"""Where false positives are, how large they are, and how long those live that persist."""
+"""Checks of where false positives are, how large they are, and how long persistent ones live."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from modsim3d.random_streams import Streams
 
 LEAST_FALSE = 50
 LEAST_LIFETIMES = 20
-"""Lifetimes that a run has to last, times how many are there, below which they are not tested."""
+"""Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
 _DRAWS_EACH = 40
 _REPLAYS = 150
 _DIGITS = 6  # of a pixel: equal sides that were read back from centre and size stay equal
 
 
 def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
-    """Places and sizes of those that do not persist, and the lifetime of those that do.
+    """Places and sizes of transient ones, and the lifetime of persistent ones.
 
     Args:
         model: The detector file.
         evidence: The truth and the detections of the run.
-        persistent: How many persistent ones are to be expected in each image, shape (s,).
+        persistent: Expected number of persistent ones in each frame, shape (s,).
     """
     note = max_detections_note(model, evidence)
     names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
@@ -52,16 +52,16 @@ def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Arr
 
 
 def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
-    """Distance of each column of `_looks` from that of many draws in the same frames (Smirnov (1939))."""
+    """Distance of each column of `_places_and_sizes` from that of many draws in the same frames (Smirnov (1939))."""
     source, rng = clutter_of(model, evidence.reference(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
         rows = np.flatnonzero(seen.detections.kind == FALSE_POSITIVE)
         frame = seen.detections.frame[rows]
-        found.append(_looks(seen.frames, frame, seen.detections.boxes_px[rows]))
+        found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
         again = np.repeat(frame, _DRAWS_EACH)
         boxes = source.boxes_px(seen.frames, _kept(seen), again, rng.random((len(again), DRAWS + 1)))
-        drawn.append(_looks(seen.frames, again, boxes))
+        drawn.append(_places_and_sizes(seen.frames, again, boxes))
     values, expected = np.concatenate(found), np.concatenate(drawn)
     if len(values) < LEAST_FALSE:
         return [None] * 4
@@ -70,7 +70,7 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
 
 
 def _kept(seen: CameraEvidence) -> Targets:
-    """The vessels that were detected as the detector had them, two that are merged as one."""
+    """The detected vessels as the detector had them, with two merged ones as one."""
     found = seen.detections
     true = np.flatnonzero(~found.false())
     true = true[np.argsort(found.frame[true], kind="stable")]
@@ -89,7 +89,7 @@ def _kept(seen: CameraEvidence) -> Targets:
     )
 
 
-def _looks(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
+def _places_and_sizes(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
     """Depth of the middle below the horizon, place along it, width, height; in pixels, shape (m, 4)."""
     a, b, c = frames.sea_half_planes[frame].T
     length = np.hypot(a, b)
@@ -108,7 +108,7 @@ def _distance(found: Array, expected: Array) -> float:
 
 
 def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Estimate | None:
-    """From how much the number of persistent ones changes from frame to frame.
+    """Estimated from how much the number of persistent ones changes from frame to frame.
 
     With m to be expected in one and m' in the next, the number less its expectation changes by m + m' − 2ρ·min(m, m')
     in the mean square, ρ = e^(−Δt/lifetime). How far ρ strays by chance is what replays of the process show.
@@ -143,7 +143,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
 
 
 def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: int) -> Array:
-    """How many persistent ones another seed shows in each image, shape (s,)."""
+    """Number of persistent ones in each frame with another seed, shape (s,)."""
     numbers, streams, first = [], Streams(seed), 0
     for seen in evidence.cameras:
         means = persistent[first : first + len(seen.frames)]

@@ -1,4 +1,4 @@
-"""Confidence: mean, standard deviation and slopes of normal ones before clipping, the whole law of others."""
+"""Checks of confidence: mean, standard deviation and slopes of a normal law before clipping, others as a whole."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Scored:
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    """Of every state, true and false detections together where the file does not tell them apart."""
+    """The confidence of every state, true and false detections together where the file has one law for both."""
     note = max_detections_note(model, evidence)
     threshold = model.confidence_threshold
     parameters = []

@@ -198,7 +198,7 @@ def _third_cumulants(law: ErrorParameters, sample: ErrorSample, weights: Array, 
 
 
 def fitted_law(law: ErrorParameters, step: FitStep, sample: ErrorSample) -> ErrorParameters:
-    """The law of largest likelihood, one step away or, where that is far, as many as it takes."""
+    """The law of maximum likelihood: one step away, or several steps where that is far."""
     if np.abs(step.step / step.errors).max() < _FAR:
         return law.moved(step.step)
     following: FitStep | None = step

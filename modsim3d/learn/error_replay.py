@@ -1,8 +1,8 @@
-"""Box errors that persist, drawn again and again: how far what is measured of them strays by chance.
+"""Persistent box errors, simulated many times: how much their measured statistics vary by chance.
 
 The latent normal numbers of a vessel are a first-order autoregressive process over the camera's frames; an error that
-would leave no box is drawn anew without touching it. What that leaves of the correlation depends on every box, so it is
-not worked out but replayed: the errors of the same detections, many times.
+would leave no box is resampled without changing the process. How much correlation this leaves depends on every box, so
+it is simulated: the errors of the same detections, many times.
 """
 
 from __future__ import annotations
@@ -68,13 +68,13 @@ def replayed_errors(law: ErrorParameters, sample: ErrorSample, latent: Array, rn
 
 
 def own_root(law: ErrorParameters) -> Array:
-    """How latent numbers become standardised errors, shape (4, 4): the root is that of the file's covariance."""
+    """Matrix from latent numbers to standardised errors, by the root of the file's covariance, shape (4, 4)."""
     covariance = law.correlation * np.outer(law.std, law.std)
     return symmetric_root(covariance) / law.std[:, None]
 
 
 def _accepted(errors: Array, boxes: Array, images: Array) -> Mask:
-    """Whether boxes, moved and clipped, are at least a pixel wide and high."""
+    """Whether boxes (n, 4) with errors (..., n, 4), clipped, are at least a pixel wide and high, shape (..., n)."""
     half = errors[..., 2:] / 2
     low = np.maximum(boxes[:, :2] + errors[..., :2] - half, 0)
     high = np.minimum(boxes[:, 2:] + errors[..., :2] + half, images)

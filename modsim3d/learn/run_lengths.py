@@ -1,4 +1,4 @@
-"""How many frames in a row a vessel is missed."""
+"""Runs of frames in which a vessel is missed: how long they are, and how long they should be."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def run_lengths(evidence: Evidence) -> Indices:
 
 
 def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Array) -> Array:
-    """Probability of a miss where the frame before was one, shape (n,); the plain one where there is none before."""
+    """Probability of a miss given that the frame before was one, shape (n,); the plain one without a frame before."""
     instances, tau = evidence.instances, model.persistence.class_s
     if tau <= 0:
         return miss_probability
@@ -39,8 +39,8 @@ def expected_run_lengths(miss_probability: Array, again: Array, before: Indices,
     """Expected number of runs of 1, 2, ... `most` misses, shape (most,).
 
     Args:
-        miss_probability: Of each chance, shape (n,).
-        again: Of a miss where the frame before was one, shape (n,).
+        miss_probability: Of each instance, shape (n,).
+        again: Probability of a miss given that the frame before was one, shape (n,).
         before: Row of the same vessel in the frame before, −1 if there is none, shape (n,).
         most: Greatest length.
     """

@@ -1,4 +1,4 @@
-"""The performance states: where they start, how they change, how long each takes."""
+"""Checks of the performance states: where they start, how they change, how long each lasts."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _ANGLES_AT_ONCE = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A chain of states as it was seen.
+    """The states of a chain in a run.
 
     Attributes:
-        name: Appended to what is said of it, empty if it is the only one.
-        steps: Of its frames, shape (s,).
+        name: Appended to the names of its parameters, empty if it is the only chain.
+        steps: Steps of its frames, shape (s,).
         times_s: Shape (s,).
         states: Shape (s,).
         forced: Whether the schedule, and not the chain, decided, shape (s,).
@@ -94,7 +94,7 @@ def transition_counts(model: DetectorModel, steps: Indices, times_s: Array) -> I
 
 
 def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parameter]:
-    """From the pairs of frames with the usual number of transitions between them, of all chains."""
+    """The transition matrix, from pairs of frames of all chains with the usual number of transitions between them."""
     before, after, transitions = (
         np.concatenate(columns)
         for columns in zip(
@@ -179,7 +179,7 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
 
 
 def _runs(values: Indices) -> tuple[Indices, Indices]:
-    """Values that follow each other, and how often each is repeated."""
+    """Runs of equal values: the values and the lengths of the runs."""
     if not len(values):
         return values, values
     starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
