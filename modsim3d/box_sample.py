@@ -10,9 +10,9 @@ import numpy as np
 from modsim3d.annotate.modes import annotation_boxes
 from modsim3d.arrays import Array
 from modsim3d.block import Block
-from modsim3d.detector.box_error import NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.records import TRUE
-from modsim3d.detector.truncation import standard_points, truncated_errors
+from modsim3d.detector.truncation import truncated_errors
 from modsim3d.scene import Scene
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
@@ -30,9 +30,9 @@ class BoxSample:
     """Boxes spread evenly over a run, the same however it was split into blocks.
 
     Attributes:
-        rows: Key, state, camera and annotated box (x_min, y_min, x_max, y_max) of each, in order of state and key,
-            shape (n, 7). The boxes with the least keys of each state are kept.
-        counts: Number of detections of a vessel in each state, by the index of the state.
+        rows: Key, state, camera and annotated box of each, in order of state and key, shape (n, 7): the least keys of
+            each state.
+        counts: How many detections of a vessel each state had in all, by the state's index.
     """
 
     rows: Array = field(default_factory=_empty)
@@ -61,12 +61,12 @@ class BoxSample:
         return BoxSample(_least(np.concatenate([self.rows, other.rows])), counts)
 
     def truncation(self, scene: Scene) -> dict[str, dict[str, Any]]:
-        """What drawing degenerate boxes anew does to the errors, by name of the state, ready for a file.
+        """What resampling degenerate boxes does to the errors, by name of the state, ready for a file.
 
-        In the units of the detector file, averaged over the sampled boxes: the share of first draws that is drawn
-        anew, the mean and covariance that are left, and the standard error that the sampling gives that mean.
+        In the units of the detector file, averaged over the sampled boxes: the share of first draws that are
+        resampled, the mean and covariance that are left, and the standard error of that mean from the sampling.
         """
-        error, points = NormalBoxError.from_model(scene.detector), standard_points(POINTS_A_BOX)
+        source = BoxErrorSource.from_model(scene.detector)
         report = {}
         for index, performance in enumerate(scene.detector.states):
             ours = self.rows[self.rows[:, 1] == index]
@@ -74,12 +74,12 @@ class BoxSample:
                 continue
             left = [
                 truncated_errors(
-                    error,
-                    np.full(int((ours[:, 2] == number).sum()), index),
+                    source,
+                    index,
                     ours[ours[:, 2] == number, 3:],
                     camera.intrinsics.image_size_px,
                     in_file_units=True,
-                    points=points,
+                    points=POINTS_A_BOX,
                 )
                 for number, camera in enumerate(scene.cameras)
             ]
@@ -87,12 +87,12 @@ class BoxSample:
             mean = means.mean(axis=0)
             covariance = np.concatenate([part.second_moments for part in left]).mean(axis=0) - np.outer(mean, mean)
             report[performance.name] = {
-                "unit": performance.box_error_unit,
+                "unit": performance.box_error.unit,
                 "detections": self.counts[index],
                 "boxes": len(ours),
                 "redrawn": _rounded(1 - np.concatenate([part.accepted for part in left]).mean()),
                 "mean": _rounded(mean),
-                "mean_shift": _rounded(mean - performance.box_error_mean_px),
+                "mean_shift": _rounded(mean - performance.box_error.mean),
                 "mean_standard_error": _rounded(means.std(axis=0) / np.sqrt(len(means))),
                 "covariance": _rounded(covariance),
             }

@@ -8,7 +8,7 @@ from modsim3d.annotate.truth_record import Truth, concatenate
 from modsim3d.detector.census import take_census
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.model import DetectorModel
-from modsim3d.learn.evidence import Evidence, Seen
+from modsim3d.learn.evidence import CameraEvidence, Evidence
 from modsim3d.scene import Scene
 from modsim3d.simulate import DetectorInput, block_ranges, block_steps, detector_inputs, open_renderer, truth_block
 
@@ -42,5 +42,8 @@ class ManyDetections:
         census = take_census(model, ((part.frames, part.targets) for part in self.inputs))
         detector = Detector(model, seed, census, self.scene.times_s)
         return Evidence.of(
-            [Seen(part.frames, part.targets, detector.detect(part.frames, part.targets)) for part in self.inputs]
+            [
+                CameraEvidence(part.frames, part.targets, detector.detect(part.frames, part.targets))
+                for part in self.inputs
+            ]
         )

@@ -21,7 +21,7 @@ from modsim3d.block import Block, CameraBlock, Frame, frames_of
 from modsim3d.camera import Camera, Intrinsics
 from modsim3d.detector.census import TargetCensus, take_census
 from modsim3d.detector.chain import Detector
-from modsim3d.detector.records import Detections, Frames, Targets
+from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.poses import LivePoses
 from modsim3d.scene import Scene
@@ -119,7 +119,7 @@ class DetectorInput:
 
     truth: Truth
     rows: Indices
-    frames: Frames
+    frames: CameraFrames
     targets: Targets
 
 
@@ -132,7 +132,7 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
         seen = truth.take(truth.camera == number)
         rows = np.flatnonzero(seen.annotated)
         steps, before = scene.frame_steps(camera, first, stop), scene.last_frame(camera, first)
-        frames = Frames(
+        frames = CameraFrames(
             camera=camera.name,
             steps=steps,
             times_s=times_s[steps - first],
@@ -164,7 +164,7 @@ def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> Targ
 
 
 def detected_block(
-    scene: Scene, truth: Truth, first: int, stop: int, detections_of: Callable[[Frames, Targets], Detections]
+    scene: Scene, truth: Truth, first: int, stop: int, detections_of: Callable[[CameraFrames, Targets], Detections]
 ) -> Block:
     """Truth and detections of steps first to stop − 1.
 

@@ -12,14 +12,13 @@ import orjson
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import sizes
-from modsim3d.detector.box_error import NormalBoxError
-from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.learn.class_checks import miss_probabilities
-from modsim3d.learn.error_fit import PAIRS
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.measures import Exact
-from modsim3d.learn.parameters import FALLS_SHORT, OVERALL_ALPHA, UNTESTED, Verdict, Verification
+from modsim3d.learn.parameters import FALLS_SHORT, OVERALL_ALPHA, UNCHECKED, UNTESTED, Verdict, Verification
 from modsim3d.learn.run_lengths import expected_run_lengths, missed_again, run_lengths
 from modsim3d.verify_run import VerifiedRun
 from modsim3d.view import charts, page
@@ -79,7 +78,7 @@ def notes_of(verification: Verification) -> list[str]:
 
 def conclusion(verification: Verification) -> str:
     """The outcome in a sentence."""
-    tested = sum(verdict.verdict != UNTESTED for verdict in verification.verdicts)
+    tested = sum(verdict.verdict not in (UNTESTED, UNCHECKED) for verdict in verification.verdicts)
     cause = verification.cause
     if cause is None:
         short = sum(verdict.verdict == FALLS_SHORT for verdict in verification.verdicts)
@@ -164,12 +163,13 @@ def write_report(verified: VerifiedRun, folder: Path) -> None:
 
 def _page(verified: VerifiedRun) -> str:
     verification, model, evidence = verified.verification, verified.model, verified.evidence
+    found, false = evidence.true_detections, evidence.false_detections
     body = [
         page.paragraph(conclusion(verification), "lead" if verification.obeys else "bad"),
         page.paragraph(
-            f"{verified.run.steps} steps, {len(evidence.chances.state)} chances to detect a vessel, "
-            f"{len(evidence.hits.chance)} true detections, {len(evidence.clutter.image)} false ones. Each interval "
-            "holds the values that its test would not have rejected; the level of all tests together is "
+            f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
+            f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
+            "that its test would not have rejected; the level of all tests together is "
             f"{OVERALL_ALPHA:.0%}. “Noticed from” is the smallest change of the file that this run would have shown, "
             "with 90 % power.",
             "soft",
@@ -212,7 +212,7 @@ def _timelines(model: DetectorModel, evidence: Evidence) -> list[str]:
 
 
 def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
-    images = evidence.images
+    images = evidence.frames
     ours = images.camera == camera
     times, states = images.time_s[ours], images.state[ours]
     changes = np.flatnonzero(np.diff(states, prepend=states[0] - 1))
@@ -222,17 +222,17 @@ def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
 
 def _scatters(verification: Verification, model: DetectorModel, evidence: Evidence) -> list[str]:
     found = {verdict.parameter.name: verdict for verdict in verification.verdicts}
-    state_of_hits = evidence.chances.state[evidence.hits.chance]
-    scale, figures = NormalBoxError.from_model(model), []
+    state_of_hits = evidence.instances.state[evidence.true_detections.instance]
+    scale, figures = BoxErrorSource.from_model(model), []
     for index, state in enumerate(model.states):
-        rows = np.flatnonzero((state_of_hits == index) & (evidence.hits.kind == TRUE))
+        rows = np.flatnonzero((state_of_hits == index) & (evidence.true_detections.kind == TRUE))
         if not len(rows):
             continue
-        boxes = evidence.chances.boxes_px[evidence.hits.chance[rows]]
-        errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.hits.errors_px[rows])
+        boxes = evidence.instances.boxes_px[evidence.true_detections.instance[rows]]
+        errors = scale.in_file_units(np.full(len(rows), index), sizes(boxes), evidence.true_detections.errors_px[rows])
         path = f"states.{state.name}.box_error"
         laws = [_law(found, path, measured) for measured in (False, True)]
-        unit = "sides" if state.box_error_unit == "relative" else "px"
+        unit = "sides" if state.box_error.relative else "px"
         drawings = [_scatter(errors, pair, laws, state.name, unit) for pair in ((0, 1), (2, 3))]
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "
@@ -248,13 +248,13 @@ Law = tuple[Array, Array] | None
 def _law(found: dict[str, Verdict], path: str, measured: bool) -> Law:
     """Mean and covariance of a state's box errors, asked or measured; None where it was not looked at."""
     names = [f"{path}.mean[{c}]" for c in ERROR_COMPONENTS] + [f"{path}.std[{c}]" for c in ERROR_COMPONENTS]
-    names += [f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in PAIRS]
+    names += [f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS]
     values = [(found[name].measured if measured else found[name].asked) if name in found else None for name in names]
     numbers = np.array([np.nan if value is None else value for value in values])
     if np.isnan(numbers).any():
         return None
     correlation = np.eye(4)
-    for value, (i, j) in zip(numbers[8:], PAIRS, strict=True):
+    for value, (i, j) in zip(numbers[8:], ERROR_PAIRS, strict=True):
         correlation[i, j] = correlation[j, i] = value
     return numbers[:4], correlation * np.outer(numbers[4:8], numbers[4:8])
 
@@ -285,7 +285,7 @@ def _run_lengths(model: DetectorModel, evidence: Evidence) -> str:
     most = max(len(found) - 1, 4)
     missed = miss_probabilities(model, evidence)
     again = missed_again(model, evidence, missed)
-    expected = expected_run_lengths(missed, again, evidence.chances.before, most)
+    expected = expected_run_lengths(missed, again, evidence.instances.before, most)
     counts = np.zeros(most)
     counts[: len(found) - 1] = found[1:]
     lengths = np.arange(1.0, most + 1)
@@ -296,7 +296,7 @@ def _run_lengths(model: DetectorModel, evidence: Evidence) -> str:
 
 
 def _reliability(evidence: Evidence) -> str:
-    true, false = evidence.hits.confidence, evidence.clutter.confidence
+    true, false = evidence.true_detections.confidence, evidence.false_detections.confidence
     edges = np.linspace(0, 1, _BINS + 1)
     n_true, _ = np.histogram(true, edges)
     n_all = n_true + np.histogram(false, edges)[0]

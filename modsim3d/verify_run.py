@@ -8,7 +8,7 @@ from pathlib import Path
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.detection_reader import read_detections
-from modsim3d.learn.evidence import Evidence, Seen
+from modsim3d.learn.evidence import CameraEvidence, Evidence
 from modsim3d.learn.parameters import Verification
 from modsim3d.learn.verification import verify
 from modsim3d.scene_reader import load_scene
@@ -50,7 +50,7 @@ def verify_run(run: StoredRun, detector: Path | None = None) -> VerifiedRun:
     scene = run.scene if detector is None else load_scene(run.scene.path, detector=detector)
     model = scene.detector
     seen = [
-        Seen(part.frames, part.targets, read_detections(run.folder, model, part.frames, part.targets))
+        CameraEvidence(part.frames, part.targets, read_detections(run.folder, model, part.frames, part.targets))
         for part in detector_inputs(scene, run.truth(0, run.steps), 0, run.steps)
     ]
     evidence = Evidence.of(seen)

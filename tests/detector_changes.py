@@ -50,6 +50,10 @@ def with_state(model: DetectorModel, index: int, **changes: object) -> DetectorM
     return replace(model, states=tuple(states))
 
 
+def with_error(model: DetectorModel, index: int, **changes: object) -> DetectorModel:
+    return with_state(model, index, box_error=replace(model.states[index].box_error, **changes))
+
+
 def single_changes(model: DetectorModel, frame_s: float) -> Iterator[Change]:
     """Each parameter changed once, every other one up and every other one down where both can be.
 
@@ -133,7 +137,7 @@ def _state_changes(model: DetectorModel, index: int, state: PerformanceState) ->
         low=0.0,
         high=0.99,
     )
-    mean, std = state.confidence_mean, state.confidence_std
+    mean, std = _normal_confidence(state)
     yield _pair(
         "confidence mean",
         f"{path}.confidence.mean",
@@ -154,24 +158,30 @@ def _state_changes(model: DetectorModel, index: int, state: PerformanceState) ->
 def _with_confidence(model: DetectorModel, index: int, mean: float, std: float) -> DetectorModel:
     scores = NormalScores(mean, std)
     confidence = replace(model.states[index].confidence, true=scores, false=scores)
-    return with_state(model, index, confidence_mean=mean, confidence_std=std, confidence=confidence)
+    return with_state(model, index, confidence=confidence)
+
+
+def _normal_confidence(state: PerformanceState) -> tuple[float, float]:
+    """Mean and standard deviation of true detections; NaN where they are not normal."""
+    true = state.confidence.true
+    return (true.mean, true.std) if isinstance(true, NormalScores) else (math.nan, math.nan)
 
 
 def _box_changes(model: DetectorModel, index: int, state: PerformanceState) -> Iterator[Pair]:
     path = f"states.{state.name}.box_error"
-    means, covariance = np.array(state.box_error_mean_px), np.array(state.box_error_covariance_px2)
+    means, covariance = np.array(state.box_error.mean), np.array(state.box_error.covariance)
     stds = np.sqrt(np.diag(covariance))
     for i, component in enumerate(ERROR_COMPONENTS):
 
         def shifted(value: float, i: int = i) -> DetectorModel:
             changed = means.copy()
             changed[i] = value
-            return with_state(model, index, box_error_mean_px=read_only(changed))
+            return with_error(model, index, mean=read_only(changed))
 
         def spread(value: float, i: int = i) -> DetectorModel:
             scale = np.ones(4)
             scale[i] = value / stds[i]
-            return with_state(model, index, box_error_covariance_px2=read_only(covariance * np.outer(scale, scale)))
+            return with_error(model, index, covariance=read_only(covariance * np.outer(scale, scale)))
 
         mean_size, std_size = SIGMAS * float(stds[i]), PART * float(stds[i])
         yield _pair("box error mean", f"{path}.mean[{component}]", float(means[i]), mean_size, shifted)
@@ -184,7 +194,7 @@ def _box_changes(model: DetectorModel, index: int, state: PerformanceState) -> I
                 changed[i, j] = changed[j, i] = value * stds[i] * stds[j]
                 if np.linalg.eigvalsh(changed / np.outer(stds, stds))[0] < 0.01:
                     return None  # no errors can have it
-                return with_state(model, index, box_error_covariance_px2=read_only(changed))
+                return with_error(model, index, covariance=read_only(changed))
 
             name = f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]"
             asked = float(covariance[i, j] / stds[i] / stds[j])

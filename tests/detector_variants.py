@@ -41,6 +41,10 @@ def _mixed(state: Data) -> None:
     error["covariance"] = [[value / 16 for value in row] for row in error["covariance"]]
 
 
+def _heavy_tails(state: Data) -> None:
+    state["box_error"].update(law="student_t", degrees_of_freedom=4)
+
+
 def _apart(state: Data) -> None:
     state["confidence"] = {
         "true": {"mean": 0.75, "std": 0.12},
@@ -80,6 +84,7 @@ CHANGES: dict[str, Callable[[Data], None]] = {
     "misses and box errors that never change": _with(persistence={"class_s": 1e9, "box_s": 1e9}),
     "relative box errors": _every_state(_relative),
     "mixed box errors": _every_state(_mixed),
+    "Student's t box errors": _every_state(_heavy_tails),
     "false positives per image": _per_image,
     "persistent false positives": _with(
         false_positives={"model": "calibrated", "persistence": {"lifetime_s": 2.0, "share": 0.5, "drift_px_s": 5}}

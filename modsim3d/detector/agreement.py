@@ -1,11 +1,12 @@
-"""What has to hold between the sections of a detector file, each of which is right by itself."""
+"""Contradictions between the sections of a detector file, each of which is valid by itself."""
 
 from __future__ import annotations
 
+from modsim3d.detector.clutter_models import CLUTTER_MODELS
 from modsim3d.detector.schema import DetectorFile, StateSection
 
 RATE_TOLERANCE = 0.01
-"""How far the end of a precision-recall curve may lie from the rates that the state is run at."""
+"""Greatest difference between the end of a precision-recall curve and the rates of its state."""
 
 
 def agreement_problems(file: DetectorFile) -> list[str]:
@@ -20,27 +21,13 @@ def agreement_problems(file: DetectorFile) -> list[str]:
 def _clutter_problems(file: DetectorFile) -> list[str]:
     keys = file.false_positives
     problems = []
-    if keys.model == "thesis":
+    if CLUTTER_MODELS[keys.model].side_px is not None:
         own = ("placement", "far_half_px", "size", "persistence")
         given = [key for key in own if key in keys.model_fields_set]
         problems += [
-            f"false_positives.{key}: model thesis has its own: choose calibrated or per_image" for key in given
+            f"false_positives.{key}: model {keys.model} has its own: choose calibrated or per_image" for key in given
         ]
-    if keys.model == "per_image":
-        lacking = [name for name, state in file.states.items() if state.false_positives_per_image is None]
-        if keys.rate is None and lacking:
-            problems.append(
-                "false_positives.rate: model per_image needs it, or false_positives_per_image in each state (missing "
-                f"in {', '.join(lacking)})"
-            )
-    else:
-        if keys.rate is not None:
-            problems.append(f"false_positives.rate: model {keys.model} has none: choose per_image")
-        problems += [
-            f"states.{name}.false_positives_per_image: model {keys.model} has none: choose per_image"
-            for name, state in file.states.items()
-            if state.false_positives_per_image is not None
-        ]
+    problems += _rate_problems(file)
     if (keys.band_px is None) != (keys.placement != "horizon_band"):
         problems.append("false_positives.band_px: goes with placement horizon_band, and only there")
     if (keys.density is None) != (keys.placement != "density"):
@@ -52,11 +39,28 @@ def _clutter_problems(file: DetectorFile) -> list[str]:
     return problems
 
 
+def _rate_problems(file: DetectorFile) -> list[str]:
+    """The rate is where the model looks for it, and nowhere else."""
+    keys = file.false_positives
+    given = {name: state.false_positives_per_image is not None for name, state in file.states.items()}
+    if CLUTTER_MODELS[keys.model].rate_key == "false_positives_per_image":
+        if keys.rate is not None or all(given.values()):
+            return []
+        missing = ", ".join(name for name, there in given.items() if not there)
+        return [
+            f"false_positives.rate: model {keys.model} needs it, or false_positives_per_image in each state (missing "
+            f"in {missing})"
+        ]
+    unused = [] if keys.rate is None else ["false_positives.rate"]
+    unused += [f"states.{name}.false_positives_per_image" for name, there in given.items() if there]
+    return [f"{path}: model {keys.model} has none: choose per_image" for path in unused]
+
+
 def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
-    """Second boxes are false too: they must fit into the rate asked for."""
+    """Second boxes are false positives too, so the false discovery rate must leave room for them."""
     keys = file.false_positives
     rate, extra = state.false_discovery_rate, keys.duplicates + keys.splits
-    if keys.model != "calibrated" or rate / (1 - rate) >= extra - 1e-12:
+    if not CLUTTER_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
         return []
     return [
         f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false detections for each true "
@@ -65,7 +69,7 @@ def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[
 
 
 def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[str]:
-    """A curve ends where the state is run: at its share of vessels found, and at its share of false detections."""
+    """A curve must end at the recall and the precision that the state has."""
     curve = state.confidence.precision_recall
     if curve is None:
         return []
@@ -79,7 +83,7 @@ def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[
             + " of the vessels: a curve ends at the recall that the detector has"
         )
     asked = 1 - state.false_discovery_rate
-    if file.false_positives.model == "calibrated" and abs(precision - asked) > RATE_TOLERANCE:
+    if CLUTTER_MODELS[file.false_positives.model].counts_second_boxes and abs(precision - asked) > RATE_TOLERANCE:
         problems.append(
             f"{path}.confidence.precision_recall: ends at precision {precision:g}, but false_discovery_rate "
             f"{state.false_discovery_rate:g} makes it {asked:g}"

@@ -1,27 +1,29 @@
-"""Where the detector puts a box: normal errors, drawn anew where the box would degenerate."""
+"""Where the detector puts a box: the truth with an error, resampled where the box would degenerate."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask, read_only
 from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
+from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, LatentPurposes
+from modsim3d.detector.error_distributions import ErrorDistribution, standardised
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.random_streams import Streams
 
 MOST_DRAWS = 10_000
-"""Redraws of one box before its state is called impossible for it."""
+"""Draws of one box before its state is called impossible for it."""
 _ROWS_AT_ONCE = 256
 _FIRST_BATCH, _LARGEST_BATCH = 8, 2048
-_ROUNDING_PX = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Misplaced:
+class MisplacedBoxes:
     """Boxes with their errors.
 
     Attributes:
@@ -35,27 +37,49 @@ class Misplaced:
     redrawn: Mask
 
 
+@dataclass(frozen=True, eq=False)
+class TrueBoxes:
+    """The boxes of detected vessels before errors are added.
+
+    Attributes:
+        frames: The frames.
+        targets: The vessels, n of them.
+        state: The performance state of each target, shape (n,).
+        boxes_px: At least a pixel wide and high, shape (n, 4).
+    """
+
+    frames: CameraFrames
+    targets: Targets
+    state: Indices
+    boxes_px: Array
+
+    @classmethod
+    def of(cls, frames: CameraFrames, states: Indices, targets: Targets) -> TrueBoxes:
+        """Boxes of targets, given the state of each frame, shape (S,)."""
+        return cls(frames, targets, states[targets.frame], at_least_a_pixel(targets.boxes_px, frames.image_size_px))
+
+
 def symmetric_root(covariance: Array) -> Array:
-    """The symmetric S with S · S = covariance; singular ones have it too, unlike a Cholesky factor."""
+    """The symmetric S with S · S = covariance, shapes (4, 4); unlike a Cholesky factor it allows singular ones."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
     root: Array = (vectors * np.sqrt(np.maximum(eigenvalues, 0))) @ vectors.T
     return root
 
 
 @dataclass(frozen=True, eq=False)
-class NormalBoxError:
-    """Multivariate normal (e_x, e_y, e_w, e_h) (Jessen & Mohr (2023), section 7.6.2), truncated.
+class BoxErrorSource:
+    """Draws the box errors of a detector.
 
-    The thesis has them in pixels. `relative` ones are multiplied by the side of the box along their axis; `mixed`
-    ones have mean and correlation in pixels and a standard deviation σ₀ + k·side.
+    An error is the mean plus the root of the covariance times a standardised error. `relative` errors are multiplied
+    by the side of the box along their axis; `mixed` ones have a standard deviation σ₀ + k·side.
 
-    A draw counts only if the box, clipped to the image, is at least one pixel wide and high; this rules out
-    sides turned inside out and boxes outside the image. Others are drawn anew, so the errors of small boxes
-    and of boxes at the edge do not have exactly the asked distribution. Two boundary cases:
+    A draw counts only if the box, clipped to the image, is at least one pixel wide and high. This rules out inverted
+    boxes and boxes outside the image. Other draws are resampled, so the errors of small boxes and of boxes at the edge
+    do not have exactly the distribution in the file. Two boundary cases:
 
-    - A truth side below one pixel is taken for the whole pixel its middle is in, and the error added to
-      that. Otherwise a detector without errors could never see a vessel half a pixel high.
-    - A box at the edge is judged after clipping: a sliver thinner than a pixel is drawn anew as well.
+    - A true side below one pixel is replaced by the whole pixel that contains its middle. Otherwise a detector without
+      errors could never see a vessel half a pixel high.
+    - A box at the edge is judged after clipping: a sliver thinner than a pixel is resampled as well.
 
     Attributes:
         state_names: For messages.
@@ -63,6 +87,7 @@ class NormalBoxError:
         roots: Symmetric roots of the covariances, shape (states, 4, 4).
         relative: Whether each state's errors are in sides of the box, shape (states,).
         growths: k over σ₀, in 1/px, for mixed states and else 0, shape (states, 4).
+        distributions: Of the standardised errors of each state.
     """
 
     state_names: tuple[str, ...]
@@ -70,59 +95,62 @@ class NormalBoxError:
     roots: Array
     relative: Mask
     growths: Array
+    distributions: tuple[ErrorDistribution, ...]
 
     @classmethod
-    def from_model(cls, model: DetectorModel) -> NormalBoxError:
-        """The box error of a detector model."""
-        roots = [symmetric_root(state.box_error_covariance_px2) for state in model.states]
-        names = tuple(state.name for state in model.states)
-        relative = np.array([state.box_error_unit == "relative" for state in model.states])
-        stds = np.sqrt([np.diag(state.box_error_covariance_px2) for state in model.states])
-        growth = model.column("box_error_growth")
-        growths = read_only(growth / np.where(growth > 0, stds, 1.0))
-        return cls(names, model.column("box_error_mean_px"), read_only(roots), relative, growths)
+    def from_model(cls, model: DetectorModel) -> BoxErrorSource:
+        """The box errors of a detector model."""
+        laws = [state.box_error for state in model.states]
+        growth = np.array([law.growth for law in laws])
+        return cls(
+            tuple(state.name for state in model.states),
+            read_only([law.mean for law in laws]),
+            read_only([symmetric_root(law.covariance) for law in laws]),
+            np.array([law.relative for law in laws]),
+            read_only(growth / np.where(growth > 0, [law.std for law in laws], 1.0)),
+            tuple(law.distribution for law in laws),
+        )
+
+    @property
+    def extra_normals(self) -> int:
+        """Most normal numbers that an error of any state needs beyond four."""
+        return max(distribution.extra_normals for distribution in self.distributions)
 
     def misplace(
-        self,
-        streams: Streams,
-        frames: Frames,
-        states: Indices,
-        targets: Targets,
-        standard: Array,
-        purpose: Purpose = Purpose.BOX_ERROR_REDRAW,
-    ) -> Misplaced:
-        """Boxes with an error each.
+        self, streams: Streams, true: TrueBoxes, latent: Array, purposes: LatentPurposes = BOX_ERROR_REDRAW_STREAMS
+    ) -> MisplacedBoxes:
+        """Add an error to each box.
 
         Args:
-            streams: For what has to be drawn anew.
-            frames: The frames.
-            states: Of each frame, shape (S,).
-            targets: Whose boxes; n of them.
-            standard: The standard normal numbers that their errors are made from, shape (n, 4).
-            purpose: Use of the numbers that are drawn anew.
+            streams: Random numbers for what has to be resampled.
+            true: The boxes; n of them.
+            latent: Standard normal numbers that their errors are made from, shape (n, 4 + `extra_normals`).
+            purposes: Streams of the numbers for resampling.
 
         Raises:
             ModsimError: A box stays degenerate in `MOST_DRAWS` draws.
         """
-        image, state = frames.image_size_px, states[targets.frame]
-        truth = at_least_a_pixel(targets.boxes_px, image)
-        errors = self.errors_px(state, sizes(truth), standard)
+        image, truth = true.frames.image_size_px, true.boxes_px
+        errors = self.errors_px(true.state, sizes(truth), latent)
         redrawn = ~inside_image(move(truth, errors), image)
         bad = np.flatnonzero(redrawn)
         for start in range(0, len(bad), _ROWS_AT_ONCE):
             rows = bad[start : start + _ROWS_AT_ONCE]
-            generators = [_generator(streams, purpose, frames, targets, row) for row in rows]
-            errors[rows] = self._redraw(generators, frames, state, targets, truth, rows)
-        return Misplaced(clip(move(truth, errors), image), errors, redrawn)
+            errors[rows] = self._redraw(_Redraws(streams, purposes, true, rows, self.extra_normals), true, rows)
+        return MisplacedBoxes(clip(move(truth, errors), image), errors, redrawn)
 
-    def errors_px(self, state: Indices, sizes_px: Array, standard: Array) -> Array:
+    def errors_px(self, state: Indices, sizes_px: Array, latent: Array) -> Array:
         """Errors from standard normal numbers; see `draws` for why no `@`.
 
         Args:
             state: Shape (n,).
             sizes_px: Width and height of the true boxes, at least a pixel, shape (n, 2).
-            standard: Shape (n, ..., 4).
+            latent: Shape (n, ..., 4 + `extra_normals`).
+
+        Returns:
+            Shape (n, ..., 4).
         """
+        standard = self._standardised(state, latent)
         shape = (len(state), *([1] * (standard.ndim - 2)), 4)
         means = np.broadcast_to(self.means[state].reshape(shape), standard.shape)
         errors = means
@@ -136,13 +164,37 @@ class NormalBoxError:
             errors = np.where(self.relative[state].reshape(*shape[:-1], 1), errors * sides, errors)
         return errors
 
+    def _standardised(self, state: Indices, latent: Array) -> Array:
+        """Standardised errors of each state's distribution, shape (n, ..., 4)."""
+        if len(set(self.distributions)) == 1:
+            return standardised(self.distributions[0], latent)
+        standard = np.empty((*latent.shape[:-1], 4))
+        for index, distribution in enumerate(self.distributions):
+            standard[state == index] = standardised(distribution, latent[state == index])
+        return standard
+
+    def moments_px(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
+        """Means and covariances in pixels of the errors of boxes before truncation, shapes (n, 4) and (n, 4, 4).
+
+        Args:
+            state: Shape (n,).
+            sizes_px: Width and height of the true boxes, shape (n, 2).
+        """
+        sides, relative = np.tile(sizes_px, 2), self.relative[state][:, None]
+        factors = np.where(relative, sides, 1 + self.growths[state] * sides)
+        roots = factors[:, :, None] * self.roots[state]
+        return np.where(relative, sides, 1.0) * self.means[state], roots @ np.swapaxes(roots, 1, 2)
+
     def in_file_units(self, state: Indices, sizes_px: Array, errors_px: Array) -> Array:
-        """Errors as if every box had the mean and covariance that the file names: the inverse of what size does.
+        """Undo what the size of a box does to its errors, so that they have the mean and covariance of the file.
 
         Args:
             state: Shape (n,).
             sizes_px: Shape (n, 2).
             errors_px: Shape (n, ..., 4).
+
+        Returns:
+            In the unit of each state's `mean`, shape (n, ..., 4).
         """
         shape = (len(state), *([1] * (errors_px.ndim - 2)), 4)
         means, grows = self.means[state].reshape(shape), self.growths[state].reshape(shape)
@@ -150,45 +202,61 @@ class NormalBoxError:
         scaled = np.where(self.relative[state].reshape(*shape[:-1], 1), errors_px / sides, errors_px)
         return np.where(grows > 0, means + (scaled - means) / (1 + grows * sides), scaled)
 
-    def _redraw(
-        self,
-        generators: list[np.random.Generator],
-        frames: Frames,
-        state: Indices,
-        targets: Targets,
-        truth: Array,
-        rows: Indices,
-    ) -> Array:
-        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generator."""
+    def _redraw(self, redraws: _Redraws, true: TrueBoxes, rows: Indices) -> Array:
+        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators."""
         errors = np.empty((len(rows), 4))
         pending, drawn, batch = np.arange(len(rows)), 0, _FIRST_BATCH
         while len(pending):
             if drawn == MOST_DRAWS:
-                raise ModsimError(self._hopeless(frames, state, targets, rows[pending[0]]))
+                raise ModsimError(self._hopeless(true, rows[pending[0]]))
             batch = min(batch, MOST_DRAWS - drawn)
-            standard = np.stack([generators[i].standard_normal((batch, 4)) for i in pending])
-            candidates = self.errors_px(state[rows[pending]], sizes(truth[rows[pending]]), standard)
-            accepted = inside_image(move(truth[rows[pending], None], candidates), frames.image_size_px)
+            state, truth = true.state[rows[pending]], true.boxes_px[rows[pending]]
+            candidates = self.errors_px(state, sizes(truth), redraws.next(pending, batch))
+            accepted = inside_image(move(truth[:, None], candidates), true.frames.image_size_px)
             found, first = accepted.any(axis=1), accepted.argmax(axis=1)
             errors[pending[found]] = candidates[found, first[found]]
             pending, drawn, batch = pending[~found], drawn + batch, min(4 * batch, _LARGEST_BATCH)
         return errors
 
-    def _hopeless(self, frames: Frames, state: Indices, targets: Targets, row: int) -> str:
+    def _hopeless(self, true: TrueBoxes, row: int) -> str:
+        targets, frames, state = true.targets, true.frames, true.state[row]
         width, height = sizes(targets.boxes_px[row])
-        mean = ", ".join(f"{value:g}" for value in self.means[state[row]])
+        mean = ", ".join(f"{value:g}" for value in self.means[state])
         step = int(frames.steps[targets.frame[row]])
-        unit = "box sides" if self.relative[state[row]] else "px"
+        unit = "box sides" if self.relative[state] else "px"
         return (
             f"vessel '{targets.vessel_ids[targets.vessel[row]]}' at step {step} of camera '{frames.camera}': "
-            f"in {MOST_DRAWS} draws of the box error of state '{self.state_names[state[row]]}' (mean {mean} "
+            f"in {MOST_DRAWS} draws of the box error of state '{self.state_names[state]}' (mean {mean} "
             f"{unit}) its box of {width:.4g} × {height:.4g} px never stays a pixel wide and high in the image; use "
             "a box_error that suits such boxes, or leave small ones out with the annotation's min_box_px"
         )
 
 
-def _generator(streams: Streams, purpose: Purpose, frames: Frames, targets: Targets, row: int) -> np.random.Generator:
-    """The redraws of one row: a stream apart, so that the first draws of later steps stay as they were."""
-    vessel = targets.vessel_ids[targets.vessel[row]]
-    step = int(frames.steps[targets.frame[row]])
-    return streams.generator(purpose, frames.camera, vessel, step=step)
+class _Redraws:
+    """Normal numbers for resampling: each row has streams of its own, so other steps' first draws stay as they were."""
+
+    def __init__(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices, extra: int) -> None:
+        targets, frames = true.targets, true.frames
+        self._widths = purposes.widths(extra)
+        self._generators: Sequence[Sequence[np.random.Generator]] = [
+            [
+                streams.generator(
+                    purpose, frames.camera, targets.vessel_ids[targets.vessel[row]], step=int(frames.steps[frame])
+                )
+                for purpose in self._widths
+            ]
+            for row, frame in zip(rows, targets.frame[rows], strict=True)
+        ]
+
+    def next(self, rows: Indices, count: int) -> Array:
+        """The next numbers of some rows, shape (rows, count, 4 + extra)."""
+        widths = self._widths.values()
+        return np.stack(
+            [
+                np.concatenate(
+                    [g.standard_normal((count, width)) for g, width in zip(self._generators[row], widths, strict=True)],
+                    axis=1,
+                )
+                for row in rows
+            ]
+        )

@@ -19,7 +19,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
 from modsim3d.detector.draws import cumulative, log2, select
 from modsim3d.detector.dropout import Dropout
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 
 if TYPE_CHECKING:
     from modsim3d.detector.model import DetectorModel
@@ -100,7 +100,7 @@ class TargetCensus:
         return sides[np.searchsorted(distribution, uniforms, side="right")]
 
 
-def take_census(model: DetectorModel, parts: Iterable[tuple[Frames, Targets]]) -> TargetCensus:
+def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetCensus:
     """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
 
     Args:

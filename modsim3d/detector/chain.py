@@ -9,13 +9,14 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes, unions
-from modsim3d.detector.box_error import Misplaced, NormalBoxError
+from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
 from modsim3d.detector.census import TargetCensus
 from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.clutter import Clutter, ClutterSource, Rates, Setting
+from modsim3d.detector.clutter import Clutter, ClutterSource, Surroundings
+from modsim3d.detector.clutter_models import ClutterRates, FrameCounts
 from modsim3d.detector.confidence import Confidence
-from modsim3d.detector.doubles import Events, halves
-from modsim3d.detector.draws import select, target_uniforms
+from modsim3d.detector.draws import DUPLICATE_REDRAW_STREAMS, DUPLICATE_STREAMS, latent_normals, select, target_uniforms
+from modsim3d.detector.merges_and_splits import Events, halves
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock, VesselNoise
 from modsim3d.detector.records import (
@@ -27,17 +28,17 @@ from modsim3d.detector.records import (
     PERSISTENT,
     SPLIT,
     TRUE,
+    CameraFrames,
     Detections,
-    Frames,
     Targets,
 )
 from modsim3d.detector.states import PerformanceStates
-from modsim3d.random_streams import Purpose, Streams, normals
+from modsim3d.random_streams import Purpose, Streams
 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Detections of one origin, before they are scored: columns of `Detections`, and what the score needs.
+    """Detections of one origin before they have a confidence: columns of `Detections`, and what confidence needs.
 
     Attributes:
         visible_fraction: Of the vessel, NaN where there is none, shape (m,).
@@ -58,13 +59,13 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """Vessels as the detector takes them, two that are merged as one.
+    """Detected vessels, with two merged ones as one.
 
     Attributes:
         targets: With the box around both where merged.
         row: Row of the annotated target, shape (n,).
         partner: Row of the smaller of two that are merged, else -1, shape (n,).
-        label: What each is taken for, shape (n,).
+        label: Detected label, shape (n,).
     """
 
     targets: Targets
@@ -97,12 +98,12 @@ class Detector:
         self._states = PerformanceStates(model, self._streams)
         self._noise = VesselNoise(model.persistence, self._streams, clock)
         self._classifier = ConfusionClassifier.from_model(model, census)
-        self._box_error = NormalBoxError.from_model(model)
+        self._box_error = BoxErrorSource.from_model(model)
         self._clutter = clutter_of(model, census)
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
-    def detect(self, frames: Frames, targets: Targets) -> Detections:
-        """What the detector puts out for a run of frames of one camera.
+    def detect(self, frames: CameraFrames, targets: Targets) -> Detections:
+        """The detections in a run of frames of one camera.
 
         Raises:
             ModsimError: The box error of a state leaves nothing of a box, however often it is drawn.
@@ -111,9 +112,10 @@ class Detector:
         passed = self.model.gates.passed(frames, targets)
         shown = self._shown(frames, states, targets, np.flatnonzero(passed))
         vessels = shown.targets
-        placed = self._box_error.misplace(self._streams, frames, states, vessels, self._noise.normals(frames, vessels))
+        latent = self._noise.normals(frames, vessels, self._box_error.extra_normals)
+        placed = self._box_error.misplace(self._streams, TrueBoxes.of(frames, states, vessels), latent)
         single = shown.partner < 0
-        events = self.model.doubles.events(self._streams, frames, vessels, placed.boxes_px, single)
+        events = self.model.merges_and_splits.events(self._streams, frames, vessels, placed.boxes_px, single)
         found = [
             self._true(frames, shown, placed, events),
             *self._second_boxes(frames, states, shown, placed, events),
@@ -121,14 +123,14 @@ class Detector:
         ]
         return self._scored(states, found, passed)
 
-    def _shown(self, frames: Frames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
+    def _shown(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
         """Vessels that are neither missed nor merged into another's box."""
         candidates = targets if len(passed) == len(targets) else select(targets, passed)
         label = self._classifier.classify(frames, states, candidates, self._noise.uniforms(frames, candidates))
         detected = np.flatnonzero(label >= 0)
         rows, label = passed[detected], label[detected]
         kept = select(targets, rows)
-        pairs = self.model.doubles.merged_pairs(self._streams, frames, kept)
+        pairs = self.model.merges_and_splits.merged_pairs(self._streams, frames, kept)
         if not len(pairs):
             return _Shown(kept, rows, np.full(len(rows), -1), label)
         larger, smaller = pairs.T
@@ -137,7 +139,7 @@ class Detector:
         rest = np.setdiff1d(np.arange(len(rows)), smaller)
         return _Shown(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
 
-    def _true(self, frames: Frames, shown: _Shown, placed: Misplaced, events: Events) -> _Found:
+    def _true(self, frames: CameraFrames, shown: _Shown, placed: MisplacedBoxes, events: Events) -> _Found:
         """One detection of each vessel shown."""
         boxes, errors = placed.boxes_px, placed.errors_px
         kind = np.where(shown.partner >= 0, MERGED, TRUE)
@@ -158,14 +160,15 @@ class Detector:
         )
 
     def _second_boxes(
-        self, frames: Frames, states: Indices, shown: _Shown, placed: Misplaced, events: Events
+        self, frames: CameraFrames, states: Indices, shown: _Shown, placed: MisplacedBoxes, events: Events
     ) -> Sequence[_Found]:
         """Further boxes of vessels that have one."""
         found = []
         if len(events.doubled):
             vessels = select(shown.targets, events.doubled)
-            standard = normals(target_uniforms(self._streams, Purpose.DUPLICATE, frames, vessels, width=4))
-            again = self._box_error.misplace(self._streams, frames, states, vessels, standard, Purpose.DUPLICATE_REDRAW)
+            extra, true = self._box_error.extra_normals, TrueBoxes.of(frames, states, vessels)
+            latent = latent_normals(self._streams, DUPLICATE_STREAMS, frames, vessels, extra)
+            again = self._box_error.misplace(self._streams, true, latent, DUPLICATE_REDRAW_STREAMS)
             final = self._final(frames, vessels, Purpose.DUPLICATE_CONFIDENCE)
             kind = np.full(len(vessels), DUPLICATE)
             found.append(
@@ -180,19 +183,21 @@ class Detector:
             found.append(_of_vessels(shown, events.split, kind, smaller, nothing, redrawn, final))
         return found
 
-    def _false(self, frames: Frames, states: Indices, shown: _Shown, events: Events) -> Sequence[_Found]:
+    def _false(self, frames: CameraFrames, states: Indices, shown: _Shown, events: Events) -> Sequence[_Found]:
         """Detections of nothing."""
         vessels = shown.targets
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         due = self.model.gates.due(frames)
-        setting = Setting(self._streams, frames, states, due, vessels, n_true, events.expected)
-        found = [self._of_clutter(frames, self._clutter.draw(setting), FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
+        counts = FrameCounts(states, due, n_true, events.expected)
+        around = Surroundings(self._streams, frames, counts, vessels)
+        transient = self._clutter.draw_transient(around)
+        found = [self._of_clutter(frames, transient, FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
         if self.model.clutter.persistent_share:
-            clutter = self._clutter.draw_persistent(setting)
+            clutter = self._clutter.draw_persistent(around)
             found.append(self._of_clutter(frames, clutter, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
         return found
 
-    def _of_clutter(self, frames: Frames, clutter: Clutter, kind: int, purpose: Purpose) -> _Found:
+    def _of_clutter(self, frames: CameraFrames, clutter: Clutter, kind: int, purpose: Purpose) -> _Found:
         count = len(clutter.frame)
         nobody, unknown = np.full(count, -1), np.full(count, np.nan)
         return _Found(
@@ -208,12 +213,12 @@ class Detector:
             uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
         )
 
-    def _final(self, frames: Frames, vessels: Targets, purpose: Purpose) -> Array:
+    def _final(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
         """Numbers for confidence and order, shape (n, 2)."""
         return target_uniforms(self._streams, purpose, frames, vessels, width=2)
 
     def _scored(self, states: Indices, found: Sequence[_Found], passed: Mask) -> Detections:
-        """All of them with their confidence; their order within a frame is random and tells nothing."""
+        """All of them with their confidence; their order within a frame is random."""
         every = _Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in _COLUMNS})
         width, height = sizes(every.boxes_px).T
         false = np.isin(every.kind, FALSE_KINDS)
@@ -224,13 +229,13 @@ class Detector:
             np.sqrt(width * height),
             every.uniforms[:, 0],
         )
-        put_out = self.model.gates.surest(every.frame, confidence, every.uniforms[:, 1])
+        output = self.model.gates.most_confident(every.frame, confidence, every.uniforms[:, 1])
         order = np.lexsort((every.uniforms[:, 1], every.frame))
         gated = ~passed
-        if not put_out.all():
-            order = order[put_out[order]]
-            gated[every.target[~put_out & ~false]] = True
-            gated[np.setdiff1d(every.partner[~put_out], [-1])] = True
+        if not output.all():
+            order = order[output[order]]
+            gated[every.target[~output & ~false]] = True
+            gated[np.setdiff1d(every.partner[~output], [-1])] = True
         return Detections(
             states=states,
             frame=every.frame[order],
@@ -279,9 +284,10 @@ def clutter_of(model: DetectorModel, census: TargetCensus) -> ClutterSource:
     Raises:
         ModsimError: Their sizes come from the scene's targets, and there are none.
     """
-    rates = Rates(
-        model.column("false_discovery_rate"),
-        model.column("false_positives_per_image"),
-        model.confidence_threshold,
-    )
-    return ClutterSource.of(model.clutter, rates, model.column("false_positive_labels"), census)
+    return ClutterSource.of(model.clutter, clutter_rates(model), model.column("false_positive_labels"), census)
+
+
+def clutter_rates(model: DetectorModel) -> ClutterRates:
+    """How many false positives each state of a detector asks for."""
+    discovery, per_image = model.column("false_discovery_rate"), model.column("false_positives_per_image")
+    return ClutterRates(discovery, per_image, model.confidence_threshold)

@@ -1,4 +1,4 @@
-"""What has to hold for the vectors and matrices of a detector file; each check returns what is wrong."""
+"""Checks of the vectors and matrices of a detector file; each returns a list of problems."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from modsim3d.detector.model import ERROR_COMPONENTS
 
 SUM_TOLERANCE = 1e-6
 ROUNDING = 1e-9
-"""Relative size of an asymmetry or a negative eigenvalue that is put down to rounding."""
+"""Relative size of an asymmetry or a negative eigenvalue that counts as rounding."""
 
 Rows = Sequence[Sequence[float]]
 

@@ -11,16 +11,16 @@ from modsim3d.detector.census import TargetCensus
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 
 
 @dataclass(frozen=True, eq=False)
 class ConfusionClassifier:
-    """Reads a uniform number through the distribution of the target's label in the current state.
+    """Inverts the distribution of the target's label in the current state at a uniform number.
 
     Attributes:
         distributions: Distribution function over labels and background, shape (states, labels, labels + 1).
-        dropout: How misses follow what a vessel looks like.
+        dropout: How misses depend on what a vessel looks like.
         intercepts: Log-odds added to all misses of a state and label, shape (states, labels).
     """
 
@@ -45,14 +45,14 @@ class ConfusionClassifier:
         return cls(distributions, model.dropout, intercepts)
 
     def miss_rates(self, states: Indices, targets: Targets) -> Array:
-        """Probability that each target is missed in a state each, shapes (n,)."""
+        """Probability that each target is missed in the given state, shapes (n,)."""
         added = self.intercepts[states, targets.label] + self.dropout.log_odds(targets)
         return shifted_rate(_miss_rates(self.distributions)[states, targets.label], added)
 
-    def classify(self, frames: Frames, states: Indices, targets: Targets, uniforms: Array) -> Indices:
-        """What each target is taken for, from one uniform number each, shape (n,): a label, or -1 where it is missed.
+    def classify(self, frames: CameraFrames, states: Indices, targets: Targets, uniforms: Array) -> Indices:
+        """Detected label of each target from one uniform number each, −1 where it is missed, shapes (n,).
 
-        A changed rate of misses leaves the shares of the labels among what is detected as they are.
+        A changed rate of misses keeps the shares of the labels among detected targets.
         """
         state = states[targets.frame]
         if self.dropout.effects:

@@ -31,20 +31,20 @@ class FixedSize:
     height_px: float
 
     def at(self, uniforms: Array) -> Array:
-        """The same whatever the number."""
+        """The same for all numbers, shape (m, 2)."""
         return np.tile([self.width_px, self.height_px], (len(uniforms), 1))
 
 
 @dataclass(frozen=True)
 class LognormalSize:
-    """One shape, of a size whose logarithm is normal."""
+    """One aspect ratio, with a size whose logarithm is normal."""
 
     width_px: float
     height_px: float
     log_std: float
 
     def at(self, uniforms: Array) -> Array:
-        """The median box, scaled."""
+        """The median box, scaled, shape (m, 2)."""
         scale: Array = special.exp2(self.log_std / _LN_2 * normals(uniforms))
         return scale[:, None] * [self.width_px, self.height_px]
 
@@ -56,5 +56,5 @@ class SceneSizes:
     census: TargetCensus
 
     def at(self, uniforms: Array) -> Array:
-        """The size of one of them."""
+        """The size of one of them each, shape (m, 2)."""
         return self.census.sizes_px(uniforms)

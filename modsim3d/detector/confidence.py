@@ -1,4 +1,4 @@
-"""How sure the detector says it is."""
+"""The confidence of detections."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ class StateConfidence:
     Attributes:
         true: Of detections of a vessel.
         false: Of false ones.
-        visibility_slope: By how much less sure a wholly hidden vessel is than one in plain view; in between in
-            proportion to the hidden share.
-        size_slope: By how much less sure a box is for each halving of its size below the reference.
-        size_reference_px: Side of a square as large as the box from which on size does not matter.
+        visibility_slope: Confidence that a wholly hidden vessel loses; others lose in proportion to the hidden share.
+        size_slope: Confidence that a box loses for each halving of its size below the reference.
+        size_reference_px: Side of a square as large as the box above which size does not matter.
     """
 
     true: Scores
@@ -50,7 +49,7 @@ class Confidence:
 
     Attributes:
         states: In their order.
-        threshold: Least confidence of a detection that is put out; it drops none.
+        threshold: Least confidence of an output detection; it drops none.
     """
 
     states: Sequence[StateConfidence]
@@ -60,9 +59,9 @@ class Confidence:
         """Confidence of detections, from one uniform number each.
 
         Args:
-            state: In which they were made, shape (m,).
-            false: Whether they are false, shape (m,).
-            visible_fraction: Of the vessel; NaN where there is none or it is unknown, shape (m,).
+            state: Performance state, shape (m,).
+            false: Whether each is a false detection, shape (m,).
+            visible_fraction: Of the vessel; NaN without a vessel or where unknown, shape (m,).
             size_px: Side of a square as large as the box, shape (m,).
             uniforms: Shape (m,).
         """

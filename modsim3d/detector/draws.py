@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.records import Frames, Targets
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.detector.error_distributions import ERROR_NORMALS
+from modsim3d.detector.records import CameraFrames, Targets
+from modsim3d.random_streams import Purpose, Streams, normals
 
 _LN_2 = math.log(2)
 
@@ -23,7 +25,7 @@ _LN_2 = math.log(2)
 def keyed_uniforms(
     streams: Streams,
     purpose: Purpose,
-    frames: Frames,
+    frames: CameraFrames,
     frame: Indices,
     owner: Indices,
     owners: Sequence[str],
@@ -72,9 +74,34 @@ def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indice
     return streams.uniforms(purpose, *names, first=first, count=last - first + 1, width=width)[steps - first]
 
 
-def target_uniforms(streams: Streams, purpose: Purpose, frames: Frames, targets: Targets, width: int) -> Array:
+def target_uniforms(streams: Streams, purpose: Purpose, frames: CameraFrames, targets: Targets, width: int) -> Array:
     """Uniform numbers of each target's vessel at its step, shape (n, width)."""
     return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids, width)
+
+
+class LatentPurposes(NamedTuple):
+    """Streams of the normal numbers behind box errors: four for the error, and those that its distribution adds."""
+
+    error: Purpose
+    shape: Purpose
+
+    def widths(self, extra: int) -> dict[Purpose, int]:
+        """How many numbers each stream gives if the distribution adds so many."""
+        return {self.error: ERROR_NORMALS} | ({self.shape: extra} if extra else {})
+
+
+BOX_ERROR_STREAMS = LatentPurposes(Purpose.BOX_ERROR, Purpose.BOX_ERROR_SHAPE)
+BOX_ERROR_REDRAW_STREAMS = LatentPurposes(Purpose.BOX_ERROR_REDRAW, Purpose.BOX_ERROR_REDRAW_SHAPE)
+DUPLICATE_STREAMS = LatentPurposes(Purpose.DUPLICATE, Purpose.DUPLICATE_SHAPE)
+DUPLICATE_REDRAW_STREAMS = LatentPurposes(Purpose.DUPLICATE_REDRAW, Purpose.DUPLICATE_REDRAW_SHAPE)
+
+
+def latent_normals(
+    streams: Streams, purposes: LatentPurposes, frames: CameraFrames, targets: Targets, extra: int
+) -> Array:
+    """Independent standard normal numbers behind the box error of each target, shape (n, 4 + extra)."""
+    parts = purposes.widths(extra).items()
+    return normals(np.concatenate([target_uniforms(streams, name, frames, targets, n) for name, n in parts], axis=1))
 
 
 def select(targets: Targets, rows: Indices) -> Targets:

@@ -1,8 +1,10 @@
-"""Misses that depend on what a vessel looks like: log-odds that are added to those of its state."""
+"""Misses that depend on what a vessel looks like: log-odds added to those of its state."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy import special
@@ -35,6 +37,17 @@ def distance_m(targets: Targets) -> Array:
 
 
 ATTRIBUTES = {"visible_fraction": visible_fraction, "size_px": size_px, "distance_m": distance_m}
+
+
+class Effect(Protocol):
+    """How an attribute of a vessel changes the odds of a miss."""
+
+    @property
+    def attribute(self) -> str:
+        """One of `ATTRIBUTES`."""
+
+    def of(self, targets: Targets) -> Array:
+        """Log-odds added for each target, shape (n,); none where the attribute is unknown."""
 
 
 @dataclass(frozen=True)
@@ -81,20 +94,24 @@ class Table:
         return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right")])
 
 
+EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": Table}
+"""By the name that `dropout.model` has in a detector file."""
+
+
 @dataclass(frozen=True)
 class Dropout:
-    """How the rate of misses follows what a vessel looks like.
+    """How the rate of misses depends on what a vessel looks like.
 
     Attributes:
-        effects: Their log-odds are summed.
+        effects: Their log-odds add up.
         anchored: Whether each state's rate is held as the average over the scene.
     """
 
-    effects: tuple[Slope | Table, ...] = ()
+    effects: tuple[Effect, ...] = ()
     anchored: bool = False
 
     def log_odds(self, targets: Targets) -> Array:
-        """Log-odds added for each target, shape (n,)."""
+        """Sum of the log-odds added for each target, shape (n,)."""
         total = np.zeros(len(targets))
         for effect in self.effects:
             total = total + effect.of(targets)
@@ -102,13 +119,13 @@ class Dropout:
 
 
 def shifted_rate(rate: Array, log_odds: Array) -> Array:
-    """A rate whose log-odds are changed; 0 and 1 stay what they are."""
+    """Rates with log-odds added, shapes (n,); 0 and 1 stay what they are."""
     shifted: Array = special.expit(special.logit(rate) + log_odds)
     return shifted
 
 
 def anchor(rate: float, log_odds: Array, weights: Array) -> float:
-    """What has to be added to all log-odds so that the weighted mean of the changed rates is the rate.
+    """The log-odds to add to all so that the weighted mean of the changed rates is the rate.
 
     Args:
         rate: In [0, 1].

@@ -1,4 +1,4 @@
-"""Hard limits of a detector: what it never sees, when it runs, how much it puts out."""
+"""Hard limits of a detector: what it never sees, when it runs, how many detections it outputs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 
 _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the frame at 0.6 s is due
 
@@ -23,7 +23,7 @@ class Gates:
         min_box_px: Vessels whose box is narrower or lower are never seen.
         max_occlusion: Vessels of which a larger share is hidden are never seen; unknown shares pass.
         update_interval_s: The detector runs at the first frame at or after each multiple of this.
-        max_detections: It puts out the surest that many of a frame.
+        max_detections: Output the most confident that many of each frame.
     """
 
     max_range_m: float | None = None
@@ -32,7 +32,7 @@ class Gates:
     update_interval_s: float | None = None
     max_detections: int | None = None
 
-    def due(self, frames: Frames) -> Mask:
+    def due(self, frames: CameraFrames) -> Mask:
         """At which frames the detector runs, shape (S,)."""
         if self.update_interval_s is None:
             return np.ones(len(frames), dtype=bool)
@@ -43,7 +43,7 @@ class Gates:
         due: Mask = np.diff(intervals) > 0
         return due
 
-    def passed(self, frames: Frames, targets: Targets) -> Mask:
+    def passed(self, frames: CameraFrames, targets: Targets) -> Mask:
         """Which targets can be detected at all, shape (n,)."""
         passed = self.due(frames)[targets.frame]
         if self.max_range_m is not None:
@@ -54,13 +54,13 @@ class Gates:
             passed &= ~(1 - targets.visible_fraction > self.max_occlusion)
         return passed
 
-    def surest(self, frame: Indices, confidence: Array, key: Array) -> Mask:
-        """Which detections are put out.
+    def most_confident(self, frame: Indices, confidence: Array, key: Array) -> Mask:
+        """Which detections are output, shape (m,).
 
         Args:
-            frame: Of each detection, shape (m,).
+            frame: Frame of each detection, shape (m,).
             confidence: Shape (m,).
-            key: Decides between equals, shape (m,).
+            key: Breaks ties, shape (m,).
         """
         if self.max_detections is None:
             return np.ones(len(frame), dtype=bool)

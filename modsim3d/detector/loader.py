@@ -1,8 +1,7 @@
-"""Detector files in, detector models out; everything that is wrong is said at once."""
+"""Reads detector files into detector models; reports all problems at once."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -13,17 +12,19 @@ from pydantic import ValidationError
 
 from modsim3d.arrays import Array, read_only
 from modsim3d.detector.agreement import agreement_problems
+from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
 from modsim3d.detector.confidence import StateConfidence
-from modsim3d.detector.doubles import Doubles
-from modsim3d.detector.dropout import Dropout, Slope, Table
+from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
+from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.gates import Gates
+from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.placement import Placement
-from modsim3d.detector.schema import DetectorFile, FalsePositivesSection, StateSection
+from modsim3d.detector.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.schema_models import (
     ConfidenceKeys,
     DropoutSection,
@@ -79,7 +80,7 @@ def _names(data: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _normalised(columns: Any) -> Array:
-    """Columns that sum to one but for the digits a file leaves off, made to do so."""
+    """Columns that sum to one but for rounding, made to sum to one exactly."""
     array = np.array(columns, dtype=np.float64)
     return read_only(array / array.sum(axis=0))
 
@@ -92,33 +93,38 @@ def _model(content: DetectorFile) -> DetectorModel:
         transition_matrix=_normalised(content.transition_matrix),
         states=tuple(_state(name, section, content) for name, section in content.states.items()),
         transition_interval_s=content.transition_interval_s,
-        false_positives=content.false_positives.model,
         dropout=_dropout(content.dropout),
         gates=Gates(**content.gates.model_dump()),
         persistence=Persistence(**content.persistence.model_dump()),
         clutter=_clutter(content.false_positives),
-        doubles=Doubles(**{field.name: getattr(content.false_positives, field.name) for field in fields(Doubles)}),
+        merges_and_splits=MergesAndSplits(
+            **{field.name: getattr(content.false_positives, field.name) for field in fields(MergesAndSplits)}
+        ),
         performance=_performance(content.performance, list(content.states)),
     )
 
 
 def _state(name: str, section: StateSection, content: DetectorFile) -> PerformanceState:
-    covariance = np.array(section.box_error.covariance, dtype=np.float64)
-    usual = section.confidence.true or section.confidence
     per_image = section.false_positives_per_image
     return PerformanceState(
         name=name,
         confusion=_normalised(section.confusion),
         false_positive_labels=_normalised(section.false_positive_labels),
         false_discovery_rate=section.false_discovery_rate,
-        box_error_mean_px=read_only(section.box_error.mean),
-        box_error_covariance_px2=read_only((covariance + covariance.T) / 2),
-        confidence_mean=math.nan if usual.mean is None else usual.mean,
-        confidence_std=math.nan if usual.std is None else usual.std,
+        box_error=_box_error(section.box_error),
         confidence=_confidence(section.confidence, content.confidence_threshold),
-        box_error_unit=section.box_error.unit,
-        box_error_growth=read_only(section.box_error.growth or np.zeros(4)),
         false_positives_per_image=(content.false_positives.rate or 0.0) if per_image is None else per_image,
+    )
+
+
+def _box_error(section: BoxErrorSection) -> BoxErrorLaw:
+    covariance, distribution = np.array(section.covariance, dtype=np.float64), ERROR_DISTRIBUTIONS[section.law]
+    return BoxErrorLaw(
+        mean=read_only(section.mean),
+        covariance=read_only((covariance + covariance.T) / 2),
+        unit=section.unit,
+        growth=read_only(section.growth or np.zeros(4)),
+        distribution=distribution(**{key: getattr(section, key) for key in distribution.keys}),
     )
 
 
@@ -141,7 +147,7 @@ def _scores(section: ScoreSection) -> Scores:
 
 
 def _dropout(section: DropoutSection) -> Dropout:
-    effects: list[Slope | Table] = []
+    effects: list[Effect] = []
     for name, keys in section.effects().items():
         if keys.edges is not None and keys.odds is not None:
             effects.append(Table(name, tuple(keys.edges), tuple(keys.odds)))
@@ -152,15 +158,15 @@ def _dropout(section: DropoutSection) -> Dropout:
 
 
 def _clutter(section: FalsePositivesSection) -> ClutterOptions:
-    wanderers = section.persistence
+    persistent = section.persistence
     density = None if section.density is None else read_only(section.density)
     return ClutterOptions(
         model=section.model,
         placement=Placement(section.band_px, section.far_half_px, density),
         size=None if section.size is None else _sizes(section.size),
-        lifetime_s=wanderers.lifetime_s if wanderers else 1.0,
-        drift_px_s=wanderers.drift_px_s if wanderers else 0.0,
-        persistent_share=wanderers.share if wanderers else 0.0,
+        lifetime_s=persistent.lifetime_s if persistent else 1.0,
+        drift_px_s=persistent.drift_px_s if persistent else 0.0,
+        persistent_share=persistent.share if persistent else 0.0,
     )
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from modsim3d.arrays import Array, read_only
+from modsim3d.detector.box_error_law import BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.confidence import StateConfidence
-from modsim3d.detector.doubles import Doubles
 from modsim3d.detector.dropout import Dropout
 from modsim3d.detector.gates import Gates
+from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
-"""Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height, in pixels."""
+"""Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height."""
+ERROR_PAIRS = tuple(itertools.combinations(range(len(ERROR_COMPONENTS)), 2))
+"""Pairs of components, in the order in which files and tables list their correlations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +31,8 @@ class PerformanceState:
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
         false_discovery_rate: False positives over all detections, in [0, 1).
-        box_error_mean_px: Shape (4,), in the order of `ERROR_COMPONENTS`; in sides of the box where relative.
-        box_error_covariance_px2: Shape (4, 4), symmetric and positive semi-definite; likewise.
-        confidence_mean: Of true detections before clipping to [threshold, 1]; NaN where it is not a normal one.
-        confidence_std: Likewise.
+        box_error: How far boxes are from the truth.
         confidence: Of true and of false detections.
-        box_error_unit: `px`, `relative` or `mixed`.
-        box_error_growth: By how many pixels the standard deviations of mixed errors grow with each pixel of the
-            side along their axis, shape (4,).
         false_positives_per_image: For the model of false positives that has such a rate.
     """
 
@@ -44,13 +40,8 @@ class PerformanceState:
     confusion: Array
     false_positive_labels: Array
     false_discovery_rate: float
-    box_error_mean_px: Array
-    box_error_covariance_px2: Array
-    confidence_mean: float
-    confidence_std: float
+    box_error: BoxErrorLaw
     confidence: StateConfidence
-    box_error_unit: str = "px"
-    box_error_growth: Array = field(default_factory=lambda: read_only(np.zeros(4)))
     false_positives_per_image: float = 0.0
 
 
@@ -65,12 +56,11 @@ class DetectorModel:
         transition_matrix: Pr(next is i | now is j), columns sum to one (Jessen & Mohr (2023), eq. 6.1).
         states: In the order of the matrix's rows and columns.
         transition_interval_s: Time between transitions; None means one at each step.
-        false_positives: Name of the model of false positives.
         dropout: How misses follow what a vessel looks like.
         gates: Hard limits.
         persistence: How long noise stays with a vessel.
         clutter: How false positives are made.
-        doubles: How often boxes and vessels do not match one to one.
+        merges_and_splits: How often boxes and vessels do not match one to one.
         performance: Who shares the chain of states, and when a state is forced.
     """
 
@@ -80,12 +70,11 @@ class DetectorModel:
     transition_matrix: Array
     states: tuple[PerformanceState, ...]
     transition_interval_s: float | None = None
-    false_positives: str = "calibrated"
     dropout: Dropout = field(default_factory=Dropout)
     gates: Gates = field(default_factory=Gates)
     persistence: Persistence = field(default_factory=Persistence)
     clutter: ClutterOptions = field(default_factory=ClutterOptions)
-    doubles: Doubles = field(default_factory=Doubles)
+    merges_and_splits: MergesAndSplits = field(default_factory=MergesAndSplits)
     performance: Performance = field(default_factory=Performance)
 
     @property

@@ -1,4 +1,4 @@
-"""Who shares a chain of performance states, and when a state is forced."""
+"""Whether cameras share a chain of performance states, and when a schedule forces a state."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Performance:
 
     Attributes:
         per_camera: Whether each camera has a chain of its own.
-        schedule: Times in seconds, ascending, and the state that holds from each on; −1 where the chain does.
+        schedule: Times in seconds, ascending, and the state forced from each on; −1 returns to the chain.
     """
 
     per_camera: bool = False
     schedule: tuple[tuple[float, int], ...] = ()
 
     def forced(self, times_s: Array, states: Indices) -> Indices:
-        """The states at these times, given the chain's, shape (S,)."""
+        """The states at times in seconds, given those of the chain, all of shape (S,)."""
         starts = [time_s for time_s, _ in self.schedule]
         entry = np.searchsorted(starts, times_s + _EARLY_S, side="right")
         schedule = np.array([-1, *(state for _, state in self.schedule)])[entry]

@@ -1,8 +1,8 @@
 """Noise that stays with a vessel for a while.
 
-Both kinds run forward over all steps of the scene from its first, whatever a camera saw and whoever asks: a vessel
-that was hidden comes back with the noise that it would have had. Fresh numbers are those that a detector without
-persistence would use, so that a vanishing correlation time gives its output.
+Both kinds run over all steps of the scene from its first, whatever a camera saw: a vessel that was hidden comes back
+with the noise that it would have had. Fresh numbers are those that a detector without persistence would use, so a
+vanishing correlation time gives its output.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.draws import target_uniforms
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
+from modsim3d.detector.error_distributions import ERROR_NORMALS
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams, normals
 
@@ -51,7 +52,7 @@ class Process(Protocol):
         """Numbers a vessel and step."""
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """What steps are made from, shape (count, width + what else is needed)."""
+        """Random numbers that steps are made from, shape (count, at least width)."""
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """The next values from the last ones, which have kept the share `decay`; shapes (vessels, ...)."""
@@ -59,10 +60,10 @@ class Process(Protocol):
 
 @dataclass(frozen=True)
 class KeptUniform:
-    """A uniform number that is kept with probability e^(−Δt/τ), and otherwise drawn anew.
+    """A uniform number that is kept with probability e^(−Δt/τ), and otherwise resampled.
 
-    It is uniform at every step; read through whatever distribution holds at the moment, it gives that distribution
-    exactly, whatever τ. Two of them Δt apart are the same number with probability e^(−Δt/τ), else independent.
+    It is uniform at every step, so inverting any distribution at it gives that distribution exactly, whatever
+    τ. Two of them Δt apart are the same number with probability e^(−Δt/τ), else independent.
     """
 
     correlation_s: float
@@ -81,18 +82,20 @@ class KeptUniform:
 
 @dataclass(frozen=True)
 class Autoregressive:
-    """Four standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process.
+    """Standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process.
 
     z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ), which is exact for steps of any length (an Ornstein–Uhlenbeck process,
     Gillespie (1996), "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9).
     """
 
     correlation_s: float
-    width: int = 4
+    width: int = ERROR_NORMALS
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """Independent standard normal numbers."""
-        return normals(streams.uniforms(Purpose.BOX_ERROR, camera, vessel, first=first, count=count, width=4))
+        parts = BOX_ERROR_STREAMS.widths(self.width - ERROR_NORMALS).items()
+        uniforms = [streams.uniforms(name, camera, vessel, first=first, count=count, width=n) for name, n in parts]
+        return normals(np.concatenate(uniforms, axis=1))
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """Mix old and new."""
@@ -100,7 +103,7 @@ class Autoregressive:
 
 
 class Walk:
-    """The values of one process of all vessels of a camera, worked out step by step from the first."""
+    """The values of one process of all vessels of a camera, computed step by step from the first."""
 
     def __init__(self, process: Process, streams: Streams, clock: Clock, camera: str, vessels: tuple[str, ...]) -> None:
         """Stand before the first step."""
@@ -161,19 +164,19 @@ class VesselNoise:
             self._clock(0, 0)
         self._walks: dict[tuple[type[Process], str, tuple[str, ...]], Walk] = {}
 
-    def uniforms(self, frames: Frames, targets: Targets) -> Array:
-        """What class and dropout are read from, shape (n,)."""
+    def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
+        """Uniform numbers for class and dropout, shape (n,)."""
         if not self._persistence.class_s:
             return target_uniforms(self._streams, Purpose.CLASS, frames, targets, width=1)[:, 0]
         return self._walked(KeptUniform(self._persistence.class_s), frames, targets)[:, 0]
 
-    def normals(self, frames: Frames, targets: Targets) -> Array:
-        """What box errors are made from, shape (n, 4)."""
+    def normals(self, frames: CameraFrames, targets: Targets, extra: int = 0) -> Array:
+        """Standard normal numbers that box errors are made from, shape (n, 4 + extra)."""
         if not self._persistence.box_s:
-            return normals(target_uniforms(self._streams, Purpose.BOX_ERROR, frames, targets, width=4))
-        return self._walked(Autoregressive(self._persistence.box_s), frames, targets)
+            return latent_normals(self._streams, BOX_ERROR_STREAMS, frames, targets, extra)
+        return self._walked(Autoregressive(self._persistence.box_s, ERROR_NORMALS + extra), frames, targets)
 
-    def _walked(self, process: Process, frames: Frames, targets: Targets) -> Array:
+    def _walked(self, process: Process, frames: CameraFrames, targets: Targets) -> Array:
         key = (type(process), frames.camera, targets.vessel_ids)
         if key not in self._walks:
             self._walks[key] = Walk(process, self._streams, self._clock, frames.camera, targets.vessel_ids)

@@ -1,9 +1,9 @@
 """False positives that stay for a while: wakes, glints, buoys.
 
-An endless supply of them is kept, in layers. In each layer they are born at random, one in each mean lifetime on
-average, and die after an exponential one, so that one is there at a time on average; each has a random height within
-its layer. Of those that are there, a frame shows the ones that lie below its rate: their number is Poisson with that
-rate, exactly, however the rate changes from frame to frame, and each lives as long as it would have anyway.
+They exist in layers. In each layer they are born at random, one in each mean lifetime on average, and live for an
+exponential time, so one exists at a time on average; each has a random height within its layer. A frame shows those
+that lie below its rate: their number is exactly Poisson with that rate, however the rate changes from frame to frame,
+and each lives as long as it would have anyway.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import poisson_quantile
-from modsim3d.detector.records import Frames
+from modsim3d.detector.records import CameraFrames
 from modsim3d.random_streams import Purpose, Streams
 
 _LOOK_BACK = 38
@@ -24,8 +24,8 @@ _WIDTH = 8  # birth, lifetime, height, place (3), size, label
 
 
 @dataclass(frozen=True, eq=False)
-class Wanderers:
-    """What is there, a row for each frame that shows one.
+class PersistentClutter:
+    """Persistent false positives, a row for each frame that shows one.
 
     Attributes:
         frame: Non-decreasing, shape (m,).
@@ -40,13 +40,13 @@ class Wanderers:
     sign: Array
 
 
-def wanderers(streams: Streams, frames: Frames, rates: Array, lifetime_s: float) -> Wanderers:
-    """What a camera's frames show.
+def persistent_clutter(streams: Streams, frames: CameraFrames, rates: Array, lifetime_s: float) -> PersistentClutter:
+    """Persistent false positives in a camera's frames.
 
     Args:
         streams: Random numbers.
         frames: The frames.
-        rates: How many each frame shows on average, shape (S,).
+        rates: Mean number in each frame, shape (S,).
         lifetime_s: Mean lifetime.
     """
     layers = [
@@ -55,17 +55,17 @@ def wanderers(streams: Streams, frames: Frames, rates: Array, lifetime_s: float)
     ]
     if not layers:
         nothing, none = np.empty(0), np.empty(0, dtype=np.int64)
-        return Wanderers(none, nothing, np.empty((0, 5)), nothing)
+        return PersistentClutter(none, nothing, np.empty((0, 5)), nothing)
     frame, age, draws = (np.concatenate(columns) for columns in zip(*layers, strict=True))
     order = np.argsort(frame, kind="stable")
     frame, draws = frame[order], draws[order]
     # The last binary digit of the birth, which nothing else can tell, says which way.
     odd = (draws[:, 0] * 2.0**53).astype(np.int64) % 2 == 1
-    return Wanderers(frame, age[order], draws[:, 3:], np.where(odd, 1.0, -1.0))
+    return PersistentClutter(frame, age[order], draws[:, 3:], np.where(odd, 1.0, -1.0))
 
 
 def _layer(
-    streams: Streams, frames: Frames, rates: Array, lifetime_s: float, layer: int
+    streams: Streams, frames: CameraFrames, rates: Array, lifetime_s: float, layer: int
 ) -> tuple[Indices, Array, Array]:
     """Frame, age and draws of what a layer shows at rates above its bottom."""
     wanted = np.flatnonzero(rates > 0)

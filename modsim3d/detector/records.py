@@ -17,11 +17,11 @@ which counts as its detection, and `fragment`, the other.
 """
 TRUE, FALSE_POSITIVE, PERSISTENT, DUPLICATE, MERGED, SPLIT, FRAGMENT = range(len(KINDS))
 FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT)
-"""What counts as false: whatever is not the one detection of a vessel, as an evaluation would have it."""
+"""Kinds that count as false, as in an evaluation: all but the one detection of a vessel."""
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class CameraFrames:
     """A run of S frames of one camera, one after another; a camera need not take one at each of the scene's steps.
 
     Attributes:
@@ -75,7 +75,7 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """What the simulated detector put out, m rows ordered by frame and shuffled within each.
+    """The output of the simulated detector, m rows ordered by frame and shuffled within each.
 
     Attributes:
         states: Index of the performance state of each frame, shape (S,).
@@ -87,7 +87,7 @@ class Detections:
         confidence: In [threshold, 1], shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, inside the image, shape (m, 4).
         errors_px: e_x, e_y, e_w, e_h before clipping; NaN for what is not one box of one vessel, shape (m, 4).
-        redrawn: Whether the first draw of the box error was degenerate and drawn anew, shape (m,).
+        redrawn: Whether the first draw of the box error was degenerate and was resampled, shape (m,).
         gated: Whether a gate, not a draw, kept each of the n targets from being detected, shape (n,).
     """
 

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from modsim3d.detector import checks
-from modsim3d.detector.clutter import CLUTTER_MODELS
+from modsim3d.detector.clutter_models import CLUTTER_MODELS
+from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.detector.schema_models import (
     ClutterKeys,
@@ -80,6 +81,18 @@ def _known_clutter(value: str) -> str:
     return value
 
 
+def _known_error_law(value: str) -> str:
+    if value not in ERROR_DISTRIBUTIONS:
+        raise ValueError(f"unknown law '{value}' ({nearest(value, ERROR_DISTRIBUTIONS)})")
+    return value
+
+
+def _degrees_of_freedom(value: float) -> float:
+    if value <= 2:
+        raise ValueError(f"is {value:g}, must be above 2: with 2 or fewer Student's t has no covariance")
+    return value
+
+
 def _unknown_state(value: str, states: Sequence[str]) -> list[str]:
     return [] if value in states else [f"unknown state '{value}' ({nearest(value, states)})"]
 
@@ -99,12 +112,16 @@ Confusion = Annotated[list[list[Probability]], _against("labels", checks.confusi
 LabelDistribution = Annotated[list[Probability], _against("labels", checks.distribution_problems)]
 StateName = Annotated[Name, _against("states", _unknown_state)]
 ClutterName = Annotated[Name, AfterValidator(_known_clutter)]
+ErrorLawName = Annotated[Name, AfterValidator(_known_error_law)]
+DegreesOfFreedom = Annotated[Number, AfterValidator(_degrees_of_freedom)]
 FalseDiscoveryRate = Annotated[Number, AfterValidator(_false_discovery_rate)]
 
 
 class BoxErrorSection(Strict):
-    """Normal box error: mean and covariance of (e_x, e_y, e_w, e_h); and how the spread grows with the box."""
+    """Box error: mean and covariance of (e_x, e_y, e_w, e_h), their distribution, and how the spread grows."""
 
+    law: ErrorLawName = "normal"
+    degrees_of_freedom: DegreesOfFreedom | None = None
     unit: Literal["px", "relative", "mixed"]
     mean: Mean
     covariance: Covariance
@@ -117,6 +134,15 @@ class BoxErrorSection(Strict):
         for i, (growth, name) in enumerate(zip(self.growth or [], ERROR_COMPONENTS, strict=False)):
             if growth > 0 and self.covariance[i][i] == 0:
                 raise ValueError(f"{name} can only grow from a variance above 0 in covariance")
+        return self
+
+    @model_validator(mode="after")
+    def _law_fits(self) -> BoxErrorSection:
+        keys = {key for kind in ERROR_DISTRIBUTIONS.values() for key in kind.keys}
+        own = ERROR_DISTRIBUTIONS[self.law].keys
+        for key in sorted(keys):
+            if (getattr(self, key) is not None) != (key in own):
+                raise ValueError(f"{key} {'goes with' if key in own else 'does not go with'} law {self.law}")
         return self
 
 

@@ -114,7 +114,7 @@ class SizeSection(Strict):
         return self
 
 
-class WandererSection(Strict):
+class PersistentSection(Strict):
     """False positives that stay for a while."""
 
     lifetime_s: Lifetime
@@ -139,7 +139,7 @@ class ClutterKeys(Strict):
     density: Annotated[list[list[NotNegative]], Field(min_length=1), AfterValidator(_density)] | None = None
     far_half_px: Positive | None = None
     size: SizeSection | None = None
-    persistence: WandererSection | None = None
+    persistence: PersistentSection | None = None
     duplicates: Fraction = 0.0
     merges: Probability = 0.0
     merge_overlap: Probability = 0.3

@@ -1,8 +1,8 @@
-"""Distributions of confidence: what a detector file can choose from."""
+"""Distributions of confidence that a detector file can choose from."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -29,7 +29,7 @@ class NormalScores:
     std: float
 
     def at(self, uniforms: Array) -> Array:
-        """Mean plus so many standard deviations."""
+        """Mean plus a normal number of standard deviations, shape (n,)."""
         return self.mean + self.std * normals(uniforms)
 
 
@@ -44,12 +44,16 @@ class QuantileScores:
     quantiles: Array
 
     def at(self, uniforms: Array) -> Array:
-        """Between two quantiles."""
+        """Interpolated between two quantiles, shape (n,)."""
         place = uniforms * (len(self.quantiles) - 1)
         below = np.minimum(place.astype(np.int64), len(self.quantiles) - 2)
         start = self.quantiles[below]
         value: Array = start + (place - below) * (self.quantiles[below + 1] - start)
         return value
+
+
+SCORES: Mapping[str, type[Scores]] = {"normal": NormalScores, "quantiles": QuantileScores}
+"""Distributions of confidence by name; a precision-recall curve is turned into quantiles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +75,8 @@ class PrecisionRecall:
         return cls(recall, precision)
 
     def at(self, recall: Array) -> Array:
-        """Precision at a recall."""
+        """Precision at recalls, same shape."""
         return np.interp(recall, self.recall, self.precision)
-
-    def average_precision(self) -> float:
-        """Area under the curve up to its last recall."""
-        recall = np.linspace(0, self.recall[-1], 100_001)
-        return float(np.trapezoid(self.at(recall), recall))
 
     def false_per_target(self, recall: Array) -> Array:
         """False detections, for each thing to detect, among the surest that reach a recall: r·(1 − p)/p."""

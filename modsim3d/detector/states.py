@@ -6,10 +6,10 @@ import bisect
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Indices
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Frames
+from modsim3d.detector.records import CameraFrames
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams
 
@@ -18,45 +18,10 @@ _MOST_TRANSITIONS = 100_000_000
 _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition at 0.6 s is due
 
 
-def step_distribution(transition_matrix: Array, distribution: Array, steps: int = 1) -> Array:
-    """State probabilities some steps later, A^steps · p (Jessen & Mohr (2023), eq. 6.10, 6.12).
-
-    Args:
-        transition_matrix: Columns sum to one, shape (n, n).
-        distribution: Probabilities now, shape (n,).
-        steps: How many transitions later.
-    """
-    return np.linalg.matrix_power(transition_matrix, steps) @ distribution
-
-
-def stationary_distribution(transition_matrix: Array) -> Array:
-    """The probabilities that a transition does not change, A · x = x (Jessen & Mohr (2023), eq. 6.19).
-
-    Args:
-        transition_matrix: Columns sum to one, shape (n, n).
-
-    Returns:
-        The eigenvector of eigenvalue one that sums to one, shape (n,).
-
-    Raises:
-        ModsimError: There is more than one such distribution: the chain has parts that it never leaves.
-    """
-    eigenvalues, eigenvectors = np.linalg.eig(transition_matrix)
-    ones = np.flatnonzero(np.abs(eigenvalues - 1) < 1e-9)
-    if len(ones) != 1:
-        raise ModsimError(
-            f"the transition matrix has {len(ones)} stationary distributions: "
-            "some of its states can never be reached from others"
-        )
-    vector = np.real(eigenvectors[:, ones[0]])
-    result: Array = vector / vector.sum()
-    return result
-
-
 class PerformanceStates:
     """The states that a detector's cameras are in.
 
-    Where the schedule forces a state, the chain goes on unseen, so that all else stays as it would have been.
+    Where the schedule forces a state, the chain goes on behind it, so all else stays as it would have been.
     """
 
     def __init__(self, model: DetectorModel, streams: Streams) -> None:
@@ -64,7 +29,7 @@ class PerformanceStates:
         self._model, self._streams = model, streams
         self._chains: dict[tuple[str, ...], StateSequence] = {}
 
-    def at(self, frames: Frames) -> Indices:
+    def at(self, frames: CameraFrames) -> Indices:
         """Index of the state at each frame, shape (S,).
 
         Raises:
@@ -90,7 +55,7 @@ class StateSequence:
         self._columns = cumulative(model.transition_matrix.T).tolist()
         self._states = np.array([model.initial_state], dtype=np.int16)
 
-    def at(self, frames: Frames) -> Indices:
+    def at(self, frames: CameraFrames) -> Indices:
         """Index of the state at each frame, shape (S,).
 
         Raises:
@@ -101,7 +66,7 @@ class StateSequence:
             self._extend(int(transitions.max()))
         return self._states[transitions].astype(np.int64)
 
-    def _transitions_before(self, frames: Frames) -> Indices:
+    def _transitions_before(self, frames: CameraFrames) -> Indices:
         """Number of transitions up to each frame, shape (S,)."""
         if self._interval_s is None:
             return frames.steps

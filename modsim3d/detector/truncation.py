@@ -1,29 +1,167 @@
-"""What truncation does to box errors: the mean and covariance that are left where degenerate boxes are drawn anew."""
+"""Box errors as they come out: the law truncated to the errors that leave a box in the image, box by box.
+
+An error counts only if the box, moved and clipped to the image, is at least a pixel wide and high. Along each axis
+that is three linear conditions on shift and growth, so one at a time the four errors have plain bounds: growth in
+width and height, then shift in x and y given the growth. Genz (1992), "Numerical computation of multivariate normal
+probabilities", integrates a normal law over such bounds by drawing each error within its own; nothing is rejected, and
+every point has its weight. Distributions that are normal with a random scale are integrated over the scale as well.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
+from scipy.stats import qmc
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.boxes import at_least_a_pixel, inside_image, move, sizes
-from modsim3d.detector.box_error import NormalBoxError
-from modsim3d.random_streams import normals
+from modsim3d.boxes import at_least_a_pixel, sizes
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.error_distributions import ERROR_NORMALS, ErrorDistribution, Normal
 
-POINTS = 4096
-"""Points that each box is integrated over. For boxes that keep a third of their draws or more, means are off by less
-than 0.02 of a standard deviation and standard deviations by less than 2 %; with 1024 points both double."""
-_BASES = (2, 3, 5, 7)
-_BOXES_AT_ONCE = 64
+POINTS = 128
+"""Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),
+so that integration errors are as independent between boxes as the errors of the boxes, and far smaller."""
+SINGLE_BOX_POINTS = 4096
+"""Points where the moments of one box count, and not a sum over many boxes.
+
+Against 3 million draws for boxes of Simulation 1's sizes and at the edges, in all of the thesis's states, means are off
+by less than 0.005 of a standard deviation and standard deviations by less than 0.8 %; with 1024 points by 0.021 and
+2.3 %.
+"""
+_POINTS_AT_ONCE = 1 << 16
+_ORDER = np.array([2, 3, 0, 1])  # e_w, e_h, e_x, e_y
+_LEAST_SIDE_PX = 1.0
+_NORMAL = Normal()
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """Points of the truncated law of some boxes.
+
+    Attributes:
+        rows: Which boxes.
+        errors: In the order e_x, e_y, e_w, e_h, shape (rows, points, 4).
+        weights: Sum to one over the points, shape (rows, points).
+        acceptance: Probability that a first draw counts, shape (rows,).
+    """
+
+    rows: slice
+    errors: Array
+    weights: Array
+    acceptance: Array
+
+    def mean(self, values: Array) -> Array:
+        """Expectation of values of shape (rows, points, k), shape (rows, k)."""
+        result: Array = np.einsum("np,npk->nk", self.weights, values)
+        return result
+
+
+def accepted_errors(
+    boxes_px: Array,
+    images_px: Array,
+    mean: Array,
+    covariance: Array,
+    distribution: ErrorDistribution = _NORMAL,
+    points: int = POINTS,
+) -> Iterator[Accepted]:
+    """Points of the truncated law of every box, some rows at a time.
+
+    Args:
+        boxes_px: What the errors are added to, at least a pixel wide and high, shape (n, 4).
+        images_px: Width and height of each box's image, shape (n, 2).
+        mean: Of the law before truncation, e_x, e_y, e_w, e_h in pixels, shape (4,) or (n, 4).
+        covariance: In px², shape (4, 4) or (n, 4, 4).
+        distribution: Of the standardised errors.
+        points: For each box, a power of two.
+    """
+    means = np.broadcast_to(mean, (len(boxes_px), 4))
+    roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
+    width = ERROR_NORMALS + distribution.extra_normals
+    sequence = qmc.Sobol(width, rng=np.random.default_rng(0)).random(points)
+    generator = np.random.default_rng(1)
+    rows_at_once = max(1, _POINTS_AT_ONCE // points)
+    for start in range(0, len(boxes_px), rows_at_once):
+        rows = slice(start, min(start + rows_at_once, len(boxes_px)))
+        uniforms = (sequence + generator.random((rows.stop - start, 1, width))) % 1
+        scales = distribution.scales(special.ndtri(uniforms[..., ERROR_NORMALS:]))
+        yield _draw(rows, boxes_px[rows], images_px[rows], means[rows], roots[rows], uniforms, scales)
+
+
+def ordered_root(covariance: Array) -> Array:
+    """Root of covariances in drawing order, shapes (..., 4, 4); zero columns where an error is determined.
+
+    Returns:
+        Lower triangular L with L·Lᵀ the covariance of e_w, e_h, e_x, e_y.
+    """
+    matrix = np.asarray(covariance)[..., _ORDER[:, None], _ORDER]
+    root = np.zeros_like(matrix)
+    scale = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
+    for j in range(4):
+        left = matrix[..., j, j] - (root[..., j, :j] ** 2).sum(axis=-1)
+        free = left > 1e-10 * scale[..., j]
+        diagonal = np.sqrt(np.where(free, left, 1))
+        root[..., j, j] = np.where(free, diagonal, 0)
+        for i in range(j + 1, 4):
+            rest = matrix[..., i, j] - (root[..., i, :j] * root[..., j, :j]).sum(axis=-1)
+            root[..., i, j] = np.where(free, rest / diagonal, 0)
+    return root
+
+
+def _draw(
+    rows: slice, boxes: Array, images: Array, means: Array, roots: Array, uniforms: Array, scales: Array
+) -> Accepted:
+    """Draw one error after the other within its bounds, given those before it."""
+    count, points = uniforms.shape[:2]
+    standard = np.zeros((count, points, 4))
+    errors = np.empty((count, points, 4))
+    chance = np.ones((count, points))
+    for j, component in enumerate(_ORDER):
+        given = means[:, component, None] + scales * np.einsum("npk,nk->np", standard[..., :j], roots[:, j, :j])
+        low, high = _bounds(component, boxes, images, errors)
+        spread = scales * roots[:, j, j, None]
+        standard[..., j], inside = _within(low - given, high - given, spread, uniforms[..., j])
+        errors[..., component] = given + spread * standard[..., j]
+        chance *= inside
+    acceptance = chance.mean(axis=1)
+    weights = chance / np.where(acceptance > 0, acceptance, 1)[:, None] / points
+    return Accepted(rows, errors, weights, acceptance)
+
+
+def _bounds(component: int, boxes: Array, images: Array, errors: Array) -> tuple[Array, Array]:
+    """Least and greatest error of a component that leaves a pixel, given the growth; shapes (n, 1) or (n, points)."""
+    axis = component % 2
+    first, last = boxes[:, axis, None], boxes[:, 2 + axis, None]
+    if component >= 2:
+        return _LEAST_SIDE_PX - (last - first), np.full((len(boxes), 1), np.inf)
+    growth, image = errors[..., 2 + axis], images[:, axis, None]
+    return _LEAST_SIDE_PX - last - growth / 2, image - _LEAST_SIDE_PX - first + growth / 2
+
+
+def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Array, Array]:
+    """Standard normal numbers between bounds given in units of 1 / spread, and the probability between them."""
+    fixed = spread <= 0
+    scale = np.where(fixed, 1, spread)
+    # A determined error has a whole pixel's rounding to either side of what the detector allows.
+    a = np.where(fixed, np.where(low <= 1e-9, -np.inf, np.inf), low / scale)
+    b = np.where(fixed, np.where(high >= -1e-9, np.inf, -np.inf), high / scale)
+    mirror = a > 0  # the lower tail is the accurate one
+    first, second = np.where(mirror, -b, a), np.where(mirror, -a, b)
+    below, above = special.ndtr(first), special.ndtr(second)
+    inside = np.maximum(above - below, 0)
+    z = special.ndtri(below + uniforms * inside)
+    z = np.where(inside > 0, np.where(mirror, -z, z), 0)
+    return np.where(fixed, 0, z), inside
 
 
 @dataclass(frozen=True, eq=False)
 class TruncatedErrors:
-    """Distribution of the errors of n boxes after degenerate draws were drawn anew.
+    """Distribution of the errors of n boxes after degenerate draws were resampled.
 
     Attributes:
-        accepted: Share of first draws that stand, shape (n,).
+        accepted: Share of first draws that count, shape (n,).
         means: Shape (n, 4).
         second_moments: Mean of e·eᵀ, shape (n, 4, 4).
     """
@@ -37,55 +175,34 @@ class TruncatedErrors:
         return self.second_moments - self.means[:, :, None] * self.means[:, None, :]
 
 
-def standard_points(count: int = POINTS) -> Array:
-    """Points spread evenly over the standard normal distribution in four dimensions, shape (count, 4).
-
-    The sequence of Halton (1960), "On the efficiency of certain quasi-random sequences of points".
-    """
-    return normals(np.stack([_radical_inverse(count, base) for base in _BASES], axis=1))
-
-
-def _radical_inverse(count: int, base: int) -> Array:
-    """The numbers 1, 2, ... with their digits mirrored at the point, shape (count,)."""
-    left, inverse, weight = np.arange(1, count + 1), np.zeros(count), 1.0 / base
-    while left.any():
-        inverse += weight * (left % base)
-        left, weight = left // base, weight / base
-    return inverse
-
-
 def truncated_errors(
-    error: NormalBoxError,
-    state: Indices,
+    source: BoxErrorSource,
+    state: int,
     boxes_px: Array,
     image_size_px: tuple[int, int],
     *,
     in_file_units: bool = False,
-    points: Array | None = None,
+    points: int = SINGLE_BOX_POINTS,
 ) -> TruncatedErrors:
-    """Errors of boxes in states, as far as the box that they make is not degenerate.
+    """Errors of boxes in one state, as far as the boxes that they make are not degenerate.
 
     Args:
-        error: The error model.
-        state: Shape (n,).
+        source: The box errors of the detector.
+        state: Index of the state.
         boxes_px: Annotated boxes, shape (n, 4).
         image_size_px: Width and height.
-        in_file_units: Whether moments are as if every box had the file's mean and covariance, and not in pixels.
-        points: Where to integrate, as from `standard_points`.
+        in_file_units: Return moments as if every box had the file's mean and covariance, and not in pixels.
+        points: For each box, a power of two.
     """
-    standard = standard_points() if points is None else points
-    accepted = np.empty(len(boxes_px))
-    means, seconds = np.empty((len(boxes_px), 4)), np.empty((len(boxes_px), 4, 4))
+    accepted, means, seconds = np.empty(len(boxes_px)), np.empty((len(boxes_px), 4)), np.empty((len(boxes_px), 4, 4))
     truth = at_least_a_pixel(boxes_px, image_size_px)
-    for start in range(0, len(boxes_px), _BOXES_AT_ONCE):
-        rows = slice(start, start + _BOXES_AT_ONCE)
-        spread = np.broadcast_to(standard, (len(truth[rows]), *standard.shape))
-        errors = error.errors_px(state[rows], sizes(truth[rows]), spread)
-        kept = inside_image(move(truth[rows, None], errors), image_size_px).astype(np.float64)
+    states: Indices = np.full(len(truth), state)
+    images = np.tile(np.array(image_size_px, dtype=np.float64), (len(truth), 1))
+    law = source.moments_px(states, sizes(truth))
+    for part in accepted_errors(truth, images, *law, source.distributions[state], points):
+        errors, rows = part.errors, part.rows
         if in_file_units:
-            errors = error.in_file_units(state[rows], sizes(truth[rows]), errors)
-        count = np.maximum(kept.sum(axis=1), 1)
-        accepted[rows] = kept.mean(axis=1)
-        means[rows] = np.einsum("np,npi->ni", kept, errors) / count[:, None]
-        seconds[rows] = np.einsum("np,npi,npj->nij", kept, errors, errors, optimize=True) / count[:, None, None]
+            errors = source.in_file_units(states[rows], sizes(truth[rows]), errors)
+        accepted[rows], means[rows] = part.acceptance, part.mean(errors)
+        seconds[rows] = np.einsum("np,npi,npj->nij", part.weights, errors, errors, optimize=True)
     return TruncatedErrors(accepted, means, seconds)

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from modsim3d.arrays import Indices
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import KINDS, MERGED, Detections, Frames, Targets
+from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
 from modsim3d.errors import RunDirectoryError
 from modsim3d.formats.columns import (
     NOBODY,
@@ -27,7 +27,7 @@ from modsim3d.formats.columns import (
 )
 
 
-def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets: Targets) -> Detections:
+def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, targets: Targets) -> Detections:
     """The detections of some frames of a camera in a finished run.
 
     The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
@@ -64,7 +64,7 @@ def read_detections(folder: Path, model: DetectorModel, frames: Frames, targets:
 
 
 def _partners(
-    folder: Path, frames: Frames, targets: Targets, frame: Indices, target: Indices, kind: Indices
+    folder: Path, frames: CameraFrames, targets: Targets, frame: Indices, target: Indices, kind: Indices
 ) -> Indices:
     """Row of the second target of each merged box, else −1, shape (m,).
 
@@ -86,7 +86,7 @@ def _partners(
     return partner
 
 
-def _of_frames(frames: Frames) -> Filters:
+def _of_frames(frames: CameraFrames) -> Filters:
     """The condition that a row is of one of some consecutive frames of a camera."""
     first, stop = (int(frames.steps[0]), int(frames.steps[-1]) + 1) if len(frames) else (0, 0)
     return [("camera", "=", frames.camera), *of_steps(first, stop)]

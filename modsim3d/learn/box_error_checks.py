@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import clip, move, sizes
-from modsim3d.detector.doubles import LEAST_SPLIT_PX
+from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
+from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
+from modsim3d.detector.parts import Part, model_name
 from modsim3d.detector.records import TRUE
+from modsim3d.learn.box_persistence_checks import box_persistence, replay
 from modsim3d.learn.class_checks import correlation_note
-from modsim3d.learn.error_fit import (
-    PAIRS,
-    ErrorFit,
-    ErrorSample,
-    MomentTable,
-    NormalLaw,
-    fit_step,
-    fitted_law,
-    statistics,
-)
-from modsim3d.learn.error_replay import REPLAYS, latent_paths, own_root, products, replayed_errors
+from modsim3d.learn.error_fit import ErrorSample, FitStep, MomentTable, StateFit, fit_step, fitted_law
+from modsim3d.learn.error_likelihoods import LIKELIHOODS
+from modsim3d.learn.error_parameters import ErrorParameters
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.limits import limit_note
+from modsim3d.learn.max_detections import max_detections_note
 from modsim3d.learn.measures import Estimate, Exact
-from modsim3d.learn.pairs import turn_before
 from modsim3d.learn.parameters import Parameter
 
-GROUP = "box error"
 LEAST_DETECTIONS = 150
 """True detections in a state, below which its box errors are not tested."""
 LEAST_WORTH = 300
@@ -39,30 +31,10 @@ LEAST_WORTH = 300
 
 They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
 """
-LEAST_PAIRS = 100
+MOST_SHAPE_ERROR = 1.0
+"""Standard error of a number of the distribution itself, in its own units, above which it is not tested."""
 _ROUNDING_PX = 1e-6
-_REPLAYS_AT_ONCE = 50
 _CONDITION = 1e8
-_KNOWN, _LEAST_SHARE = 10.0, 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A state's box errors.
-
-    Attributes:
-        law: Asked for.
-        found: Fitted.
-        fit: The step between them.
-        sample: Of what.
-        hits: Rows of the true detections, shape (n,).
-    """
-
-    law: NormalLaw
-    found: NormalLaw
-    fit: ErrorFit
-    sample: ErrorSample
-    hits: Indices
 
 
 def box_error_checks(
@@ -71,244 +43,142 @@ def box_error_checks(
     """The parameters of each state; the boxes themselves; correlation from frame to frame.
 
     Args:
-        model: What was asked for.
-        evidence: What the run shows.
+        model: The detector file.
+        evidence: The truth and the detections of the run.
         table: Expectations that are known already.
-        states: Only these; all if None.
+        states: Names of the states to look at; all if None.
     """
-    hits = evidence.hits
-    usable = usable_hits(model, evidence)
-    limited = limit_note(model, evidence)
-    state_of_hits = evidence.chances.state[hits.chance]
-    laws: dict[int, tuple[NormalLaw, Fitted | None]] = {}
-    parameters: dict[int, list[Parameter]] = {}
-    notes: dict[int, str] = {}
     chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
-    for s in chosen:
-        state = model.states[s]
-        rows = np.flatnonzero((state_of_hits == s) & usable)
-        if limited and state.confidence.size_slope:  # of the surest, boxes that came out large are too many
-            rows, notes[s] = rows[:0], limited
-        if _is_singular(state):
-            parameters[s] = _exact_checks(state, evidence, rows)
-        else:
-            laws[s] = NormalLaw.of(state), _fit(NormalLaw.of(state), evidence, rows, table)
-    fits = [fitted for _, fitted in laws.values() if fitted is not None]
-    replayed = _replay(model, evidence, fits) if model.persistence.box_s > 0 else None
-    for s, (law, fitted) in laws.items():
-        errors = None if replayed is None or fitted is None else replayed.errors[fits.index(fitted)]
-        parameters[s] = _law_checks(model.states[s], law, fitted, errors)
-    for s, note in notes.items():
-        parameters[s] = [replace(parameter, note=note) for parameter in parameters[s]]
-    persistence = _persistence(evidence, fits, model, replayed)
+    rows = {s: _rows(model, evidence, s) for s in chosen if _has_check(model.states[s])}
+    fits = {s: _fit(model.states[s], evidence, rows[s], table) for s in rows}
+    found = [fit for fit in fits.values() if fit is not None]
+    replayed = replay(model, evidence, found) if model.persistence.box_s > 0 else None
+    parameters = []
+    for s, fit in fits.items():
+        errors = None if replayed is None or fit is None else replayed.errors[found.index(fit)]
+        parameters += [
+            replace(parameter, note=_limited(model, evidence, s) or parameter.note)
+            for parameter in _state_checks(model.states[s], evidence, rows[s], fit, errors)
+        ]
+    persistence = box_persistence(model, evidence, found, replayed)
     return [
-        *(parameter for s in chosen for parameter in parameters[s]),
+        *parameters,
         _box_check(evidence),
-        Parameter("persistence.box_s", GROUP, persistence, note=correlation_note(persistence)),
+        Parameter("persistence.box_s", Part.BOX_ERROR, persistence, note=correlation_note(persistence)),
     ]
 
 
-def usable_hits(model: DetectorModel, evidence: Evidence) -> Mask:
-    """Hits that are one box of one vessel, chosen in a way that does not depend on the error, shape (m,).
+def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
+    """Rows of the true detections of a state whose errors are tested."""
+    if _limited(model, evidence, s):
+        return np.empty(0, dtype=np.int64)
+    of_state = evidence.instances.state[evidence.true_detections.instance] == s
+    return np.flatnonzero(of_state & with_known_errors(model, evidence))
 
-    Only boxes that come out wide enough are split, and of those that are the error is not known. Left alone the others
-    would be too narrow on average, so as large a share of the narrow boxes of long vessels is left out.
+
+def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
+    """Why a state cannot be tested: among the most confident detections, boxes that came out large are too many."""
+    return max_detections_note(model, evidence) if model.states[s].confidence.size_slope else ""
+
+
+def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
+    """True detections that are one box of one vessel, chosen independently of their errors, shape (m,).
+
+    Only boxes that come out wide enough are split, and the errors of split boxes are not known. The others alone would
+    be too narrow on average, so as large a share of the narrow boxes of long vessels is left out.
     """
-    hits = evidence.hits
-    usable: Mask = hits.kind == TRUE
-    if not model.doubles.splits:
+    found, rule = evidence.true_detections, model.merges_and_splits
+    usable: Mask = found.kind == TRUE
+    if not rule.splits:
         return usable
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
-    narrow = model.doubles.looks_long(truth[hits.chance]) & (sizes(hits.boxes_px)[:, 0] < LEAST_SPLIT_PX)
-    left_out = np.random.default_rng(0).random(len(narrow)) < model.doubles.splits
+    narrow = rule.looks_long(truth[found.instance]) & (sizes(found.boxes_px)[:, 0] < LEAST_SPLIT_PX)
+    left_out = np.random.default_rng(0).random(len(narrow)) < rule.splits
     return usable & ~(narrow & left_out)
 
 
+def _has_check(state: PerformanceState) -> bool:
+    return model_name(ERROR_DISTRIBUTIONS, state.box_error.distribution) in LIKELIHOODS
+
+
 def _is_singular(state: PerformanceState) -> bool:
-    covariance = np.array(state.box_error_covariance_px2)
-    std = np.sqrt(np.diag(covariance))
+    covariance, std = state.box_error.covariance, state.box_error.std
     return bool((std <= 0).any() or np.linalg.cond(covariance / np.outer(std, std)) > _CONDITION)
 
 
-def _fit(law: NormalLaw, evidence: Evidence, rows: Indices, table: MomentTable) -> Fitted | None:
-    if len(rows) < LEAST_DETECTIONS:
+def _fit(state: PerformanceState, evidence: Evidence, rows: Indices, table: MomentTable) -> StateFit | None:
+    if len(rows) < LEAST_DETECTIONS or _is_singular(state):
         return None
-    hits, chances = evidence.hits, evidence.chances
-    sample = ErrorSample(hits.errors_px[rows], hits.chance[rows], chances.boxes_px, chances.image_px)
-    fit = fit_step(law, sample, table)
-    return None if fit is None else Fitted(law, fitted_law(law, fit, sample), fit, sample, rows)
+    law, found, instances = ErrorParameters.of(state.box_error), evidence.true_detections, evidence.instances
+    sample = ErrorSample(found.errors_px[rows], found.instance[rows], instances.boxes_px, instances.image_px)
+    step = fit_step(law, sample, table)
+    return None if step is None else StateFit(law, fitted_law(law, step, sample), step, sample, rows)
 
 
-def _names(law: NormalLaw) -> list[str]:
-    names = [f"mean[{c}]" for c in ERROR_COMPONENTS] + [f"std[{c}]" for c in ERROR_COMPONENTS]
-    names += [f"correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in PAIRS]
-    return names + [f"growth[{ERROR_COMPONENTS[k]}]" for k in law.growing]
-
-
-def _law_checks(
-    state: PerformanceState, law: NormalLaw, fitted: Fitted | None, replayed: Array | None
+def _state_checks(
+    state: PerformanceState, evidence: Evidence, rows: Indices, fit: StateFit | None, replayed: Array | None
 ) -> list[Parameter]:
-    asked, parameters = law.numbers(), []
-    note = "" if fitted is None else _truncation_note(fitted.fit)
-    for k, entry in enumerate(_names(law)):
-        measure = None if fitted is None else _estimate(fitted, k, replayed)
+    """The parameters of a state's law; `replayed` are their standard errors where errors persist, shape (p,)."""
+    if _is_singular(state):
+        return _exact_checks(state, evidence, rows)
+    law = ErrorParameters.of(state.box_error)
+    note = "" if fit is None else _truncation_note(fit.step)
+    parameters = []
+    for k, (name, asked) in enumerate(zip(law.names(), law.numbers(), strict=True)):
+        measure = None if fit is None else _estimate(fit, k, replayed)
         few = measure is not None and replayed is not None and measure.count < LEAST_WORTH
-        path = f"states.{state.name}.box_error.{entry}"
-        unit = ("" if 8 <= k < 14 or k >= 14 else "sides") if law.relative else "px" if k < 8 else ""
-        parameters.append(
-            Parameter(
-                path, GROUP, None if few else measure, float(asked[k]), unit, state.name, note=note if k == 0 else ""
-            )
-        )
+        few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MOST_SHAPE_ERROR
+        path, unit = f"states.{state.name}.box_error.{name}", "" if k >= 8 else "sides" if law.relative else "px"
+        parameter = Parameter(path, Part.BOX_ERROR, None if few else measure, float(asked), unit, state.name)
+        parameters.append(replace(parameter, note=note) if k == 0 else parameter)
     return parameters
 
 
-def _estimate(fitted: Fitted, k: int, replayed: Array | None) -> Estimate:
+def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
     """One of the law's numbers; replays say by how much errors that persist count for fewer."""
-    fit = fitted.fit
-    error = fit.errors[k] if replayed is None else replayed[k]
-    wider = error / fit.errors[k]
+    step = fit.step
+    error = step.errors[k] if replayed is None else replayed[k]
+    wider = error / step.errors[k]
     return Estimate(
-        measured=float(fitted.found.numbers()[k]),
-        asked=float(fitted.law.numbers()[k]),
-        error=float(error * fitted.law.units()[k]),
-        count=len(fitted.hits) / max(wider, 1.0) ** 2,
-        skewness=float(fit.skewness[k] * wider),
-        statistic=float(fit.step[k] / error),
+        measured=float(fit.found.numbers()[k]),
+        asked=float(fit.law.numbers()[k]),
+        error=float(error * fit.law.units()[k]),
+        count=len(fit.rows) / max(wider, 1.0) ** 2,
+        skewness=float(step.skewness[k] * wider),
+        statistic=float(step.step[k] / error),
         grows=4 <= k < 8,
     )
 
 
-def _truncation_note(fit: ErrorFit) -> str:
-    share = 1 - float(fit.acceptance.mean())
+def _truncation_note(step: FitStep) -> str:
+    share = 1 - float(step.acceptance.mean())
     return f"{share:.0%} of first draws leave no box and are drawn anew: taken out" if share >= 0.005 else ""
 
 
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
     """Of a covariance without an inverse: errors that have no spread are their mean."""
-    law = NormalLaw(np.array(state.box_error_mean_px), np.zeros(4), np.eye(4), state.box_error_unit == "relative")
-    means, _ = law.at(evidence.chances.boxes_px[evidence.hits.chance[rows]])
-    off = np.abs(evidence.hits.errors_px[rows] - means) > _ROUNDING_PX
-    still = (np.diag(state.box_error_covariance_px2) <= 0) & (np.array(state.box_error_growth) <= 0)
+    law = ErrorParameters(state.box_error.mean, np.zeros(4), np.eye(4), state.box_error.relative)
+    means, _ = law.at(evidence.instances.boxes_px[evidence.true_detections.instance[rows]])
+    off = np.abs(evidence.true_detections.errors_px[rows] - means) > _ROUNDING_PX
+    still = (state.box_error.std <= 0) & (state.box_error.growth <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):
         path = f"states.{state.name}.box_error.std[{entry}]"
         measure = Exact(int(off[:, k].sum()), len(rows)) if still[k] and len(rows) else None
         note = "" if still[k] else "the covariance is singular: only errors without any spread are looked at"
-        parameters.append(Parameter(path, GROUP, measure, 0.0, "px", state.name, note=note))
+        parameters.append(Parameter(path, Part.BOX_ERROR, measure, 0.0, "px", state.name, note=note))
     return parameters
 
 
 def _box_check(evidence: Evidence) -> Parameter:
     """Whether every box is its truth moved by its error and clipped to the image."""
-    single = np.flatnonzero(evidence.hits.kind == TRUE)
-    hits, chances = evidence.hits, evidence.chances
-    rows = hits.chance[single]
+    single = np.flatnonzero(evidence.true_detections.kind == TRUE)
+    true_detections, instances = evidence.true_detections, evidence.instances
+    rows = true_detections.instance[single]
     wrong = 0
     for camera, seen in enumerate(evidence.cameras):
-        ours = np.flatnonzero(chances.camera[rows] == camera)
-        moved = move(chances.boxes_px[rows[ours]], hits.errors_px[single[ours]])
-        off = np.abs(hits.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
+        ours = np.flatnonzero(instances.camera[rows] == camera)
+        moved = move(instances.boxes_px[rows[ours]], true_detections.errors_px[single[ours]])
+        off = np.abs(true_detections.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
         wrong += int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
-    return Parameter("boxes are truth and error, clipped", GROUP, Exact(wrong, len(single)), in_file=False)
-
-
-@dataclass(frozen=True, eq=False)
-class Replayed:
-    """What replays of errors that persist show.
-
-    Attributes:
-        errors: Standard errors of each state's step, shapes (p,).
-        products: Mean products with the frame before, of each replay, shape (replays,).
-    """
-
-    errors: list[Array]
-    products: Array
-
-
-def _frame_pairs(model: DetectorModel, evidence: Evidence, fits: list[Fitted]) -> tuple[Indices, Indices]:
-    """Places, in the fits' rows one after the other, of detections of one vessel, one turn of the detector apart."""
-    rows = np.concatenate([fitted.hits for fitted in fits])
-    chance = evidence.hits.chance[rows]
-    place = np.full(len(evidence.chances.state), -1)
-    place[chance] = np.arange(len(rows))
-    before = turn_before(model, evidence)[chance]
-    before = np.where(before >= 0, place[before], -1)
-    now = np.flatnonzero(before >= 0)
-    return now, before[now]
-
-
-def _replay(model: DetectorModel, evidence: Evidence, fits: list[Fitted]) -> Replayed | None:
-    if not fits:
-        return None
-    rng = np.random.default_rng(0)
-    chances = evidence.chances
-    chance = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
-    tracks = np.stack([chances.camera[chance], chances.vessel[chance]], axis=1)
-    now, before = _frame_pairs(model, evidence, fits)
-    ends = np.cumsum([0, *(len(fitted.hits) for fitted in fits)])
-    steps: list[list[Array]] = [[] for _ in fits]
-    found = []
-    for _ in range(0, REPLAYS, _REPLAYS_AT_ONCE):
-        latent = latent_paths(tracks, chances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE)
-        whitened = np.empty((_REPLAYS_AT_ONCE, len(chance), 4))
-        for k, fitted in enumerate(fits):
-            ours = slice(ends[k], ends[k + 1])
-            standard = replayed_errors(fitted.law, fitted.sample, latent[:, ours], rng)
-            steps[k].append(fitted.fit.step_of(statistics(standard)))
-            residual = standard - fitted.fit.expected[:, :4]
-            whitened[:, ours] = np.einsum("nij,cnj->cni", fitted.fit.roots, residual, optimize=True)
-        found.append(products(whitened, now, before))
-    return Replayed([np.concatenate(step).std(axis=0) for step in steps], np.concatenate(found))
-
-
-def _persistence(
-    evidence: Evidence, fits: list[Fitted], model: DetectorModel, replayed: Replayed | None
-) -> Estimate | None:
-    """Correlation of latent numbers with those of the same vessel one frame before."""
-    if not fits:
-        return None
-    now, before = _frame_pairs(model, evidence, fits)
-    if len(now) < LEAST_PAIRS:
-        return None
-    # Means and spreads that are off would look like a correlation: they are taken out as they were found.
-    whitened = np.concatenate([_own_scale(fitted.fit.whitened) for fitted in fits])
-    product = float(products(whitened, now, before))
-    if replayed is None:
-        asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
-    else:
-        chances = evidence.chances
-        rows = np.concatenate([evidence.hits.chance[fitted.hits] for fitted in fits])
-        apart = chances.time_s[rows[now]] - chances.time_s[rows[before]]
-        asked = float(np.exp(-apart / model.persistence.box_s).mean())
-        left, error = float(replayed.products.mean()), float(replayed.products.std())
-        known = error / math.sqrt(len(replayed.products))
-    # Of a correlation truncation leaves a part: that is what replays show, or for a small one what boxes leave of it.
-    share = left / asked if abs(left) > _KNOWN * known else float(_shares_left(fits, now, before).mean())
-    scale = 1 / max(share, _LEAST_SHARE)
-    return Estimate(
-        asked + (product - left) * scale, asked, error * scale, len(now), statistic=(product - left) / error
-    )
-
-
-def _shares_left(fits: list[Fitted], now: Indices, before: Indices) -> Array:
-    """How much of a small correlation of latent numbers is left between whitened errors of pairs, shape (m,).
-
-    A first draw that counts has w = R (s − E s) and s = S z with the latent numbers z; one that does not has none of
-    them. So E[w zᵀ] = α R C S⁻ᵀ, where R C Rᵀ = 1; and E[w · w′] = ρ tr(E[w zᵀ] E[w′ zᵀ]ᵀ) where z and z′ are
-    correlated by a small ρ.
-    """
-    gains = []
-    for fitted in fits:
-        inverse = np.linalg.inv(own_root(fitted.law))
-        left = np.swapaxes(np.linalg.inv(fitted.fit.roots), 1, 2) @ inverse.T
-        gains.append(fitted.fit.acceptance[:, None, None] * left)
-    gain = np.concatenate(gains)
-    shares: Array = np.einsum("mij,mij->m", gain[now], gain[before]) / 4
-    return shares
-
-
-def _own_scale(whitened: Array) -> Array:
-    """With mean zero and variance one as found."""
-    scaled: Array = (whitened - whitened.mean(axis=0)) / np.maximum(whitened.std(axis=0), 1e-12)
-    return scaled
+    return Parameter("boxes are truth and error, clipped", Part.BOX_ERROR, Exact(wrong, len(single)), in_file=False)

@@ -1,4 +1,4 @@
-"""Dropout and class: the columns of the confusion matrix, what misses depend on, and how long they persist."""
+"""Checks of dropout and class: confusion matrices, the effects on misses, and how long misses persist."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part
 from modsim3d.learn.dropout_checks import dropout_checks
 from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.limits import limit_note
+from modsim3d.learn.max_detections import max_detections_note
 from modsim3d.learn.measures import Estimate, Exact, Measure
 from modsim3d.learn.pairs import inflation, turn_before
 from modsim3d.learn.parameters import Parameter
 from modsim3d.learn.rate_measures import Rate
 
-GROUP = "dropout and class"
 BACKGROUND = "background"
 LEAST_CHANCES = 30
-"""Independent chances to see a label in a state, below which its column is not tested."""
+"""Independent instances of a label in a state, below which its column is not tested."""
 LEAST_PAIRS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """What the detector file asks of every chance.
+class ExpectedOutcomes:
+    """What the detector file expects of every annotated box.
 
     Attributes:
         passed: Whether the gates let it pass, shape (n,).
-        edges: Between them a uniform number means one label after the other, then a miss, shape (n, labels + 2).
+        edges: Limits between which a uniform number means each label, then a miss, shape (n, labels + 2).
     """
 
     passed: Mask
@@ -45,12 +45,12 @@ class Asked:
         return probability
 
 
-def asked_of(model: DetectorModel, evidence: Evidence) -> Asked:
-    """What a detector's gates, confusion matrices and dropout ask of every chance."""
+def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:
+    """What a detector's gates, confusion matrices and dropout expect of every annotated box."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
     classifier = ConfusionClassifier.from_model(model, evidence.census(model))
-    chances = evidence.chances
-    edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[chances.state, chances.label]
+    instances = evidence.instances
+    edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[instances.state, instances.label]
     usual = edges[:, -2].copy()
     missed = 1 - usual
     if model.dropout.effects:
@@ -58,54 +58,58 @@ def asked_of(model: DetectorModel, evidence: Evidence) -> Asked:
             [classifier.miss_rates(s.detections.states[s.targets.frame], s.targets) for s in evidence.cameras]
         )
         edges[:, :-1] *= ((1 - missed) / np.where(usual > 0, usual, 1))[:, None]
-    return Asked(np.concatenate(passed), np.concatenate([np.zeros((len(edges), 1)), edges], axis=1))
+    return ExpectedOutcomes(np.concatenate(passed), np.concatenate([np.zeros((len(edges), 1)), edges], axis=1))
 
 
 def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    """Every entry of every state's confusion matrix that is free: of a column with two entries only the dropout."""
-    asked = asked_of(model, evidence)
-    note = limit_note(model, evidence)
-    parameters = _gate_checks(evidence, asked)
+    """Every free entry of every state's confusion matrix; of a column with two entries only the dropout."""
+    expected = expected_outcomes(model, evidence)
+    note = max_detections_note(model, evidence)
+    parameters = _gate_checks(evidence, expected)
     for s, state in enumerate(model.states):
         for column, label in enumerate(model.labels):
-            ours = (evidence.chances.state == s) & (evidence.chances.label == column) & asked.passed
+            ours = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.passed
             names = [*model.labels, BACKGROUND]
             # Misses first: where only one label can be given, both entries say the same.
             for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
                 value = float(state.confusion[row, column])
-                measure = None if note else _entry(model, evidence, asked, np.flatnonzero(ours), row)
+                measure = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
                 said = note or _asked_note(model, row, measure)
-                parameters.append(Parameter(name, GROUP, measure, value, state=state.name, note=said))
-    return [*parameters, *_overall_checks(model, evidence, asked, note)]
+                parameters.append(Parameter(name, Part.CLASS, measure, value, state=state.name, note=said))
+    return [*parameters, *_overall_checks(model, evidence, expected, note)]
 
 
 def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
-    """What the asked number is where it is not the file's own."""
+    """A note on what the asked number is where it is not the file's own."""
     if measure is None:
         return ""
-    if model.doubles.merges and row < len(model.labels):
+    if model.merges_and_splits.merges and row < len(model.labels):
         return "asked: as a share of those detected in a box of their own, as which others were is not known"
     return "asked: the mean over the chances that there were, by what they look like" if model.dropout.effects else ""
 
 
-def _gate_checks(evidence: Evidence, asked: Asked) -> list[Parameter]:
-    if asked.passed.all():
+def _gate_checks(evidence: Evidence, expected: ExpectedOutcomes) -> list[Parameter]:
+    if expected.passed.all():
         return []
-    seen = (evidence.chances.outcome != -1) & ~asked.passed
-    measure = Exact(int(seen.sum()), int((~asked.passed).sum()))
-    return [Parameter("gates: nothing seen beyond them", GROUP, measure, in_file=False)]
+    seen = (evidence.instances.outcome != -1) & ~expected.passed
+    measure = Exact(int(seen.sum()), int((~expected.passed).sum()))
+    return [Parameter("gates: nothing seen beyond them", Part.CLASS, measure, in_file=False)]
 
 
-def _entry(model: DetectorModel, evidence: Evidence, asked: Asked, rows: Indices, row: int) -> Measure | None:
-    """One entry of a column; rows are the chances of its state and label."""
+def _entry(
+    model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes, rows: Indices, row: int
+) -> Measure | None:
+    """One entry of a column; rows are the instances of its state and label."""
     background = len(model.labels)
-    outcome = evidence.chances.outcome[rows]
-    low, high = asked.edges[rows, row], asked.edges[rows, row + 1]
+    outcome = evidence.instances.outcome[rows]
+    low, high = expected.edges[rows, row], expected.edges[rows, row + 1]
     happened = outcome == (-1 if row == background else row)
-    if model.doubles.merges and row < background:  # of a merged vessel the label is not known: among the others
+    if (
+        model.merges_and_splits.merges and row < background
+    ):  # of a merged vessel the label is not known: among the others
         known = outcome >= 0
-        share = (high - low) / np.where(asked.missed[rows] < 1, 1 - asked.missed[rows], 1)
+        share = (high - low) / np.where(expected.missed[rows] < 1, 1 - expected.missed[rows], 1)
         rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
     return _share(model, evidence, rows, happened, low, high)
 
@@ -113,7 +117,7 @@ def _entry(model: DetectorModel, evidence: Evidence, asked: Asked, rows: Indices
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
 ) -> Measure | None:
-    """How often a uniform number was between bounds, which each row has for itself."""
+    """How often a uniform number was between the bounds low and high of each row, shapes (n,)."""
     if len(rows) < LEAST_CHANCES:
         return None
     probability = high - low
@@ -124,9 +128,9 @@ def _share(
         kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
         return kept
 
-    chances = evidence.chances
-    tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
-    factor = inflation(tracks, chances.time_s[rows], model.persistence.class_s, spread, covariance)
+    instances = evidence.instances
+    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
+    factor = inflation(tracks, instances.time_s[rows], model.persistence.class_s, spread, covariance)
     if len(rows) / factor < LEAST_CHANCES:
         return None
     mean, count = float(probability.mean()), int(happened.sum())
@@ -140,26 +144,26 @@ def _share(
 
 
 def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
-    """Asked probability that each chance is missed, 1 where a gate keeps it from being seen, shape (n,)."""
-    asked = asked_of(model, evidence)
-    return np.where(asked.passed, asked.missed, 1.0)
+    """Expected probability that each instance is missed, 1 where a gate keeps it from being seen, shape (n,)."""
+    expected = expected_outcomes(model, evidence)
+    return np.where(expected.passed, expected.missed, 1.0)
 
 
-def _overall_checks(model: DetectorModel, evidence: Evidence, asked: Asked, note: str) -> list[Parameter]:
-    rows = np.flatnonzero(asked.passed)
-    missed = evidence.chances.outcome[rows] == -1
-    low, high = asked.edges[rows, -2], asked.edges[rows, -1]
+def _overall_checks(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes, note: str) -> list[Parameter]:
+    rows = np.flatnonzero(expected.passed)
+    missed = evidence.instances.outcome[rows] == -1
+    low, high = expected.edges[rows, -2], expected.edges[rows, -1]
     overall = None if note else _share(model, evidence, rows, missed, low, high)
-    persistence = None if note else _persistence(model, evidence, asked)
+    persistence = None if note else _persistence(model, evidence, expected)
     return [
-        Parameter("dropout, all states", GROUP, overall, in_file=False, note=note),
-        *([] if note else dropout_checks(model, evidence, asked.passed, asked.missed, GROUP)),
-        Parameter("persistence.class_s", GROUP, persistence, note=correlation_note(persistence)),
+        Parameter("dropout, all states", Part.CLASS, overall, in_file=False, note=note),
+        *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
+        Parameter("persistence.class_s", Part.CLASS, persistence, note=correlation_note(persistence)),
     ]
 
 
 def correlation_note(measure: Estimate | None) -> str:
-    """What the numbers beside a correlation time are."""
+    """A note on the unit of the numbers beside a correlation time."""
     return (
         "as the correlation from one frame at which the detector runs to the next"
         if measure is not None and measure.asked
@@ -167,26 +171,26 @@ def correlation_note(measure: Estimate | None) -> str:
     )
 
 
-def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Estimate | None:
-    """Chance that a vessel keeps its number from one frame to the next.
+def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes) -> Estimate | None:
+    """Probability that a vessel keeps its number from one frame to the next.
 
     Given whether it was missed one frame before, a vessel is missed with a probability that is linear in that chance
     κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
     """
-    chances = evidence.chances
+    instances = evidence.instances
     rows_before = turn_before(model, evidence)
-    now = np.flatnonzero((rows_before >= 0) & asked.passed)
+    now = np.flatnonzero((rows_before >= 0) & expected.passed)
     before = rows_before[now]
-    some = asked.passed[before] & (asked.missed[now] > 0) & (asked.missed[now] < 1)
+    some = expected.passed[before] & (expected.missed[now] > 0) & (expected.missed[now] < 1)
     now, before = now[some], before[some]
     if len(now) < LEAST_PAIRS:
         return None
-    p, p_before = asked.missed[now], asked.missed[before]
-    was_missed = chances.outcome[before] == -1
+    p, p_before = expected.missed[now], expected.missed[before]
+    was_missed = instances.outcome[before] == -1
     with np.errstate(divide="ignore", invalid="ignore"):
         kept = np.where(was_missed, np.minimum(1, p / p_before), np.maximum(0, (p - p_before) / (1 - p_before)))
     kept = np.where(np.isfinite(kept), kept, p)
-    apart = chances.time_s[now] - chances.time_s[before]
+    apart = instances.time_s[now] - instances.time_s[before]
     tau = model.persistence.class_s
     kappa = np.exp(-apart / tau) if tau > 0 else np.zeros(len(now))
     q = np.clip(kappa * kept + (1 - kappa) * p, 1e-9, 1 - 1e-9)
@@ -194,7 +198,7 @@ def _persistence(model: DetectorModel, evidence: Evidence, asked: Asked) -> Esti
     information = float((slope**2 / spread).sum())
     if information <= 0:
         return None
-    residual = (chances.outcome[now] == -1) - q
+    residual = (instances.outcome[now] == -1) - q
     asked_kappa = float(kappa.mean())
     step = float((residual * slope / spread).sum()) / information
     skewness = float((slope**3 * (1 - 2 * q) / spread**2).sum()) / information**1.5

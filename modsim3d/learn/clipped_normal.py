@@ -1,4 +1,8 @@
-"""Normal numbers of which those outside [threshold, 1] were moved to its ends (Tobin (1958)), with linear means."""
+"""Normal numbers that were clipped to a range, those outside moved to its ends (Tobin (1958)): tests and fits.
+
+`Clipped` tests a mean that is linear in what it depends on, and a standard deviation, against values asked for;
+`fit_clipped` finds both from sums, many times over.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,13 @@ _REACH = 9.0  # standard deviations that the integrals go to
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
 _LEVELS = 100
-"""Means that the integrals are made for; those between are interpolated."""
+"""Means at which the integrals are computed; those between are interpolated."""
+_MOST_ROUNDS, _SETTLED = 400, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Clipped:
-    """Numbers, and what their means depend on.
+    """Clipped numbers and what their means depend on.
 
     Attributes:
         scores: Shape (n,).
@@ -34,10 +39,10 @@ class Clipped:
     threshold: float
 
     def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
-        """First coefficient, standard deviation, other coefficients.
+        """Estimates of the first coefficient, the standard deviation, and the other coefficients.
 
-        One step from the asked values towards the largest likelihood, which also is the test (the score test of each
-        with the others free); of an estimate that is far off, as many steps as it takes.
+        One step from the asked values towards the maximum likelihood, which is also the score test of each with the
+        others free; several steps for an estimate that is far off.
         """
         step, covariance, third = self._step(coefficients, std)
         if step is None:
@@ -118,7 +123,7 @@ def _hazard(z: Array) -> Array:
 
 
 def _law(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
-    """Places that stand for the whole law, and their probabilities."""
+    """Quadrature nodes of the clipped law and their probabilities, shapes (nodes,)."""
     low, high = max((threshold - mean) / std, -_REACH), min((1 - mean) / std, _REACH)
     nodes, weights = np.zeros(0), np.zeros(0)
     if high > low:
@@ -127,3 +132,54 @@ def _law(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
     inside = np.clip(mean + std * nodes, threshold + 1e-15, 1 - 1e-15)
     ends = special.ndtr((threshold - mean) / std), special.ndtr(-(1 - mean) / std)
     return np.concatenate([[threshold], inside, [1.0]]), np.concatenate([[ends[0]], weights, [ends[1]]])
+
+
+def clipped_sums(values: Array, low: float, high: float) -> Array:
+    """The sums that the fit needs, of each number of shape (n,), shape (n, 5).
+
+    Whether it is at the low end, at the high end and between, and there its value and square.
+    """
+    at_low, at_high = values <= low, values >= high
+    inside = ~(at_low | at_high)
+    return np.column_stack([at_low, at_high, inside, np.where(inside, values, 0), np.where(inside, values**2, 0)]) * 1.0
+
+
+def fit_clipped(sums: Array, low: float, high: float) -> tuple[Array, Array]:
+    """Mean and standard deviation of maximum likelihood, by expectation and maximisation (Dempster et al. (1977)).
+
+    Args:
+        sums: Of `clipped_sums`, shape (rows, 5).
+        low: Lower end of the range; smaller numbers were moved to it.
+        high: Upper end.
+
+    Returns:
+        Shapes (rows,); NaN where there is nothing.
+    """
+    below, above, inside, first, second = sums.T
+    number = below + above + inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (below * low + above * high + first) / number
+        std = np.sqrt(np.maximum((below * low**2 + above * high**2 + second) / number - mean**2, 1e-12))
+        for _ in range(_MOST_ROUNDS):
+            m_low, s_low = _tail((low - mean) / std, -1)
+            m_high, s_high = _tail((high - mean) / std, 1)
+            total = below * (mean + std * m_low) + above * (mean + std * m_high) + first
+            squares = (
+                below * (mean**2 + 2 * mean * std * m_low + std**2 * s_low)
+                + above * (mean**2 + 2 * mean * std * m_high + std**2 * s_high)
+                + second
+            )
+            new_mean = total / number
+            new_std = np.sqrt(np.maximum(squares / number - new_mean**2, 1e-12))
+            change = np.nanmax(np.abs(new_mean - mean) + np.abs(new_std - std), initial=0.0)
+            mean, std = new_mean, new_std
+            if change < _SETTLED:
+                break
+    return mean, std
+
+
+def _tail(edge: Array, side: int) -> tuple[Array, Array]:
+    """Mean and mean square of a standard normal number below (−1) or above (1) an edge, shapes of the edge."""
+    away = side * edge
+    hazard = _hazard(away)
+    return side * hazard, 1 + away * hazard

@@ -1,4 +1,4 @@
-"""Where false positives are, how large they are, and how long those live that persist."""
+"""Checks of where false positives are, how large they are, and how long persistent ones live."""
 
 from __future__ import annotations
 
@@ -9,57 +9,59 @@ from modsim3d.boxes import centres, sizes, unions
 from modsim3d.detector.chain import clutter_of
 from modsim3d.detector.draws import select
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.persistent_clutter import wanderers
+from modsim3d.detector.parts import Part
+from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS
-from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Frames, Targets
-from modsim3d.learn.evidence import Evidence, Seen
+from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, CameraFrames, Targets
+from modsim3d.learn.evidence import CameraEvidence, Evidence
 from modsim3d.learn.law_measures import Law
-from modsim3d.learn.limits import limit_note
+from modsim3d.learn.max_detections import max_detections_note
 from modsim3d.learn.measures import Estimate
 from modsim3d.learn.parameters import Parameter
 from modsim3d.random_streams import Streams
 
-GROUP = "false positives"
 LEAST_FALSE = 50
 LEAST_LIFETIMES = 20
-"""Lifetimes that a run has to last, times how many are there, below which they are not tested."""
+"""Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
 _DRAWS_EACH = 40
 _REPLAYS = 150
 _DIGITS = 6  # of a pixel: equal sides that were read back from centre and size stay equal
 
 
-def clutter_box_checks(model: DetectorModel, evidence: Evidence, lasting: Array) -> list[Parameter]:
-    """Places and sizes of those that do not persist, and the lifetime of those that do.
+def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
+    """Places and sizes of transient ones, and the lifetime of persistent ones.
 
     Args:
-        model: What was asked for.
-        evidence: What the run shows.
-        lasting: How many persistent ones are to be expected in each image, shape (s,).
+        model: The detector file.
+        evidence: The truth and the detections of the run.
+        persistent: Expected number of persistent ones in each frame, shape (s,).
     """
-    note = limit_note(model, evidence)
+    note = max_detections_note(model, evidence)
     names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
     laws = [None] * len(names) if note else _laws(model, evidence)
     parameters = [
-        Parameter(f"false_positives.{name}", GROUP, law, 0.0, note=note) for name, law in zip(names, laws, strict=True)
+        Parameter(f"false_positives.{name}", Part.FALSE_POSITIVES, law, 0.0, note=note)
+        for name, law in zip(names, laws, strict=True)
     ]
     if model.clutter.persistent_share:
-        lifetime = None if note else _lifetime(model, evidence, lasting)
-        said = "as the correlation of their number from one frame to the next"
-        parameters.append(Parameter("false_positives.persistence.lifetime_s", GROUP, lifetime, note=note or said))
+        lifetime = None if note else _lifetime(model, evidence, persistent)
+        note = note or "as the correlation of their number from one frame to the next"
+        name = "false_positives.persistence.lifetime_s"
+        parameters.append(Parameter(name, Part.FALSE_POSITIVES, lifetime, note=note))
     return parameters
 
 
 def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
-    """Distance of each column of `_looks` from that of many draws in the same frames (Smirnov (1939))."""
+    """Distance of each column of `_places_and_sizes` from that of many draws in the same frames (Smirnov (1939))."""
     source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
         rows = np.flatnonzero(seen.detections.kind == FALSE_POSITIVE)
         frame = seen.detections.frame[rows]
-        found.append(_looks(seen.frames, frame, seen.detections.boxes_px[rows]))
+        found.append(_places_and_sizes(seen.frames, frame, seen.detections.boxes_px[rows]))
         again = np.repeat(frame, _DRAWS_EACH)
         boxes = source.boxes_px(seen.frames, _kept(seen), again, rng.random((len(again), DRAWS + 1)))
-        drawn.append(_looks(seen.frames, again, boxes))
+        drawn.append(_places_and_sizes(seen.frames, again, boxes))
     values, expected = np.concatenate(found), np.concatenate(drawn)
     if len(values) < LEAST_FALSE:
         return [None] * 4
@@ -67,8 +69,8 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
 
 
-def _kept(seen: Seen) -> Targets:
-    """The vessels that were detected as the detector had them, two that are merged as one."""
+def _kept(seen: CameraEvidence) -> Targets:
+    """The detected vessels as the detector had them, with two merged ones as one."""
     found = seen.detections
     true = np.flatnonzero(~found.false())
     true = true[np.argsort(found.frame[true], kind="stable")]
@@ -87,7 +89,7 @@ def _kept(seen: Seen) -> Targets:
     )
 
 
-def _looks(frames: Frames, frame: Indices, boxes_px: Array) -> Array:
+def _places_and_sizes(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
     """Depth of the middle below the horizon, place along it, width, height; in pixels, shape (m, 4)."""
     a, b, c = frames.sea_half_planes[frame].T
     length = np.hypot(a, b)
@@ -105,34 +107,34 @@ def _distance(found: Array, expected: Array) -> float:
     return float(np.abs(shares[0] - shares[1]).max())
 
 
-def _lifetime(model: DetectorModel, evidence: Evidence, lasting: Array) -> Estimate | None:
-    """From how much the number of persistent ones changes from frame to frame.
+def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Estimate | None:
+    """Estimated from how much the number of persistent ones changes from frame to frame.
 
     With m to be expected in one and m' in the next, the number less its expectation changes by m + m' − 2ρ·min(m, m')
     in the mean square, ρ = e^(−Δt/lifetime). How far ρ strays by chance is what replays of the process show.
     """
-    images, lifetime = evidence.images, model.clutter.lifetime_s
-    rows = np.flatnonzero(lasting > 0)
+    images, lifetime = evidence.frames, model.clutter.lifetime_s
+    rows = np.flatnonzero(persistent > 0)
     same = images.camera[rows][1:] == images.camera[rows][:-1]
     now, before = rows[1:][same], rows[:-1][same]
     if not len(now):
         return None
     apart = images.time_s[now] - images.time_s[before]
-    common = np.minimum(lasting[now], lasting[before])
+    common = np.minimum(persistent[now], persistent[before])
     if float((common * apart).sum()) < LEAST_LIFETIMES * lifetime:
         return None
 
     def correlation(numbers: Array) -> float:
-        surplus = numbers - lasting
+        surplus = numbers - persistent
         changes = (surplus[now] - surplus[before]) ** 2
-        return float((lasting[now] + lasting[before] - changes).sum() / (2 * common.sum()))
+        return float((persistent[now] + persistent[before] - changes).sum() / (2 * common.sum()))
 
     counts = [
         np.bincount(s.detections.frame[s.detections.kind == PERSISTENT], minlength=len(s.frames))
         for s in evidence.cameras
     ]
     asked = float((np.exp(-apart / lifetime) * common).sum() / common.sum())
-    replays = np.array([correlation(_replayed(evidence, lasting, lifetime, seed)) for seed in range(_REPLAYS)])
+    replays = np.array([correlation(_replayed(evidence, persistent, lifetime, seed)) for seed in range(_REPLAYS)])
     error = float(replays.std())
     if error <= 0:
         return None
@@ -140,12 +142,12 @@ def _lifetime(model: DetectorModel, evidence: Evidence, lasting: Array) -> Estim
     return Estimate(correlation(np.concatenate(counts)), asked, error, len(now), skewness)
 
 
-def _replayed(evidence: Evidence, lasting: Array, lifetime_s: float, seed: int) -> Array:
-    """How many persistent ones another seed shows in each image, shape (s,)."""
+def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: int) -> Array:
+    """Number of persistent ones in each frame with another seed, shape (s,)."""
     numbers, streams, first = [], Streams(seed), 0
     for seen in evidence.cameras:
-        means = lasting[first : first + len(seen.frames)]
-        shown = wanderers(streams, seen.frames, means, lifetime_s)
+        means = persistent[first : first + len(seen.frames)]
+        shown = persistent_clutter(streams, seen.frames, means, lifetime_s)
         numbers.append(np.bincount(shown.frame, minlength=len(means)))
         first += len(means)
     return np.concatenate(numbers)

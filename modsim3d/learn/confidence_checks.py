@@ -1,7 +1,8 @@
-"""Confidence: mean, standard deviation and slopes of normal ones before clipping, the whole law of others."""
+"""Checks of confidence: mean, standard deviation and slopes of a normal law before clipping, others as a whole."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,15 +11,15 @@ from modsim3d.arrays import Array
 from modsim3d.boxes import sizes
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.scores import NormalScores, QuantileScores, Scores
+from modsim3d.detector.parts import Part, model_name
+from modsim3d.detector.scores import SCORES, NormalScores, QuantileScores, Scores
 from modsim3d.learn.clipped_normal import Clipped
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.law_measures import Law
-from modsim3d.learn.limits import limit_note
+from modsim3d.learn.max_detections import max_detections_note
 from modsim3d.learn.measures import Exact, Measure
 from modsim3d.learn.parameters import Parameter
 
-GROUP = "confidence"
 LEAST_DETECTIONS = 50
 
 
@@ -43,8 +44,8 @@ class Scored:
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
-    """Of every state, true and false detections together where the file does not tell them apart."""
-    note = limit_note(model, evidence)
+    """The confidence of every state, true and false detections together where the file has one law for both."""
+    note = max_detections_note(model, evidence)
     threshold = model.confidence_threshold
     parameters = []
     for s, state in enumerate(model.states):
@@ -58,23 +59,23 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         for name, scores, found in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [
-                Parameter(f"{path}.{entry}", GROUP, None if note else measure, asked, state=state.name, note=note)
+                Parameter(f"{path}.{entry}", Part.CONFIDENCE, measure, asked, state=state.name).unless(note)
                 for entry, asked, measure in _measures(law, scores, found, threshold)
             ]
-    every = np.concatenate([evidence.hits.confidence, evidence.clutter.confidence])
+    every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
     outside = int(((every < threshold) | (every > 1)).sum())
-    return [*parameters, Parameter("confidence_threshold", GROUP, Exact(outside, len(every)))]
+    return [*parameters, Parameter("confidence_threshold", Part.CONFIDENCE, Exact(outside, len(every)))]
 
 
 def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
     """True and false detections of a state."""
-    hits, clutter, chances = evidence.hits, evidence.clutter, evidence.chances
-    true, false = np.flatnonzero(chances.state[hits.chance] == s), np.flatnonzero(clutter.state == s)
-    seen = np.append(chances.visible_fraction, np.nan)  # the last for chance −1: no vessel
+    true_detections, clutter, instances = evidence.true_detections, evidence.false_detections, evidence.instances
+    true, false = np.flatnonzero(instances.state[true_detections.instance] == s), np.flatnonzero(clutter.state == s)
+    seen = np.append(instances.visible_fraction, np.nan)  # the last for chance −1: no vessel
     parts = []
     for scores, chance, boxes in (
-        (hits.confidence[true], hits.chance[true], hits.boxes_px[true]),
-        (clutter.confidence[false], clutter.chance[false], clutter.boxes_px[false]),
+        (true_detections.confidence[true], true_detections.instance[true], true_detections.boxes_px[true]),
+        (clutter.confidence[false], clutter.instance[false], clutter.boxes_px[false]),
     ):
         visible = seen[chance]
         width, height = sizes(boxes).T
@@ -83,10 +84,13 @@ def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, S
     return parts[0], parts[1]
 
 
-def _measures(
-    law: StateConfidence, scores: Scores, found: Scored, threshold: float
-) -> list[tuple[str, float, Measure | None]]:
-    """Name, asked value and measure of each number of a law."""
+Slope = tuple[str, float, Array]
+"""Name of a slope, its value, and by how much it raises the mean of each detection for each unit."""
+Number = tuple[str, float, Measure | None]
+"""Name, asked value and measure of one of a law's numbers."""
+
+
+def _measures(law: StateConfidence, scores: Scores, found: Scored, threshold: float) -> list[Number]:
     slopes = [
         (name, slope, -amount)
         for name, slope, amount in (
@@ -95,17 +99,18 @@ def _measures(
         )
         if slope
     ]
-    if isinstance(scores, NormalScores):
-        return _normal(scores, slopes, found, threshold)
-    if slopes or not isinstance(scores, QuantileScores) or len(found.scores) < LEAST_DETECTIONS:
+    check = SCORE_CHECKS.get(model_name(SCORES, scores))
+    return [] if check is None else check(scores, slopes, found, threshold)
+
+
+def _quantiles(scores: QuantileScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
+    if slopes or len(found.scores) < LEAST_DETECTIONS:
         return [("law", 0.0, None)]
     inside = scores.quantiles.clip(threshold, 1)
     return [("law", 0.0, Law.of(found.scores, inside))]
 
 
-def _normal(
-    scores: NormalScores, slopes: list[tuple[str, float, Array]], found: Scored, threshold: float
-) -> list[tuple[str, float, Measure | None]]:
+def _normal(scores: NormalScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
     shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(len(found.scores)))
     names = ["mean", "std", *(name for name, _, _ in slopes)]
     asked = [scores.mean, scores.std, *(slope for _, slope, _ in slopes)]
@@ -118,3 +123,7 @@ def _normal(
     clipped = Clipped(found.scores, np.column_stack([np.ones(len(shift)), *(a for _, _, a in slopes)]), threshold)
     fitted = clipped.measures(np.array([scores.mean, *(slope for _, slope, _ in slopes)]), scores.std)
     return [(name, value, measure) for name, value, measure in zip(names, asked, fitted, strict=True)]
+
+
+SCORE_CHECKS: Mapping[str, Callable[..., list[Number]]] = {"normal": _normal, "quantiles": _quantiles}
+"""From scores, slopes, detections and threshold, by the name of the distribution."""

@@ -1,13 +1,16 @@
-"""What misses depend on: slopes and tables of visible fraction, size and distance."""
+"""Checks of dropout's effects: slopes and tables of visible fraction, size and distance."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import log2
-from modsim3d.detector.dropout import ATTRIBUTES, Slope, Table
+from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Slope, Table
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part, model_name
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.measures import Estimate
 from modsim3d.learn.pairs import lag_pairs
@@ -16,36 +19,44 @@ from modsim3d.learn.parameters import Parameter
 LEAST_MISSES = 30
 
 
-def dropout_checks(
-    model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array, group: str
-) -> list[Parameter]:
-    """Each slope, and each range of each table, with the rates of all states and labels free beside it.
+def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
+    """Each slope, and each range of each table, with the rates of all states and labels free.
 
     Args:
-        model: What was asked for.
-        evidence: What the run shows.
-        passed: Chances that the gates let pass, shape (n,).
+        model: The detector file.
+        evidence: The truth and the detections of the run.
+        passed: Instances that the gates let pass, shape (n,).
         missed: Asked probability of a miss, shape (n,).
-        group: For the parameters.
     """
     parameters = []
     for effect in model.dropout.effects:
+        check = EFFECT_CHECKS.get(model_name(EFFECTS, effect))
+        if check is None:
+            continue
         values = np.concatenate([ATTRIBUTES[effect.attribute](seen.targets) for seen in evidence.cameras])
-        for name, asked, column in _columns(effect, values):
+        for name, asked, column in check(effect, values):
             measure = _effect(model, evidence, passed, missed, column, asked)
-            parameters.append(Parameter(f"dropout.{effect.attribute}.{name}", group, measure, asked))
+            parameters.append(Parameter(f"dropout.{effect.attribute}.{name}", Part.CLASS, measure, asked))
     return parameters
 
 
-def _columns(effect: Slope | Table, values: Array) -> list[tuple[str, float, Array]]:
-    """Name, asked value and derivative of the log-odds by it of each number of an effect."""
-    known = ~np.isnan(values)
-    if isinstance(effect, Slope):
-        filled = np.where(known, values, effect.reference)
-        amount = log2(filled / effect.reference) if effect.doublings else filled - effect.reference
-        return [("per_doubling" if effect.doublings else "per_unit", effect.log_odds, amount)]
-    place = np.searchsorted(effect.edges, values, side="right")
+Column = tuple[str, float, Array]
+"""Name and asked value of a number of an effect, and the derivative of the log-odds by it at each chance."""
+
+
+def _slope_columns(effect: Slope, values: Array) -> list[Column]:
+    filled = np.where(np.isnan(values), effect.reference, values)
+    amount = log2(filled / effect.reference) if effect.doublings else filled - effect.reference
+    return [("per_doubling" if effect.doublings else "per_unit", effect.log_odds, amount)]
+
+
+def _table_columns(effect: Table, values: Array) -> list[Column]:
+    known, place = ~np.isnan(values), np.searchsorted(effect.edges, values, side="right")
     return [(f"odds[{k}]", odds, np.where(known & (place == k), 1 / odds, 0.0)) for k, odds in enumerate(effect.odds)]
+
+
+EFFECT_CHECKS: Mapping[str, Callable[..., list[Column]]] = {"logistic": _slope_columns, "table": _table_columns}
+"""From an effect and the attribute of each chance, by the name of the effect's model."""
 
 
 def _effect(
@@ -57,14 +68,14 @@ def _effect(
     asked: float,
 ) -> Estimate | None:
     """One step of a logistic regression from the asked probabilities, with an intercept for each state and label."""
-    chances = evidence.chances
+    instances = evidence.instances
     rows = np.flatnonzero(passed & (missed > 0) & (missed < 1))
     p = missed[rows]
-    happened = chances.outcome[rows] == -1
+    happened = instances.outcome[rows] == -1
     if happened.sum() < LEAST_MISSES:
         return None
     spread, amount = p * (1 - p), column[rows]
-    group = chances.state[rows] * len(model.labels) + chances.label[rows]
+    group = instances.state[rows] * len(model.labels) + instances.label[rows]
     weight = np.bincount(group, spread)
     mean = np.bincount(group, spread * amount) / np.where(weight > 0, weight, 1)
     free = amount - mean[group]  # what no change of the states' rates could explain
@@ -73,8 +84,8 @@ def _effect(
         return None
     variance = information
     if model.persistence.class_s > 0:
-        tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
-        for later, earlier, apart in lag_pairs(tracks, chances.time_s[rows], model.persistence.class_s):
+        tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
+        for later, earlier, apart in lag_pairs(tracks, instances.time_s[rows], model.persistence.class_s):
             kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]
             shared = np.exp(-apart / model.persistence.class_s) * kept * free[later] * free[earlier]
             variance += 2 * float(shared.sum())

@@ -1,151 +1,45 @@
-"""Mean, standard deviations and correlations of box errors from errors that were cut down box by box.
+"""The parameters of box errors, estimated from errors that were truncated box by box.
 
-Under the asked law the errors of a box are an exponential family in their four values and ten products, truncated to
-what the box allows. What is left after the expectation of those fourteen numbers, box by box, is taken away has mean
-zero and a known covariance, whatever the boxes. One step from the asked parameters along the inverse information is
-the test of each parameter with all others free.
+The derivatives of the log-likelihood by the parameters are sums of statistics of the errors. Under the law in the file,
+truncated to what the box allows, each statistic less its expectation has mean zero and a known covariance, whatever the
+boxes. One step from the parameters in the file along the inverse information is the score test of each parameter with
+all others free.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import sizes
-from modsim3d.detector.model import PerformanceState
-from modsim3d.learn.truncation import Accepted, accepted_errors
+from modsim3d.detector.truncation import Accepted, accepted_errors
+from modsim3d.learn.error_parameters import ErrorParameters
 
-FIRST, SECOND = np.triu_indices(4)
-PAIRS = tuple((i, j) for i in range(4) for j in range(i + 1, 4))
-_FAR, _STEPS = 4.5, 6
+_FAR, _STEPS, _SETTLED = 4.5, 6, 1e-3
 _SINGULAR = 1e10
 _SKEWNESS_BOXES = 100  # about as many, from which the skewness is taken
 
 
-@dataclass(frozen=True, eq=False)
-class NormalLaw:
-    """A normal law of box errors before it is cut.
-
-    Attributes:
-        mean: In pixels, or in sides of the box where relative, shape (4,).
-        std: Likewise, shape (4,), all positive.
-        correlation: Shape (4, 4), not singular.
-        relative: Whether errors are in sides of the box.
-        growth: By how many pixels each standard deviation grows with each pixel of the side, shape (4,).
-    """
-
-    mean: Array
-    std: Array
-    correlation: Array
-    relative: bool = False
-    growth: Array = field(default_factory=lambda: np.zeros(4))
-
-    @classmethod
-    def of(cls, state: PerformanceState) -> NormalLaw:
-        """That of a performance state."""
-        covariance = np.array(state.box_error_covariance_px2)
-        std = np.sqrt(np.diag(covariance))
-        correlation = covariance / np.outer(std, std)
-        relative = state.box_error_unit == "relative"
-        return cls(np.array(state.box_error_mean_px), std, correlation, relative, np.array(state.box_error_growth))
-
-    @property
-    def growing(self) -> Indices:
-        """Components whose standard deviations grow."""
-        return np.flatnonzero(self.growth > 0)
-
-    def at(self, boxes_px: Array) -> tuple[Array, Array]:
-        """Means and standard deviations of boxes in pixels, shapes (n, 4)."""
-        sides = np.tile(sizes(boxes_px), 2)
-        if self.relative:
-            return self.mean * sides, self.std * sides
-        return np.broadcast_to(self.mean, sides.shape), self.std + self.growth * sides
-
-    def gains(self, boxes_px: Array) -> tuple[Indices, Array]:
-        """Which direction each parameter moves, and how much of it box by box, shapes (p,) and (n, p)."""
-        of = np.concatenate([np.arange(14), 4 + self.growing])
-        gains = np.ones((len(boxes_px), len(of)))
-        if len(self.growing):
-            _, stds = self.at(boxes_px)
-            share = self.std / stds
-            gains[:, :4], gains[:, 4:8] = share, share
-            gains[:, 14:] = (np.tile(sizes(boxes_px), 2) / stds)[:, self.growing]
-        return of, gains
-
-    def numbers(self) -> Array:
-        """Four means, four standard deviations, six correlations, then the growths that are not zero."""
-        correlations = [self.correlation[i, j] for i, j in PAIRS]
-        return np.concatenate([self.mean, self.std, correlations, self.growth[self.growing]])
-
-    def units(self) -> Array:
-        """What a step of one is worth in these numbers."""
-        return np.concatenate([self.std, self.std, np.ones(6 + len(self.growing))])
-
-    def moved(self, step: Array) -> NormalLaw:
-        """Another law a step away: means in standard deviations, standard deviations in parts of themselves."""
-        shrink = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12))
-        correlation = self.correlation.copy()
-        for value, (i, j) in zip(shrink * step[8:14], PAIRS, strict=True):
-            correlation[i, j] = correlation[j, i] = np.clip(correlation[i, j] + value, -0.99, 0.99)
-        values, vectors = np.linalg.eigh(correlation)
-        if values[0] < 1e-3:  # the step has left what correlations can be
-            correlation = (vectors * np.maximum(values, 1e-3)) @ vectors.T
-            scale = np.sqrt(np.diag(correlation))
-            correlation = correlation / np.outer(scale, scale)
-        growth = self.growth.copy()
-        growth[self.growing] = np.maximum(growth[self.growing] + shrink * step[14:], 1e-6)
-        mean, std = self.mean + shrink * step[:4] * self.std, self.std * np.exp(shrink * step[4:8])
-        return replace(self, mean=mean, std=std, correlation=correlation, growth=growth)
-
-
-def directions(correlation: Array) -> Array:
-    """Derivatives of the log-likelihood as weights of four values and ten products, shape (14, 14).
-
-    Of a change of each mean in standard deviations, of the logarithm of each standard deviation, and of each
-    correlation, for errors standardised by the law.
-    """
-    precision = np.linalg.inv(correlation)
-    weights = np.zeros((14, 14))
-    weights[:4, :4] = precision
-    for row in range(10):
-        change = np.zeros((4, 4))
-        if row < 4:
-            change[row, :] += correlation[row, :]
-            change[:, row] += correlation[:, row]
-        else:
-            i, j = PAIRS[row - 4]
-            change[i, j] = change[j, i] = 1
-        quadratic = precision @ change @ precision
-        weights[4 + row, 4:] = np.where(FIRST == SECOND, 0.5, 1) * quadratic[FIRST, SECOND]
-    return weights
-
-
-def statistics(standardised: Array) -> Array:
-    """Four values and their ten products, shape (..., 14)."""
-    return np.concatenate([standardised, standardised[..., FIRST] * standardised[..., SECOND]], axis=-1)
-
-
-def _points(law: NormalLaw, boxes_px: Array, images_px: Array) -> Iterator[tuple[Accepted, Array]]:
-    """Points of the truncated law of boxes, some at a time, and the fourteen numbers at each."""
+def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator[tuple[Accepted, Array]]:
+    """Points of the truncated law of boxes, some at a time, and the statistics at each."""
     means, stds = law.at(boxes_px)
     covariances = law.correlation * stds[:, :, None] * stds[:, None, :]
-    for part in accepted_errors(boxes_px, images_px, means, covariances):
+    for part in accepted_errors(boxes_px, images_px, means, covariances, law.distribution):
         standard = (part.errors - means[part.rows, None]) / stds[part.rows, None]
-        yield part, statistics(standard)
+        yield part, law.statistics(standard)
 
 
 class MomentTable:
-    """Expectations of the fourteen numbers and of their products, box by box.
+    """Expectations of the statistics and of their products, box by box.
 
-    Boxes that were asked for before under the same law are not integrated again: many seeds over one truth cost
+    Boxes that were integrated before under the same law are not integrated again: many seeds over one truth cost
     hardly more than one.
     """
 
     def __init__(self) -> None:
-        """Nothing known yet."""
+        """Start empty."""
         self._known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
 
     def branch(self) -> MomentTable:
@@ -154,7 +48,7 @@ class MomentTable:
         branch._known = dict(self._known)
         return branch
 
-    def of(self, law: NormalLaw, boxes_px: Array, images_px: Array, rows: Indices) -> tuple[Array, Array, Array]:
+    def of(self, law: ErrorParameters, boxes_px: Array, images_px: Array, rows: Indices) -> tuple[Array, Array, Array]:
         """Moments of some of the boxes of a truth.
 
         Args:
@@ -164,11 +58,12 @@ class MomentTable:
             rows: Which of them, shape (n,).
 
         Returns:
-            Expectations of shape (n, 14), of products (n, 14, 14), and acceptance (n,).
+            Expectations of the m statistics, shape (n, m), of their products (n, m, m), and acceptance (n,).
         """
-        key, size = bytes([law.relative]) + law.numbers().tobytes(), len(boxes_px)
+        key = repr((law.distribution, law.relative)).encode() + law.numbers().tobytes()
         if key not in self._known:
-            empty = np.empty((size, 14)), np.empty((size, 14, 14)), np.empty(size)
+            size, m = len(boxes_px), law.statistics(np.zeros(4)).size
+            empty = np.empty((size, m)), np.empty((size, m, m)), np.empty(size)
             self._known[key] = (np.zeros(size, dtype=bool), *empty)
         known, first, second, acceptance = self._known[key]
         missing = np.unique(rows[~known[rows]])
@@ -197,7 +92,7 @@ class ErrorSample:
     boxes_px: Array
     images_px: Array
 
-    def standardised(self, law: NormalLaw) -> Array:
+    def standardised(self, law: ErrorParameters) -> Array:
         """The errors in the standard deviations of a law, box by box, shape (n, 4)."""
         means, stds = law.at(self.boxes_px[self.rows])
         result: Array = (self.errors_px - means) / stds
@@ -205,20 +100,20 @@ class ErrorSample:
 
 
 @dataclass(frozen=True, eq=False)
-class ErrorFit:
-    """What one pass over the boxes says about the p parameters, in the units of `NormalLaw.moved`.
+class FitStep:
+    """What one pass over the boxes says about the p parameters, in the units of `ErrorParameters.moved`.
 
     Attributes:
         step: From the law towards the largest likelihood, shape (p,).
         errors: Standard errors of the step under the law if errors do not persist, shape (p,).
         skewness: Of each entry of the step, shape (p,).
-        weights: Of the fourteen numbers in the score of each parameter, before `gains`, shape (p, 14).
+        weights: Of the statistics in the score of each parameter, before `gains`, shape (p, m).
         covariance: Inverse of the information, shape (p, p).
         gains: Box by box, shape (n, p).
-        expected: Of the fourteen numbers, shape (n, 14).
-        whitened: Errors less their expectation, made independent with variance one, shape (n, 4).
-        roots: Inverse roots that did so, shape (n, 4, 4).
-        acceptance: Chance of each box that a first draw counts, shape (n,).
+        expected: Expectation of the statistics, shape (n, m).
+        whitened: The first four statistics, centred and made independent with variance one, shape (n, 4).
+        roots: Inverse roots that whiten, shape (n, 4, 4).
+        acceptance: Probability that a first draw of each box counts, shape (n,).
     """
 
     step: Array
@@ -232,14 +127,14 @@ class ErrorFit:
     roots: Array
     acceptance: Array
 
-    def step_of(self, numbers: Array) -> Array:
-        """The step that other numbers would have given, shape (..., p), from (..., n, 14)."""
-        scores = (numbers - self.expected) @ self.weights.T * self.gains
+    def step_of(self, statistics: Array) -> Array:
+        """The step that other statistics of shape (..., n, m) would have given, shape (..., p)."""
+        scores = (statistics - self.expected) @ self.weights.T * self.gains
         step: Array = scores.sum(axis=-2) @ self.covariance
         return step
 
 
-def fit_step(law: NormalLaw, sample: ErrorSample, table: MomentTable) -> ErrorFit | None:
+def fit_step(law: ErrorParameters, sample: ErrorSample, table: MomentTable) -> FitStep | None:
     """One step of the fit.
 
     Args:
@@ -251,8 +146,7 @@ def fit_step(law: NormalLaw, sample: ErrorSample, table: MomentTable) -> ErrorFi
         None where the errors say nothing about some parameter.
     """
     boxes = sample.boxes_px[sample.rows]
-    of, gains = law.gains(boxes)
-    weights = directions(law.correlation)[of]
+    weights, gains = law.score_weights(boxes)
     expected, products, acceptance = table.of(law, sample.boxes_px, sample.images_px, sample.rows)
     covariances = products - expected[:, :, None] * expected[:, None, :]
     if np.all(gains == 1):
@@ -264,12 +158,12 @@ def fit_step(law: NormalLaw, sample: ErrorSample, table: MomentTable) -> ErrorFi
         return None
     covariance = np.linalg.inv(information)
     found = sample.standardised(law)
-    residuals = statistics(found) - expected
+    residuals = law.statistics(found) - expected
     step = covariance @ ((residuals @ weights.T) * gains).sum(axis=0)
     errors = np.sqrt(np.diag(covariance))
     skewness = _third_cumulants(law, sample, weights, covariance) / errors**3
     roots = _inverse_roots(covariances[:, :4, :4])
-    return ErrorFit(
+    return FitStep(
         step=step,
         errors=errors,
         skewness=skewness,
@@ -291,10 +185,10 @@ def _inverse_roots(covariances: Array) -> Array:
     return inverse
 
 
-def _third_cumulants(law: NormalLaw, sample: ErrorSample, weights: Array, covariance: Array) -> Array:
+def _third_cumulants(law: ErrorParameters, sample: ErrorSample, weights: Array, covariance: Array) -> Array:
     """Of the step, shape (p,), from some of the boxes."""
     rows = sample.rows[:: max(1, len(sample.rows) // _SKEWNESS_BOXES)]
-    _, gains = law.gains(sample.boxes_px[rows])
+    _, gains = law.score_weights(sample.boxes_px[rows])
     third = np.zeros(len(covariance))
     for part, values in _points(law, sample.boxes_px[rows], sample.images_px[rows]):
         influence = ((values @ weights.T) * gains[part.rows, None]) @ covariance
@@ -303,16 +197,35 @@ def _third_cumulants(law: NormalLaw, sample: ErrorSample, weights: Array, covari
     return third * len(sample.rows) / len(rows)
 
 
-def fitted_law(law: NormalLaw, fit: ErrorFit, sample: ErrorSample) -> NormalLaw:
-    """The law of largest likelihood, one step away or, where that is far, as many as it takes."""
-    if np.abs(fit.step / fit.errors).max() < _FAR:
-        return law.moved(fit.step)
-    step: ErrorFit | None = fit
+def fitted_law(law: ErrorParameters, step: FitStep, sample: ErrorSample) -> ErrorParameters:
+    """The law of maximum likelihood: one step away, or several steps where that is far."""
+    if np.abs(step.step / step.errors).max() < _FAR:
+        return law.moved(step.step)
+    following: FitStep | None = step
     for _ in range(_STEPS):
-        if step is None:
+        if following is None:
             break
-        law = law.moved(step.step)
-        if np.abs(step.step).max() < 1e-3:
+        law = law.moved(following.step)
+        if np.abs(following.step).max() < _SETTLED:
             break
-        step = fit_step(law, sample, MomentTable())
+        following = fit_step(law, sample, MomentTable())
     return law
+
+
+@dataclass(frozen=True, eq=False)
+class StateFit:
+    """The box errors of a performance state.
+
+    Attributes:
+        law: Asked for.
+        found: Fitted.
+        step: From one to the other.
+        sample: The errors.
+        rows: Rows of `TrueDetections` that they are of, shape (n,).
+    """
+
+    law: ErrorParameters
+    found: ErrorParameters
+    step: FitStep
+    sample: ErrorSample
+    rows: Indices

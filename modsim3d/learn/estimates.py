@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centres, sizes
-from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
+from modsim3d.learn.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.figures import error_columns
 from modsim3d.learn.form import FALSE_NEEDED, QUANTILES, Form, error_gaps, error_products, miss_products

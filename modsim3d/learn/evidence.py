@@ -1,4 +1,4 @@
-"""What a run shows of its detector: the columns of all cameras joined."""
+"""The truth and the detections of a run, as columns over all cameras: what verification works on."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel
 from modsim3d.detector.census import TargetCensus, take_census
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Detections, Frames, Targets
+from modsim3d.detector.records import CameraFrames, Detections, Targets
 
 Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What one camera's detector was given over a whole run, and what it put out."""
+class CameraEvidence:
+    """The frames and annotated boxes of one camera over a whole run, and its detections."""
 
-    frames: Frames
+    frames: CameraFrames
     targets: Targets
     detections: Detections
 
 
 @dataclass(frozen=True, eq=False)
-class Chances:
-    """Every chance to detect a vessel: n annotated boxes of all cameras.
+class Instances:
+    """The annotated boxes of all cameras, n rows: each is a chance to detect a vessel.
 
     Attributes:
         camera: Index of the camera, shape (n,).
@@ -38,8 +38,8 @@ class Chances:
         vessel: Index of the vessel, shape (n,).
         state: Shape (n,).
         label: True label, shape (n,).
-        outcome: The label that it was detected under; −1 where it was missed, −2 where it was detected in another's box
-            and nobody knows as what, shape (n,).
+        outcome: Detected label; −1 where it was missed, −2 where it was merged into another's box and its label is
+            not known, shape (n,).
         before: Row of the same vessel in the camera's frame before, −1 if it was not annotated there, shape (n,).
         boxes_px: The boxes that errors are added to, shape (n, 4).
         image_px: Width and height of the camera's image, shape (n, 2).
@@ -62,18 +62,18 @@ class Chances:
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class TrueDetections:
     """True detections, m rows: one of each vessel that is seen, two of them in one box where they are merged.
 
     Attributes:
-        chance: Row of `Chances` that each came from, shape (m,).
+        instance: Row of `Instances` that each came from, shape (m,).
         kind: Index into `KINDS`, shape (m,).
         errors_px: e_x, e_y, e_w, e_h before clipping, NaN where it is not one box of one vessel, shape (m, 4).
         confidence: Shape (m,).
-        boxes_px: As put out, shape (m, 4).
+        boxes_px: As output, shape (m, 4).
     """
 
-    chance: Indices
+    instance: Indices
     kind: Indices
     errors_px: Array
     confidence: Array
@@ -81,21 +81,21 @@ class Hits:
 
 
 @dataclass(frozen=True, eq=False)
-class Clutter:
+class FalseDetections:
     """False positives, m rows; second boxes of vessels among them.
 
     Attributes:
-        image: Index into `Images`, shape (m,).
-        chance: Row of `Chances` of a second box, −1 for all others, shape (m,).
+        frame_row: Row of `FrameTable`, shape (m,).
+        instance: Row of `Instances` of a second box, −1 for all others, shape (m,).
         state: Shape (m,).
         label: Shape (m,).
         confidence: Shape (m,).
         kind: Index into `KINDS`, shape (m,).
-        boxes_px: As put out, shape (m, 4).
+        boxes_px: As output, shape (m, 4).
     """
 
-    image: Indices
-    chance: Indices
+    frame_row: Indices
+    instance: Indices
     state: Indices
     label: Indices
     confidence: Array
@@ -104,7 +104,7 @@ class Clutter:
 
 
 @dataclass(frozen=True, eq=False)
-class Images:
+class FrameTable:
     """Every camera's frames, s rows in order of camera and time.
 
     Attributes:
@@ -129,34 +129,34 @@ class Evidence:
     """A whole run, all cameras.
 
     Attributes:
-        cameras: What each camera's detector was given and put out.
-        images: Their frames.
-        chances: Every annotated box.
-        hits: True detections.
-        clutter: False ones.
+        cameras: The evidence of each camera.
+        frames: The frames of all cameras.
+        instances: All annotated boxes.
+        true_detections: All detections that count as the detection of a vessel.
+        false_detections: All others.
     """
 
-    cameras: tuple[Seen, ...]
-    images: Images
-    chances: Chances
-    hits: Hits
-    clutter: Clutter
+    cameras: tuple[CameraEvidence, ...]
+    frames: FrameTable
+    instances: Instances
+    true_detections: TrueDetections
+    false_detections: FalseDetections
 
     @classmethod
-    def of(cls, cameras: Sequence[Seen]) -> Evidence:
-        """Join what the cameras saw."""
+    def of(cls, cameras: Sequence[CameraEvidence]) -> Evidence:
+        """Join the evidence of cameras."""
         first_row = np.cumsum([0, *(len(seen.targets) for seen in cameras)])
-        first_image = np.cumsum([0, *(len(seen.frames) for seen in cameras)])
-        parts = [_camera(index, seen) for index, seen in enumerate(cameras)]
-        chances = [part[1] for part in parts]
-        hits = [part[2] for part in parts]
-        clutter = [part[3] for part in parts]
+        first_frame = np.cumsum([0, *(len(seen.frames) for seen in cameras)])
+        frames = [_frames(index, seen) for index, seen in enumerate(cameras)]
+        instances = [_instances(index, seen) for index, seen in enumerate(cameras)]
+        true = [_true(seen.detections) for seen in cameras]
+        false = [_false(seen.detections) for seen in cameras]
         return cls(
             tuple(cameras),
-            Images(**_joined([part[0] for part in parts])),
-            Chances(**_joined(chances, {"before": first_row})),
-            Hits(**_joined(hits, {"chance": first_row})),
-            Clutter(**_joined(clutter, {"image": first_image, "chance": first_row})),
+            FrameTable(**_joined(frames)),
+            Instances(**_joined(instances, {"before": first_row})),
+            TrueDetections(**_joined(true, {"instance": first_row})),
+            FalseDetections(**_joined(false, {"frame_row": first_frame, "instance": first_row})),
         )
 
     def census(self, model: DetectorModel) -> TargetCensus:
@@ -165,7 +165,7 @@ class Evidence:
 
 
 def _joined(parts: Sequence[Columns], offsets: dict[str, Indices] | None = None) -> Columns:
-    """Columns one below the other; those that index rows are moved on, −1 stays."""
+    """Columns of all cameras joined; columns that index rows get offsets, −1 stays."""
     columns: Columns = {}
     for name in parts[0]:
         start = (offsets or {}).get(name)
@@ -177,28 +177,33 @@ def _joined(parts: Sequence[Columns], offsets: dict[str, Indices] | None = None)
     return columns
 
 
-def _camera(index: int, seen: Seen) -> tuple[Columns, Columns, Columns, Columns]:
-    frames, targets, found = seen.frames, seen.targets, seen.detections
+def _frames(index: int, seen: CameraEvidence) -> Columns:
+    """Columns of `FrameTable` of a camera."""
+    found, length = seen.detections, len(seen.frames)
     false = found.false()
-    true = ~false
+    return {
+        "camera": np.full(length, index),
+        "time_s": seen.frames.times_s,
+        "step": seen.frames.steps,
+        "state": found.states,
+        "n_kept": np.bincount(found.frame[~false], minlength=length),
+        "n_false": np.bincount(found.frame[false], minlength=length),
+    }
+
+
+def _instances(index: int, seen: CameraEvidence) -> Columns:
+    """Columns of `Instances` of a camera."""
+    frames, targets, found = seen.frames, seen.targets, seen.detections
+    true = ~found.false()
     outcome = np.full(len(targets), -1)
     outcome[found.partner[found.partner >= 0]] = -2
     outcome[found.target[true]] = found.label[true]
-    length, state = len(frames), found.states
-    images = {
-        "camera": np.full(length, index),
-        "time_s": frames.times_s,
-        "step": frames.steps,
-        "state": state,
-        "n_kept": np.bincount(found.frame[true], minlength=length),
-        "n_false": np.bincount(found.frame[false], minlength=length),
-    }
-    chances = {
+    return {
         "camera": np.full(len(targets), index),
         "time_s": frames.times_s[targets.frame],
         "frame": targets.frame,
         "vessel": targets.vessel,
-        "state": state[targets.frame],
+        "state": found.states[targets.frame],
         "label": targets.label,
         "outcome": outcome,
         "before": _rows_before(targets),
@@ -207,23 +212,21 @@ def _camera(index: int, seen: Seen) -> tuple[Columns, Columns, Columns, Columns]
         "visible_fraction": targets.visible_fraction,
         "depth_m": targets.depth_m,
     }
-    hits = {
-        "chance": found.target[true],
-        "kind": found.kind[true],
-        "errors_px": found.errors_px[true],
-        "confidence": found.confidence[true],
-        "boxes_px": found.boxes_px[true],
-    }
-    clutter = {
-        "image": found.frame[false],
-        "chance": found.target[false],
-        "state": state[found.frame[false]],
-        "label": found.label[false],
-        "confidence": found.confidence[false],
-        "kind": found.kind[false],
-        "boxes_px": found.boxes_px[false],
-    }
-    return images, chances, hits, clutter
+
+
+def _true(found: Detections) -> Columns:
+    """Columns of `TrueDetections` of a camera."""
+    true = ~found.false()
+    columns = {name: getattr(found, name)[true] for name in ("kind", "errors_px", "confidence", "boxes_px")}
+    return {"instance": found.target[true], **columns}
+
+
+def _false(found: Detections) -> Columns:
+    """Columns of `FalseDetections` of a camera."""
+    false = found.false()
+    frame = found.frame[false]
+    columns = {name: getattr(found, name)[false] for name in ("label", "confidence", "kind", "boxes_px")}
+    return {"frame_row": frame, "instance": found.target[false], "state": found.states[frame], **columns}
 
 
 def _rows_before(targets: Targets) -> Indices:

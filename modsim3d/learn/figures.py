@@ -9,12 +9,13 @@ import numpy as np
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import errors_between
+from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.learn.average_precision import NUMBERS, Ranking, average_precisions
 from modsim3d.learn.labelled import Labelled
 from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column, Resampling
 
-PAIRS = tuple((i, j) for i in range(4) for j in range(i + 1, 4))
+PAIRS = ERROR_PAIRS
 CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
 RATES = ("precision", "recall", "F1", "F-beta", "FNR", "FDR")
 CURVE_REPLICATES = 200

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
+from modsim3d.learn.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, attribute_values, fit_misses
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import MISSES_NEEDED, PAIRS_NEEDED, correlation_time, steps_between

@@ -18,7 +18,7 @@ from modsim3d.detector import Detector, take_census
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.performance import Performance
-from modsim3d.detector.records import FALSE_KINDS, Frames, Targets
+from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.learn.labelled import NOBODY, Found, Labelled, sorted_by_image
 from modsim3d.learn.learned import Learned, Settings, Values, learn_again
@@ -42,7 +42,7 @@ class Part:
 
     images: Indices
     rows: Indices
-    frames: Frames
+    frames: CameraFrames
     targets: Targets
     states: Indices
 
@@ -80,7 +80,7 @@ def parts_of(labelled: Labelled, image_state: Indices) -> Iterator[Part]:
         yield Part(
             ours,
             rows,
-            Frames(f"sequence {number}", np.arange(len(ours)), times, size, half_planes),
+            CameraFrames(f"sequence {number}", np.arange(len(ours)), times, size, half_planes),
             Targets(
                 frame=frame,
                 vessel=vessel.ravel(),

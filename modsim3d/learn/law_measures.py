@@ -1,4 +1,4 @@
-"""Measured numbers held against a whole distribution: how often a state was there, and how values are spread."""
+"""Measured numbers compared with a whole distribution: the share of a state, and the spread of values."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Occupancy:
         return max(self.measured + self.asked - high, 0.0), min(self.measured + self.asked - low, 1.0)
 
     def noticed(self, alpha: float) -> Noticed:
-        """None: it follows from the transitions, which notice more."""
+        """Nothing: the transitions, which this follows from, notice more."""
         return None, None
 
 
@@ -78,7 +78,7 @@ class Law:
     Attributes:
         measured: The distance.
         count: Numbers.
-        asked: None.
+        asked: No distance.
     """
 
     measured: float

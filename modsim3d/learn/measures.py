@@ -1,7 +1,7 @@
-"""Measured numbers: each knows its law under the asked value, its interval and what it could have noticed.
+"""Measured numbers: each knows its law under the asked value, its interval and the changes that it could notice.
 
-Here is what all kinds have in common, and the plain kinds; `rate_measures` has those of things that are counted,
-`law_measures` those that are held against a whole distribution.
+This module has the protocol and the plain kinds; `rate_measures` has counts and shares, `law_measures` whole
+distributions.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ Noticed = tuple[float | None, float | None]
 
 
 class Measure(Protocol):
-    """One number of a run, held against the one that was asked for."""
+    """One number of a run, compared with the one that was asked for."""
 
     @property
     def asked(self) -> float:
-        """What the detector file says."""
+        """The value in the detector file."""
 
     @property
     def measured(self) -> float:
-        """What the run shows."""
+        """The value in the run."""
 
     @property
     def count(self) -> float:
         """Independent observations that it rests on."""
 
     def p_value(self) -> float:
-        """Chance of a number as far off as this one or farther, if the run obeys its file."""
+        """Probability of a number at least as far off as this one, if the run obeys its file."""
 
     def strength(self) -> float:
         """How far off in standard errors, comparable between measures."""
@@ -104,11 +104,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Exact:
-    """Something that may never fail.
+    """Something that must never fail.
 
     Attributes:
-        wrong: How often it did.
-        count: Of how often.
+        wrong: How often it failed.
+        count: How often it was tried.
     """
 
     wrong: int

@@ -1,4 +1,4 @@
-"""Pairs of rows of one track, some time apart: over them noise that persists adds up."""
+"""Pairs of rows of one track: how much the noise that they share adds to a variance."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.learn.evidence import Evidence
 
 _FORGOTTEN = 10.0
-"""Correlation times after which nothing of a correlation is counted: 5e-5 of it is left."""
+"""Correlation times after which a correlation is neglected: 5e-5 of it is left."""
 
 
 def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator[tuple[Indices, Indices, Array]]:
-    """Rows of the same track that are near enough in time to be correlated, those one apart first.
+    """Pairs of rows of one track that are near enough in time to be correlated, neighbours first.
 
     Args:
-        tracks: Any numbers that are equal in rows of one track, shape (n, k).
+        tracks: Numbers that are equal in rows of one track, shape (n, k).
         times_s: Shape (n,).
-        correlation_s: Of what persists.
+        correlation_s: Time in which the correlation falls to 1/e.
 
     Yields:
         Later rows, earlier rows, and seconds between, shapes (m,).
@@ -38,16 +38,16 @@ def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator
 
 def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
     """Row of the same vessel in the last frame at which the camera's detector ran, −1 if there is none, shape (n,)."""
-    chances = evidence.chances
+    instances = evidence.instances
     if model.gates.update_interval_s is None:
-        return chances.before
-    turn, ran = np.empty(len(chances.frame), dtype=np.int64), np.empty(len(chances.frame), dtype=bool)
+        return instances.before
+    turn, ran = np.empty(len(instances.frame), dtype=np.int64), np.empty(len(instances.frame), dtype=bool)
     for camera, seen in enumerate(evidence.cameras):
-        ours = np.flatnonzero(chances.camera == camera)
+        ours = np.flatnonzero(instances.camera == camera)
         due = model.gates.due(seen.frames)
-        turn[ours], ran[ours] = np.cumsum(due)[chances.frame[ours]], due[chances.frame[ours]]
+        turn[ours], ran[ours] = np.cumsum(due)[instances.frame[ours]], due[instances.frame[ours]]
     rows = np.flatnonzero(ran)
-    tracks = np.stack([chances.camera[rows], chances.vessel[rows]], axis=1)
+    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
     order = np.lexsort((turn[rows], *tracks.T[::-1]))
     same = (tracks[order][1:] == tracks[order][:-1]).all(axis=1)
     follows = same & (np.diff(turn[rows[order]]) == 1)

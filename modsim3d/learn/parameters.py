@@ -1,15 +1,16 @@
-"""A detector's parameters with what a run shows of each, and the verdicts on all of them together."""
+"""A detector's parameters, what a run shows of each, and the verdicts on all of them together."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from modsim3d.learn.measures import Interval, Measure, Noticed
 
 OVERALL_ALPHA = 0.01
-"""Chance that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
+"""Probability that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
 OBEYS, DIFFERS, FALLS_SHORT, UNTESTED = "obeys", "DIFFERS", "obeys its rule, not the asked rate", "too little seen"
+UNCHECKED = "no check"
 
 
 @dataclass(frozen=True)
@@ -17,15 +18,16 @@ class Parameter:
     """One parameter of a detector and what a run shows of it.
 
     Attributes:
-        name: Where it stands in the detector file; of numbers that follow from others, what it is.
+        name: Its key in the detector file, or a description if it follows from other numbers.
         group: The part of the detector.
         measure: The run's number and its law; None if the run shows too little.
-        asked: What the file says; the measure's if None.
-        unit: Of the numbers.
+        asked: The number in the file; the measure's if None.
+        unit: Unit of the numbers.
         state: Name of the performance state, None if it belongs to none.
-        in_file: Whether the file has this number: only such a one can be the cause of a failure.
-        promised: What the file asks for where the model's own rule aims at something else, which is `measure.asked`.
-        note: What else a reader should know.
+        in_file: Whether the file has this number; only such a parameter can be the cause of a failure.
+        promised: The file's number where the model's own rule aims at another one, which is `measure.asked`.
+        note: Remark for the reader of the report.
+        checked: Whether there is a check; a model without one is listed as such.
     """
 
     name: str
@@ -37,6 +39,11 @@ class Parameter:
     in_file: bool = True
     promised: float | None = None
     note: str = ""
+    checked: bool = True
+
+    def unless(self, note: str) -> Parameter:
+        """The same without a measure if a note says why it cannot be tested."""
+        return replace(self, measure=None, note=note) if note else self
 
 
 @dataclass(frozen=True)
@@ -44,13 +51,13 @@ class Verdict:
     """A parameter with the verdict on it.
 
     Attributes:
-        parameter: What was looked at.
-        asked: The value asked for; by the model's rule where that is another than the file's.
+        parameter: The parameter.
+        asked: The value asked for, by the model's rule where that differs from the file's.
         measured: None where too little was seen.
         interval: Of the measured value, at the level of all tests together.
-        p_value: Not corrected.
+        p_value: Before correction for the number of tests.
         noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
-        verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT` or `UNTESTED`.
+        verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
     """
 
     parameter: Parameter
@@ -116,7 +123,7 @@ def _verdict(parameter: Parameter, alpha: float) -> Verdict:
     measure = parameter.measure
     if measure is None:
         asked = float("nan") if parameter.asked is None else parameter.asked
-        return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED)
+        return Verdict(parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED)
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
     interval = measure.interval(alpha)

@@ -20,8 +20,8 @@ class Rate:
     """A share of trials; correlated trials count for fewer.
 
     Attributes:
-        successes: How many.
-        trials: Of how many.
+        successes: Number of successes.
+        trials: Number of trials.
         asked: The probability asked for.
         inflation: Variance of the number of successes over that of independent trials.
     """
@@ -160,7 +160,7 @@ class ImageRate:
 
     Attributes:
         false: Number of false positives.
-        images: In how many images.
+        images: Number of images.
         asked: The rate asked for.
         inflation: Variance of the number over that of a Poisson number.
     """

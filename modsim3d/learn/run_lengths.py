@@ -1,4 +1,4 @@
-"""How many frames in a row a vessel is missed."""
+"""Runs of frames in which a vessel is missed: how long they are, and how long they should be."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from modsim3d.learn.evidence import Evidence
 
 def run_lengths(evidence: Evidence) -> Indices:
     """Number of runs of misses by length, from 0 on; a run ends where the vessel is detected or not annotated."""
-    chances = evidence.chances
-    missed = chances.outcome == -1  # −2 is detected in another's box
+    instances = evidence.instances
+    missed = instances.outcome == -1  # −2 is detected in another's box
     length = missed.astype(np.int64)
-    order = np.lexsort((chances.frame, chances.camera))  # each row after the one before it
-    for row in order[missed[order] & (chances.before[order] >= 0)]:
-        length[row] += length[chances.before[row]]
+    order = np.lexsort((instances.frame, instances.camera))  # each row after the one before it
+    for row in order[missed[order] & (instances.before[order] >= 0)]:
+        length[row] += length[instances.before[row]]
     goes_on = np.zeros(len(missed), dtype=bool)
-    follows = np.flatnonzero(missed & (chances.before >= 0))
-    goes_on[chances.before[follows]] = True
+    follows = np.flatnonzero(missed & (instances.before >= 0))
+    goes_on[instances.before[follows]] = True
     return np.bincount(length[missed & ~goes_on], minlength=2)
 
 
 def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Array) -> Array:
-    """Probability of a miss where the frame before was one, shape (n,); the plain one where there is none before."""
-    chances, tau = evidence.chances, model.persistence.class_s
+    """Probability of a miss given that the frame before was one, shape (n,); the plain one without a frame before."""
+    instances, tau = evidence.instances, model.persistence.class_s
     if tau <= 0:
         return miss_probability
-    before = np.where(chances.before >= 0, chances.before, 0)
-    kept = np.exp(-(chances.time_s - chances.time_s[before]) / tau)
+    before = np.where(instances.before >= 0, instances.before, 0)
+    kept = np.exp(-(instances.time_s - instances.time_s[before]) / tau)
     earlier = miss_probability[before]
     same = np.minimum(1.0, miss_probability / np.where(earlier > 0, earlier, 1))
-    return np.where(chances.before >= 0, kept * same + (1 - kept) * miss_probability, miss_probability)
+    return np.where(instances.before >= 0, kept * same + (1 - kept) * miss_probability, miss_probability)
 
 
 def expected_run_lengths(miss_probability: Array, again: Array, before: Indices, most: int) -> Array:
     """Expected number of runs of 1, 2, ... `most` misses, shape (most,).
 
     Args:
-        miss_probability: Of each chance, shape (n,).
-        again: Of a miss where the frame before was one, shape (n,).
+        miss_probability: Of each instance, shape (n,).
+        again: Probability of a miss given that the frame before was one, shape (n,).
         before: Row of the same vessel in the frame before, −1 if there is none, shape (n,).
         most: Greatest length.
     """

@@ -1,4 +1,4 @@
-"""The performance states: where they start, how they change, how long each takes."""
+"""Checks of the performance states: where they start, how they change, how long each lasts."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.law_measures import Occupancy
 from modsim3d.learn.measures import Exact
 from modsim3d.learn.parameters import Parameter
 from modsim3d.learn.rate_measures import Rate
 
-GROUP = "performance state"
 _EARLY = 1e-6  # of an interval, as in the detector: 0.6 / 0.2 is a hair below 3
 _ANGLES_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A chain of states as it was seen.
+    """The states of a chain in a run.
 
     Attributes:
-        name: Appended to what is said of it, empty if it is the only one.
-        steps: Of its frames, shape (s,).
+        name: Appended to the names of its parameters, empty if it is the only chain.
+        steps: Steps of its frames, shape (s,).
         times_s: Shape (s,).
         states: Shape (s,).
         forced: Whether the schedule, and not the chain, decided, shape (s,).
@@ -46,10 +46,10 @@ def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         if model.performance.schedule:
             asked = model.performance.forced(chain.times_s, chain.states)
             wrong = Exact(int((chain.states != asked).sum()), int(chain.forced.sum()))
-            parameters.append(Parameter(f"performance.schedule{chain.name}", GROUP, wrong))
+            parameters.append(Parameter(f"performance.schedule{chain.name}", Part.STATE, wrong))
         if len(chain.steps) and chain.steps[0] == 0 and not chain.forced[0]:
             wrong = Exact(int(chain.states[0] != model.initial_state), 1)
-            parameters.append(Parameter(f"initial_state{chain.name}", GROUP, wrong))
+            parameters.append(Parameter(f"initial_state{chain.name}", Part.STATE, wrong))
     parameters += _transition_checks(model, chains)
     for chain in chains:
         if not model.performance.schedule:
@@ -60,14 +60,14 @@ def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
 def _shared_check(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     if model.performance.per_camera:
         return []
-    images = evidence.images
+    images = evidence.frames
     steps, first = np.unique(images.step, return_index=True)
     apart = int((images.state != images.state[first][np.searchsorted(steps, images.step)]).sum())
-    return [Parameter("states shared by all cameras", GROUP, Exact(apart, len(images.step)), in_file=False)]
+    return [Parameter("states shared by all cameras", Part.STATE, Exact(apart, len(images.step)), in_file=False)]
 
 
 def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
-    images, cameras = evidence.images, evidence.cameras
+    images, cameras = evidence.frames, evidence.cameras
     if model.performance.per_camera:
         groups = [(f", {seen.frames.camera}", np.flatnonzero(images.camera == i)) for i, seen in enumerate(cameras)]
     else:
@@ -94,7 +94,7 @@ def transition_counts(model: DetectorModel, steps: Indices, times_s: Array) -> I
 
 
 def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parameter]:
-    """From the pairs of frames with the usual number of transitions between them, of all chains."""
+    """The transition matrix, from pairs of frames of all chains with the usual number of transitions between them."""
     before, after, transitions = (
         np.concatenate(columns)
         for columns in zip(
@@ -114,7 +114,7 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
     parameters = []
     if not moved.all():
         held = Exact(int((after != before)[~moved].sum()), int((~moved).sum()))
-        parameters.append(Parameter("state holds between transitions", GROUP, held, in_file=False))
+        parameters.append(Parameter("state holds between transitions", Part.STATE, held, in_file=False))
     usual = int(np.bincount(transitions[moved]).argmax()) if moved.any() else 1
     matrix = np.linalg.matrix_power(model.transition_matrix, usual)
     pairs = transitions == usual
@@ -129,7 +129,7 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
             asked = float(np.clip(matrix[row, column], 0, 1))
             measure = Rate(int(counts[row, column]), visits, asked) if visits else None
             name = f"transition_matrix[{later.name}][{earlier.name}]"
-            parameters.append(Parameter(name, GROUP, measure, asked, state=earlier.name, note=note))
+            parameters.append(Parameter(name, Part.STATE, measure, asked, state=earlier.name, note=note))
     return parameters
 
 
@@ -138,7 +138,7 @@ def _occupancy_checks(model: DetectorModel, chain: Chain) -> list[Parameter]:
     return [
         Parameter(
             f"share of frames in {state.name}{chain.name}",
-            GROUP,
+            Part.STATE,
             Occupancy(int((chain.states == s).sum()), occupancy_law(model, s, transitions, int(chain.states[0]))),
             state=state.name,
             in_file=False,
@@ -179,7 +179,7 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
 
 
 def _runs(values: Indices) -> tuple[Indices, Indices]:
-    """Values that follow each other, and how often each is repeated."""
+    """Runs of equal values: the values and the lengths of the runs."""
     if not len(values):
         return values, values
     starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))

@@ -9,11 +9,11 @@ from scipy import optimize, special
 LEAST_SKEW = 1e-3
 """Below this a distribution is taken for normal."""
 RARE_SKEW = 1.0
-"""Above this a statistic is a count of events of which hardly one is expected."""
+"""Above this a statistic counts events of which less than one is expected."""
 
 
 def binomial_tails(count: float, trials: float, rate: float) -> tuple[float, float]:
-    """Pr(X ≤ count) and Pr(X ≥ count); counts need not be whole, so that they can be effective ones."""
+    """Pr(X ≤ count) and Pr(X ≥ count); counts need not be whole, as effective counts are not."""
     below = 1.0 if count >= trials else float(special.betainc(trials - count, count + 1, 1 - rate))
     above = 1.0 if count <= 0 else float(special.betainc(count, trials - count + 1, rate))
     return below, above

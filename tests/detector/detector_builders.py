@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detector import Detections, Detector, DetectorModel, Frames, Targets, take_census
+from modsim3d.detector import CameraFrames, Detections, Detector, DetectorModel, Targets, take_census
 
 IMAGE_PX = (3600, 2400)
 ALL_SEA = (0.0, 0.0, 1.0)
@@ -76,11 +76,11 @@ def make_frames(
     image_px: tuple[int, int] = IMAGE_PX,
     sea: Sequence[float] = ALL_SEA,
     time_step_s: float = 0.1,
-) -> Frames:
+) -> CameraFrames:
     times_s = (first_step + np.arange(count)) * time_step_s
     previous_s = (first_step - 1) * time_step_s if first_step else -np.inf
     planes = np.tile(np.asarray(sea, dtype=float), (count, 1))
-    return Frames(camera, first_step + np.arange(count), times_s, image_px, planes, previous_s)
+    return CameraFrames(camera, first_step + np.arange(count), times_s, image_px, planes, previous_s)
 
 
 def make_targets(boxes_px: Any, label: Any = 0, vessel_ids: Sequence[str] | None = None) -> Targets:
@@ -102,11 +102,11 @@ def centred(width: float, height: float, image_px: tuple[int, int] = IMAGE_PX) -
     return [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
 
 
-def chunk(frames: Frames, targets: Targets, start: int, stop: int) -> tuple[Frames, Targets, int]:
+def chunk(frames: CameraFrames, targets: Targets, start: int, stop: int) -> tuple[CameraFrames, Targets, int]:
     """Some of the frames with their targets, and the row that the first of these targets has in the whole."""
     first, last = np.searchsorted(targets.frame, [start, stop])
     rows = slice(first, last)
-    part = Frames(
+    part = CameraFrames(
         frames.camera,
         frames.steps[start:stop],
         frames.times_s[start:stop],
@@ -129,7 +129,7 @@ def chunk(frames: Frames, targets: Targets, start: int, stop: int) -> tuple[Fram
     )
 
 
-def detect_in_chunks(detector: Detector, frames: Frames, targets: Targets, borders: Sequence[int]) -> Detections:
+def detect_in_chunks(detector: Detector, frames: CameraFrames, targets: Targets, borders: Sequence[int]) -> Detections:
     """One `Detections` from several calls, with `frame` and `target` counted over the whole."""
     columns: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Detections)}
     for start, stop in itertools.pairwise(borders):
@@ -148,5 +148,5 @@ def all_bytes(detections: Detections) -> dict[str, bytes]:
     return {field.name: getattr(detections, field.name).tobytes() for field in fields(Detections)}
 
 
-def run(model: DetectorModel, frames: Frames, targets: Targets, seed: int = 1) -> Detections:
+def run(model: DetectorModel, frames: CameraFrames, targets: Targets, seed: int = 1) -> Detections:
     return Detector(model, seed, take_census(model, [(frames, targets)])).detect(frames, targets)

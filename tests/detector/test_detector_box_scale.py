@@ -21,8 +21,8 @@ from detector_builders import (
 from scipy import stats
 
 from modsim3d.detector import Detections, parse_detector
-from modsim3d.detector.box_error import NormalBoxError
-from modsim3d.detector.truncation import POINTS, standard_points, truncated_errors
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.truncation import truncated_errors
 
 SEEN = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
 RELATIVE = {
@@ -85,8 +85,8 @@ def test_thin_boxes_are_a_pixel_when_errors_are_relative() -> None:
     assert np.all(found.boxes_px[:, 2:] - found.boxes_px[:, :2] >= 1)
 
 
-def model_of(error: dict[str, Any]) -> NormalBoxError:
-    return NormalBoxError.from_model(parse_detector(one_state_data(**SEEN, box_error=error)))
+def model_of(error: dict[str, Any]) -> BoxErrorSource:
+    return BoxErrorSource.from_model(parse_detector(one_state_data(**SEEN, box_error=error)))
 
 
 BOXES = [centred(20, 20), centred(47, 67), [0, 1000, 60, 1040], [3590, 1000, 3600, 1100], [1800, 2395, 1900, 2400]]
@@ -96,7 +96,7 @@ THESIS = box_error(MEAN_PX, COVARIANCE_PX2)
 @pytest.mark.parametrize("box_px", BOXES)
 def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
     found = errors_of(THESIS, box_px)
-    asked = truncated_errors(model_of(THESIS), np.zeros(1, dtype=np.int64), np.array([box_px]), IMAGE_PX)
+    asked = truncated_errors(model_of(THESIS), 0, np.array([box_px]), IMAGE_PX)
     std = np.sqrt(np.diag(asked.covariances()[0]))
     sampling = 4 / np.sqrt(len(found))
     assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < (0.02 + sampling) * std)
@@ -106,7 +106,7 @@ def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[flo
 
 def test_truncated_moments_are_the_one_sided_normals() -> None:
     error = box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
-    found = truncated_errors(model_of(error), np.zeros(1, dtype=np.int64), np.array([centred(11, 100)]), IMAGE_PX)
+    found = truncated_errors(model_of(error), 0, np.array([centred(11, 100)]), IMAGE_PX)
     law = stats.truncnorm(-10 / 20, np.inf, scale=20)
     assert abs(found.means[0, 2] - law.mean()) < 0.02 * law.std()
     assert abs(np.sqrt(found.covariances()[0, 2, 2]) / law.std() - 1) < 0.02
@@ -114,7 +114,7 @@ def test_truncated_moments_are_the_one_sided_normals() -> None:
 
 
 def test_large_boxes_lose_nothing_to_truncation() -> None:
-    found = truncated_errors(model_of(THESIS), np.zeros(1, dtype=np.int64), np.array([centred(900, 900)]), IMAGE_PX)
+    found = truncated_errors(model_of(THESIS), 0, np.array([centred(900, 900)]), IMAGE_PX)
     std = np.sqrt(np.diag(COVARIANCE_PX2))
     assert found.accepted[0] == 1
     assert np.all(np.abs(found.means[0] - MEAN_PX) < 0.01 * std)
@@ -123,15 +123,7 @@ def test_large_boxes_lose_nothing_to_truncation() -> None:
 def test_moments_in_file_units_are_the_files_for_boxes_that_are_not_truncated() -> None:
     for error in (RELATIVE, MIXED):
         boxes = np.array([centred(500, 400), centred(900, 300)])
-        state = np.zeros(2, dtype=np.int64)
-        found = truncated_errors(model_of(error), state, boxes, IMAGE_PX, in_file_units=True)
+        found = truncated_errors(model_of(error), 0, boxes, IMAGE_PX, in_file_units=True)
         std = np.sqrt(np.diag(error["covariance"]))
         assert np.all(np.abs(found.means - error["mean"]) < 0.02 * std)
         assert np.all(np.abs(found.covariances() - error["covariance"]) < 0.03 * np.outer(std, std))
-
-
-def test_standard_points_are_normal_in_each_direction() -> None:
-    points = standard_points()
-    assert points.shape == (POINTS, 4)
-    for column in points.T:
-        assert stats.kstest(column, "norm").statistic < 0.003

@@ -36,6 +36,11 @@ def precision_recall(found: Detections, targets: Targets) -> tuple[np.ndarray, n
     return true / len(targets), true / np.arange(1, len(order) + 1)
 
 
+def area_under(curve: PrecisionRecall) -> float:
+    recall = np.linspace(0, curve.recall[-1], 100_001)
+    return float(np.trapezoid(curve.at(recall), recall))
+
+
 @pytest.mark.parametrize("name", CURVES)
 def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None:
     points = CURVES[name]
@@ -45,13 +50,9 @@ def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None
     recall, precision = precision_recall(found, targets)
     # Recall and precision end where the seed puts the rates; the shape before that is the confidence's.
     average = np.sum(precision * np.diff(recall, prepend=0) * (~found.false())[np.argsort(-found.confidence)])
-    assert abs(average - asked.average_precision()) < 0.02
+    assert abs(average - area_under(asked)) < 0.02
     for level in (0.2, 0.5, 0.7):
         assert abs(precision[np.searchsorted(recall, level)] - asked.at(np.array(level))) < 0.03
-
-
-def test_average_precision_is_the_area_under_the_curve() -> None:
-    assert PrecisionRecall.through([[0.5, 1.0], [1.0, 0.5]]).average_precision() == pytest.approx(0.875, abs=1e-6)
 
 
 def test_true_and_false_detections_have_their_own_confidence() -> None:

@@ -12,9 +12,9 @@ from scipy import special
 
 from modsim3d.detector import (
     TRUE,
+    CameraFrames,
     Detections,
     Detector,
-    Frames,
     Targets,
     parse_detector,
     take_census,
@@ -44,7 +44,7 @@ def model_data(**changes: Any) -> dict[str, Any]:
     return one_state_data(box_error=no_error(), false_discovery_rate=0) | changes
 
 
-def detect(data: dict[str, Any], frames: Frames, targets: Targets) -> Detections:
+def detect(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detections:
     model = parse_detector(data)
     return Detector(model, 1, take_census(model, [(frames, targets)])).detect(frames, targets)
 

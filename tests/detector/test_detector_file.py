@@ -9,6 +9,7 @@ import pytest
 from detector_builders import COVARIANCE_PX2, box_error, detector_data, state_data
 
 from modsim3d.detector import load_detector, parse_detector
+from modsim3d.detector.scores import NormalScores
 from modsim3d.errors import InputError
 
 SKEWED = [list(row) for row in COVARIANCE_PX2]
@@ -167,7 +168,7 @@ def test_singular_and_zero_covariances_are_accepted() -> None:
     singular = np.outer([1, 2, 3, 4], [1, 2, 3, 4])
     for covariance in (singular, np.zeros((4, 4))):
         data = changed("states.fog.box_error", box_error([0, 0, 0, 0], covariance))
-        assert np.array_equal(parse_detector(data).states[1].box_error_covariance_px2, covariance)
+        assert np.array_equal(parse_detector(data).states[1].box_error.covariance, covariance)
 
 
 def test_columns_that_lack_a_few_digits_are_completed() -> None:
@@ -180,16 +181,16 @@ def test_a_model_holds_what_the_mapping_says() -> None:
     assert model.labels == ("sail", "motor")
     assert model.initial_state == 1
     assert model.transition_interval_s == 5
-    assert model.false_positives == "calibrated"
+    assert model.clutter.model == "calibrated"
     assert [state.name for state in model.states] == ["clear", "fog"]
     assert model.states[1].confusion.tolist() == [[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]]
     assert model.states[1].false_discovery_rate == 0.4
-    assert (model.states[1].confidence_mean, model.states[1].confidence_std) == (0.4, 0.2)
+    assert model.states[1].confidence.true == NormalScores(0.4, 0.2)
 
 
 def test_arrays_of_a_model_cannot_be_written_to() -> None:
     state = parse_detector(detector_data()).states[0]
-    for array in (state.confusion, state.box_error_mean_px, state.box_error_covariance_px2):
+    for array in (state.confusion, state.box_error.mean, state.box_error.covariance):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
 
@@ -197,7 +198,7 @@ def test_arrays_of_a_model_cannot_be_written_to() -> None:
 def test_calibrated_is_the_default() -> None:
     data = detector_data()
     del data["false_positives"]
-    assert parse_detector(data).false_positives == "calibrated"
+    assert parse_detector(data).clutter.model == "calibrated"
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from detector_builders import all_bytes, detector_data, make_frames, run
 from test_detector_chain import scattered_targets
 
 from modsim3d.detector import parse_detector
+from modsim3d.detector.scores import NormalScores
 from modsim3d.errors import InputError
 from modsim3d.strict_yaml import load_yaml
 
@@ -137,5 +138,5 @@ def test_every_contradiction_between_sections_is_told_at_once() -> None:
 def test_true_and_false_may_be_written_as_yaml_has_them(tmp_path: Any) -> None:
     (tmp_path / "part.yaml").write_text("true: {mean: 0.7, std: 0.1}\nfalse: {mean: 0.4, std: 0.2}\n")
     model = parse_detector(changed("states.fog.confidence", load_yaml(tmp_path / "part.yaml", "part")))
-    assert (model.states[1].confidence_mean, model.states[1].confidence_std) == (0.7, 0.1)
+    assert model.states[1].confidence.true == NormalScores(0.7, 0.1)
     assert model.states[1].confidence.false.mean == 0.4  # type: ignore[attr-defined]

@@ -21,16 +21,16 @@ from detector_builders import (
 from scipy import stats
 
 from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, take_census
-from modsim3d.detector.persistent_clutter import Wanderers, wanderers
+from modsim3d.detector.persistent_clutter import PersistentClutter, persistent_clutter
 from modsim3d.detector.records import PERSISTENT
 from modsim3d.random_streams import Streams
 
 FRAMES = 20_000
 
 
-def watch(rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1) -> Wanderers:
+def watch(rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1) -> PersistentClutter:
     seen = make_frames(frames, time_step_s=step_s)
-    return wanderers(Streams(seed), seen, np.broadcast_to(np.asarray(rates, dtype=float), frames), lifetime_s)
+    return persistent_clutter(Streams(seed), seen, np.broadcast_to(np.asarray(rates, dtype=float), frames), lifetime_s)
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.7])

@@ -10,7 +10,16 @@ import pytest
 from detector_builders import all_bytes, detect_in_chunks, make_frames, make_targets
 
 from modsim3d.boxes import sizes
-from modsim3d.detector import FALSE_KINDS, KINDS, Detections, Detector, Frames, Targets, load_detector, take_census
+from modsim3d.detector import (
+    FALSE_KINDS,
+    KINDS,
+    CameraFrames,
+    Detections,
+    Detector,
+    Targets,
+    load_detector,
+    take_census,
+)
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
 STEPS, VESSELS, STEP_S = 600, 9, 0.2
@@ -21,7 +30,7 @@ def clock(first: int, stop: int) -> np.ndarray:
     return np.arange(first, stop) * STEP_S
 
 
-def rich_frames() -> Frames:
+def rich_frames() -> CameraFrames:
     return make_frames(STEPS, time_step_s=STEP_S, sea=(0.02, 1.0, -800.0))
 
 

@@ -11,6 +11,7 @@ import yaml
 
 from modsim3d.detector import DetectorModel, load_detector
 from modsim3d.detector.checks import covariance_problems
+from modsim3d.detector.scores import NormalScores
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTORS = ROOT / "scenes" / "detectors"
@@ -44,14 +45,14 @@ def test_the_script_reproduces_the_file_byte_for_byte(written: Path, name: str) 
 def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
     model = load("thesis")
     assert model.labels == ("Vessel",)
-    assert model.false_positives == "calibrated"
+    assert model.clutter.model == "calibrated"
     assert [state.name for state in model.states] == ["excellent", "good", "bad", "terrible"]
     np.testing.assert_allclose([state.confusion[1, 0] for state in model.states], [0.133, 0.151, 0.245, 0.381])
     assert [state.false_discovery_rate for state in model.states] == [0.089, 0.113, 0.115, 0.255]
-    assert model.states[1].box_error_covariance_px2[0].tolist() == [3328, 87, -301, -220]
-    assert model.states[3].box_error_mean_px.tolist() == [4.0, 8.2, -24.1, -8.9]
+    assert model.states[1].box_error.covariance[0].tolist() == [3328, 87, -301, -220]
+    assert model.states[3].box_error.mean.tolist() == [4.0, 8.2, -24.1, -8.9]
     assert model.transition_matrix[1, 0] == pytest.approx(0.0085)
-    assert {(state.confidence_mean, state.confidence_std) for state in model.states} == {(0.67, 0.1)}
+    assert {state.confidence.true for state in model.states} == {NormalScores(0.67, 0.1)}
 
 
 def test_the_original_differs_in_its_false_positives_only() -> None:
@@ -71,7 +72,7 @@ def test_three_labels_have_a_full_confusion_matrix_in_each_of_two_states() -> No
 def test_experiment_1_has_one_state() -> None:
     (state,) = load("experiment_1").states
     assert state.false_discovery_rate == 0.119
-    assert state.box_error_covariance_px2[1].tolist() == [1.6, 12.2, -0.2, -13.9]
+    assert state.box_error.covariance[1].tolist() == [1.6, 12.2, -0.2, -13.9]
 
 
 def test_every_published_covariance_is_one() -> None:

@@ -9,20 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modsim3d.detector import DetectorModel, parse_detector
-from modsim3d.detector.states import StateSequence, stationary_distribution, step_distribution
+from modsim3d.detector.states import StateSequence
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams
-
-# Jessen & Mohr (2023), eq. 6.8 to 6.10
-A = np.array([[1 / 3, 1 / 6, 1 / 20], [1 / 3, 2 / 3, 1 / 20], [1 / 3, 1 / 6, 9 / 10]])
-THESIS_A = np.array(
-    [
-        [0.99000, 0.00475, 0.00050, 0.00050],
-        [0.00850, 0.99000, 0.00475, 0.00100],
-        [0.00100, 0.00475, 0.99000, 0.00850],
-        [0.00050, 0.00050, 0.00475, 0.99000],
-    ]
-)  # eq. 9.1
 
 
 def sequence(model: DetectorModel, seed: int = 1) -> StateSequence:
@@ -31,35 +20,6 @@ def sequence(model: DetectorModel, seed: int = 1) -> StateSequence:
 
 def model(**changes: object) -> DetectorModel:
     return parse_detector(detector_data(**changes))
-
-
-def test_a_step_multiplies_the_state_vector_by_the_transition_matrix() -> None:
-    after = step_distribution(A, np.array([0.0, 1.0, 0.0]))
-    np.testing.assert_allclose(after, [1 / 6, 2 / 3, 1 / 6], rtol=1e-14)
-
-
-def test_several_steps_are_that_power_of_the_matrix() -> None:
-    p = np.array([0.0, 1.0, 0.0])
-    slow = A @ (A @ (A @ (A @ p)))  # eq. 6.11
-    np.testing.assert_allclose(step_distribution(A, p, steps=4), slow, rtol=1e-13)
-
-
-@pytest.mark.parametrize("matrix", [A, THESIS_A, np.array([[1.0]]), np.array([[0.0, 1.0], [1.0, 0.0]])])
-def test_stationary_distribution_is_not_changed_by_a_step(matrix: np.ndarray) -> None:
-    x = stationary_distribution(matrix)
-    np.testing.assert_allclose(matrix @ x, x, atol=1e-12)  # eq. 6.19
-    assert x.sum() == pytest.approx(1, abs=1e-12)
-    assert np.all(x >= 0)
-
-
-def test_stationary_distribution_is_where_long_runs_end() -> None:
-    p = step_distribution(A, np.array([0.0, 1.0, 0.0]), steps=400)
-    np.testing.assert_allclose(stationary_distribution(A), p, atol=1e-12)
-
-
-def test_a_chain_in_two_parts_has_no_single_stationary_distribution() -> None:
-    with pytest.raises(ModsimError, match="2 stationary distributions"):
-        stationary_distribution(np.eye(2))
 
 
 def test_the_first_step_is_in_the_initial_state() -> None:

@@ -8,13 +8,15 @@ from scipy import stats
 
 from modsim3d.boxes import inside_image, move
 from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.truncation import accepted_errors, ordered_root
 from modsim3d.learn.clipped_normal import Clipped, clipped_score
-from modsim3d.learn.error_fit import ErrorSample, MomentTable, NormalLaw, directions, fit_step, fitted_law, statistics
+from modsim3d.learn.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
+from modsim3d.learn.error_likelihoods import directions
+from modsim3d.learn.error_parameters import ErrorParameters
 from modsim3d.learn.error_replay import latent_paths, replayed_errors
 from modsim3d.learn.pairs import inflation, lag_pairs
 from modsim3d.learn.run_lengths import expected_run_lengths
 from modsim3d.learn.state_checks import occupancy_law
-from modsim3d.learn.truncation import accepted_errors, ordered_root
 from tests.detector_variants import thesis_data
 
 IMAGE_PX = (3600, 2400)
@@ -30,9 +32,9 @@ BOXES_PX = np.array(
 MODEL = parse_detector(thesis_data())
 
 
-def law_of(**changes) -> NormalLaw:
-    law = NormalLaw.of(MODEL.states[3])
-    return NormalLaw(**{**{name: getattr(law, name) for name in ("mean", "std", "correlation")}, **changes})
+def law_of(**changes) -> ErrorParameters:
+    law = ErrorParameters.of(MODEL.states[3].box_error)
+    return ErrorParameters(**{**{name: getattr(law, name) for name in ("mean", "std", "correlation")}, **changes})
 
 
 LAWS = {
@@ -42,7 +44,7 @@ LAWS = {
 }
 
 
-def sampled(law: NormalLaw, box: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
+def sampled(law: ErrorParameters, box: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
     """Errors of one box by drawing until they count, standardised."""
     rng = np.random.default_rng(seed)
     means, stds = law.at(box[None])
@@ -60,7 +62,7 @@ def test_truncated_moments_are_those_of_draws_that_count(name, box):
     draws = sampled(law, BOXES_PX[box], 100_000)
     share = len(draws) / 100_000
     assert acceptance.mean() == pytest.approx(share, abs=5 * np.sqrt(share / 100_000) + 0.003)
-    values = statistics(draws)
+    values = law.statistics(draws)
     tolerance = 5 * values.std(axis=0) / np.sqrt(len(draws)) + 5 * first.std(axis=0) / np.sqrt(40)
     np.testing.assert_array_less(np.abs(first.mean(axis=0) - values.mean(axis=0)), tolerance + 1e-3)
 
@@ -89,16 +91,16 @@ def test_directions_are_derivatives_of_the_normal_density(parameter):
     step = np.zeros(14)
     step[parameter] = h
 
-    def log_density(moved: NormalLaw) -> np.ndarray:
+    def log_density(moved: ErrorParameters) -> np.ndarray:
         mean, std = (moved.mean - law.mean) / law.std, moved.std / law.std
         return stats.multivariate_normal(mean, moved.correlation * np.outer(std, std)).logpdf(x)
 
     slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
-    found = statistics(x) @ directions(law.correlation)[parameter]
+    found = law.statistics(x) @ directions(law.correlation)[parameter]
     np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
 
 
-def samples_of(law: NormalLaw, copies: int, count: int) -> list[ErrorSample]:
+def samples_of(law: ErrorParameters, copies: int, count: int) -> list[ErrorSample]:
     """Errors of four boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES_PX[:4], copies, axis=0)
     images = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1))

@@ -11,7 +11,7 @@ from modsim3d.boxes import sizes
 from modsim3d.detect_many import ManyDetections
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.model import DetectorModel
-from modsim3d.learn.box_error_checks import LEAST_DETECTIONS, box_error_checks, usable_hits
+from modsim3d.learn.box_error_checks import LEAST_DETECTIONS, box_error_checks, with_known_errors
 from modsim3d.learn.class_checks import class_checks
 from modsim3d.learn.clutter_checks import clutter_checks
 from modsim3d.learn.error_fit import MomentTable
@@ -64,8 +64,8 @@ def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> No
     def error_widths(splits: float) -> tuple[np.ndarray, np.ndarray]:
         model = changed(false_positives={"model": "per_image", "rate": 0.0, "splits": splits, "split_aspect": 0.2})
         evidence = many.detect(model, 3)
-        rows = np.flatnonzero(usable_hits(model, evidence))
-        return evidence.hits.errors_px[rows, 2], sizes(evidence.hits.boxes_px[rows])[:, 0] < 4
+        rows = np.flatnonzero(with_known_errors(model, evidence))
+        return evidence.true_detections.errors_px[rows, 2], sizes(evidence.true_detections.boxes_px[rows])[:, 0] < 4
 
     (every, every_narrow), (some, some_narrow) = error_widths(0.0), error_widths(0.9)
     assert 0.05 * len(every) < len(some) < 0.2 * len(every)
@@ -83,7 +83,7 @@ def test_box_errors_are_not_tested_where_the_largest_boxes_were_kept(many: ManyD
     found = box_error_checks(model, evidence, MomentTable())
     of_good = [p for p in found if p.name.startswith("states.good.")]
     assert of_good and all(p.measure is None and "max_detections was reached" in p.note for p in of_good)
-    enough = np.bincount(evidence.chances.state[evidence.hits.chance], minlength=4) >= LEAST_DETECTIONS
+    enough = np.bincount(evidence.instances.state[evidence.true_detections.instance], minlength=4) >= LEAST_DETECTIONS
     assert enough.sum() > 1
     assert any(p.measure is not None for p in found if p.name.startswith("states.") and p not in of_good)
 
@@ -154,9 +154,9 @@ def test_of_errors_that_nothing_cuts_all_of_a_correlation_is_left(many: ManyDete
 def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
     crowded = ManyDetections.of_scene(load_scene("harbour", mode=2, steps=40, source="analytic"))
     evidence = crowded.detect(parse_detector(variant("doubled, split and merged boxes")), 0)
-    assert (evidence.chances.outcome == -2).any()
+    assert (evidence.instances.outcome == -2).any()
     counts = run_lengths(evidence)
-    assert int(np.arange(len(counts)) @ counts) == int((evidence.chances.outcome == -1).sum())
+    assert int(np.arange(len(counts)) @ counts) == int((evidence.instances.outcome == -1).sum())
 
 
 def test_a_number_that_nobody_asked_for_is_a_dash() -> None:

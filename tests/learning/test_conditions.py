@@ -59,8 +59,8 @@ def test_files_of_the_conditions_hold_the_published_numbers():
     state = model.states[0]
     assert state.confusion.ravel().tolist() == [0.657, 0.343]
     assert state.false_discovery_rate == 0.098
-    np.testing.assert_allclose(np.sqrt(np.diag(state.box_error_covariance_px2)), [47.7, 13.1, 65.8, 23.6], rtol=1e-5)
-    correlation = state.box_error_covariance_px2[0, 2] / (47.7 * 65.8)
+    np.testing.assert_allclose(np.sqrt(np.diag(state.box_error.covariance)), [47.7, 13.1, 65.8, 23.6], rtol=1e-5)
+    correlation = state.box_error.covariance[0, 2] / (47.7 * 65.8)
     assert correlation == pytest.approx(0.92, rel=1e-5)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.learn.clipped_scores import clipped_sums, fit_clipped
+from modsim3d.learn.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_shares import KINDS, error_shares
 from modsim3d.learn.estimates import correlation_column

@@ -1,4 +1,4 @@
-"""Detections that are not one box for one vessel: vessels merged into one box, boxes doubled, boxes in two parts."""
+"""Detections that are not one box for one vessel: merged vessels, duplicate boxes, boxes split in two."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import sizes
 from modsim3d.detector.draws import keyed_uniforms, target_uniforms
-from modsim3d.detector.records import Frames, Targets
+from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Purpose, Streams
 
 _LEAST_CUT, _MOST_CUT = 0.3, 0.7
@@ -18,14 +18,14 @@ LEAST_SPLIT_PX = 4.0
 
 
 @dataclass(frozen=True)
-class Doubles:
+class MergesAndSplits:
     """How often boxes and vessels do not match one to one.
 
     Attributes:
         duplicates: Probability that a detected vessel gets a second box.
-        merges: Probability that two detected vessels that overlap come out as one box.
-        merge_overlap: Least share of the smaller box that the two share.
-        splits: Probability that a long vessel comes out in two parts.
+        merges: Probability that two detected vessels that overlap are merged into one box.
+        merge_overlap: Least share of the smaller box that lies in the larger one.
+        splits: Probability that a long vessel is split into two boxes.
         split_aspect: Least width over height of a long one.
     """
 
@@ -35,10 +35,10 @@ class Doubles:
     splits: float = 0.0
     split_aspect: float = 4.0
 
-    def merged_pairs(self, streams: Streams, frames: Frames, kept: Targets) -> Indices:
-        """Rows of the vessels that come out as one box, the larger first, shape (k, 2); each row at most once.
+    def merged_pairs(self, streams: Streams, frames: CameraFrames, kept: Targets) -> Indices:
+        """Rows of the vessels that are merged, the larger first, shape (k, 2); each row at most once.
 
-        Of pairs that want the same vessel, those that overlap most are served first.
+        Where pairs share a vessel, the pair that overlaps most is merged.
         """
         if not self.merges:
             return np.empty((0, 2), dtype=np.int64)
@@ -60,14 +60,14 @@ class Doubles:
         long: Mask = width >= self.split_aspect * height
         return long
 
-    def events(self, streams: Streams, frames: Frames, shown: Targets, boxes_px: Array, single: Mask) -> Events:
-        """Which detections are doubled or split, and how many of either are to be expected.
+    def events(self, streams: Streams, frames: CameraFrames, shown: Targets, boxes_px: Array, single: Mask) -> Events:
+        """Which detections are duplicated or split, and the expected numbers of both.
 
         Args:
             streams: Random numbers.
             frames: The frames.
             shown: The detected vessels; n of them.
-            boxes_px: Where the detector puts them, shape (n, 4).
+            boxes_px: Their boxes with errors, shape (n, 4).
             single: Whether each is a vessel of its own, not two merged, shape (n,).
         """
         if not self.duplicates and not self.splits:
@@ -88,13 +88,13 @@ class Doubles:
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """What is doubled and split.
+    """Duplicates and splits.
 
     Attributes:
         doubled: Rows that get a second box, shape (d,).
-        split: Rows that come out in two parts, shape (k,).
+        split: Rows that are split, shape (k,).
         cut: Where those are cut, as a share of their width, shape (k,).
-        expected: How many extra boxes are to be expected in each frame, given what was detected, shape (S,).
+        expected: Expected number of extra boxes in each frame, given the detected vessels, shape (S,).
     """
 
     doubled: Indices
@@ -131,7 +131,7 @@ def _overlapping(kept: Targets, least: float) -> tuple[Indices, Array]:
     return both[near], share[near]
 
 
-def _pair_uniforms(streams: Streams, frames: Frames, kept: Targets, pairs: Indices) -> Array:
+def _pair_uniforms(streams: Streams, frames: CameraFrames, kept: Targets, pairs: Indices) -> Array:
     """A number that belongs to two vessels, whichever is larger at the moment, at a step; shape (k,)."""
     owners: dict[str, int] = {}
     ids = [kept.vessel_ids[vessel] for vessel in kept.vessel.tolist()]

@@ -1,4 +1,4 @@
-"""Where a detector's limit on detections was reached, what was left out decides what is seen."""
+"""Frames in which the limit `max_detections` was reached: there the detections left out bias what is seen."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.learn.evidence import Evidence
 
 
-def limit_note(model: DetectorModel, evidence: Evidence) -> str:
+def max_detections_note(model: DetectorModel, evidence: Evidence) -> str:
     """Why rates and confidence cannot be tested; empty if they can."""
     limit = model.gates.max_detections
     if limit is None:
         return ""
-    reached = int((evidence.images.n_kept + evidence.images.n_false >= limit).sum())
+    reached = int((evidence.frames.n_kept + evidence.frames.n_false >= limit).sum())
     return f"max_detections was reached in {reached} images: what was left out is not known" if reached else ""
 
 
-def limit_broken(model: DetectorModel, evidence: Evidence) -> int:
+def frames_above_max(model: DetectorModel, evidence: Evidence) -> int:
     """Images with more detections than the limit."""
     limit = model.gates.max_detections
-    return 0 if limit is None else int(np.sum(evidence.images.n_kept + evidence.images.n_false > limit))
+    return 0 if limit is None else int(np.sum(evidence.frames.n_kept + evidence.frames.n_false > limit))
