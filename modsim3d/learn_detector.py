@@ -12,7 +12,7 @@ from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.estimates import least_inflation
 from modsim3d.learn.figures import Figures, figures
 from modsim3d.learn.gate_bias import bias_of
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Matched, Rule, match
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
@@ -43,7 +43,7 @@ class Asked:
     bias: bool = False
 
 
-def learn_detector(labelled: Labelled, settings: Settings, asked: Asked) -> Report:
+def learn_detector(labelled: LabelledSet, settings: Settings, asked: Asked) -> Report:
     """Learn and report.
 
     Raises:
@@ -52,10 +52,10 @@ def learn_detector(labelled: Labelled, settings: Settings, asked: Asked) -> Repo
     if asked.states and asked.clusters:
         raise ModsimError("give --state, which names the conditions of each state, or --states, which finds them")
     matched = match(labelled, settings.rule, settings.threshold)
-    if not matched.truth_counts.any():
+    if not matched.sought.any():
         raise ModsimError("there is no truth that is to be found: nothing can be learned")
     by_label = match(labelled, Rule(least_iou=settings.rule.least_iou, by_label=True))
-    f1 = {name: _f1(labelled, matched.pairs[0], matched.counts, matched.truth_counts, k)
+    f1 = {name: _f1(labelled, matched.pairs[0], matched.counts, matched.sought, k)
           for k, name in enumerate(labelled.conditions)}  # fmt: skip
     if asked.states:
         state_map = parse_states(asked.states, labelled.conditions)
@@ -103,13 +103,13 @@ _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
 def _about_matches(
-    labelled: Labelled, matched: Matched, rule: Rule, states: tuple[str, ...], image_state: np.ndarray
+    labelled: LabelledSet, matched: Matched, rule: Rule, states: tuple[str, ...], image_state: np.ndarray
 ) -> list[str]:
     """What the matches themselves say against them."""
     remarks, (found, truth) = [], matched.pairs
     if not len(found):
         return ["nothing matches: are truth and detections of the same images, and boxes in pixels of the same size?"]
-    shift = labelled.found.label[found] - labelled.truth.label[truth]
+    shift = labelled.results.label[found] - labelled.annotations.label[truth]
     for step, where in ((1, "after"), (-1, "before")):
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             remarks.append(
@@ -117,8 +117,11 @@ def _about_matches(
                 f"categories: do results count from elsewhere (--category-offset {-step})?"
             )
     if rule.method in ("confidence", "optimal"):
-        near = iou(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth]) < rule.least_iou + _NEAR_THE_GATE
-        state = image_state[labelled.truth.image[truth]]
+        near = (
+            iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[truth])
+            < rule.least_iou + _NEAR_THE_GATE
+        )
+        state = image_state[labelled.annotations.image[truth]]
         for k, name in enumerate(states):
             share = float(near[state == k].mean()) if np.any(state == k) else 0.0
             if share > _MANY_NEAR:
@@ -131,16 +134,16 @@ def _about_matches(
     return remarks
 
 
-def _f1(labelled: Labelled, found: np.ndarray, counts: np.ndarray, sought: np.ndarray, condition: int) -> float:
+def _f1(labelled: LabelledSet, found: np.ndarray, counts: np.ndarray, sought: np.ndarray, condition: int) -> float:
     """Of a condition, labels left aside."""
     here = labelled.images.condition == condition
-    right = float(here[labelled.found.image[found]].sum())
-    detected = float((counts & here[labelled.found.image]).sum())
-    true = float((sought & here[labelled.truth.image]).sum())
+    right = float(here[labelled.results.image[found]].sum())
+    detected = float((counts & here[labelled.results.image]).sum())
+    true = float((sought & here[labelled.annotations.image]).sum())
     return 2 * right / (detected + true) if detected + true else 0.0
 
 
-def _transitions(labelled: Labelled, image_state: np.ndarray, state_map: StateMap, asked: Asked) -> Transitions:
+def _transitions(labelled: LabelledSet, image_state: np.ndarray, state_map: StateMap, asked: Asked) -> Transitions:
     """From the text where it is given, else from the frames."""
     count = len(state_map.names)
     if asked.interval_s is not None and not asked.interval_s > 0:

@@ -69,7 +69,7 @@ def _curve_pictures(report: Report) -> list[str]:
 def _scatter(report: Report) -> list[str]:
     pairs = report.learned.observed.pairs()
     detection = report.learned.observed.detection[~report.learned.observed.missed]
-    error = errors_between(report.labelled.found.boxes_px[detection], pairs.truth_px)
+    error = errors_between(report.labelled.results.boxes_px[detection], pairs.truth_px)
     relative = all(unit.endswith("relative") for unit in report.learned.form.units.values())
     error = error / pairs.sides_px if relative else error  # in the unit in which they are learned
     plots = []

@@ -13,7 +13,7 @@ from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.figures import CELLS, PAIRS, Figures
 from modsim3d.learn.form import QUANTILES
 from modsim3d.learn.gate_bias import Bias
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column
@@ -41,7 +41,7 @@ class Report:
         remarks: What the numbers have to be read with: entries left out, what matching hides.
     """
 
-    labelled: Labelled
+    labelled: LabelledSet
     by_label: Matched
     conditions: Sequence[Figures]
     states: Sequence[Figures]
@@ -325,7 +325,7 @@ def lead(report: Report) -> str:
     learned, labelled = report.learned, report.labelled
     drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
     return (
-        f"{len(labelled.images)} images, {len(labelled.truth)} truths, {len(labelled.found)} detections; matched by "
-        f"{report.matched_by}, confidence at least {learned.form.threshold:g}; {report.level:.0%} intervals by "
-        f"bootstrap over {learned.units['']} {drawn}."
+        f"{len(labelled.images)} images, {len(labelled.annotations)} truths, {len(labelled.results)} detections; "
+        f"matched by {report.matched_by}, confidence at least {learned.form.threshold:g}; {report.level:.0%} intervals "
+        f"by bootstrap over {learned.units['']} {drawn}."
     )

@@ -12,11 +12,11 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import corner_form
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.formats.tables import CENTRE_FORM
-from modsim3d.learn.labelled import NOBODY, Found, Images, Labelled, Truth, sorted_by_image
+from modsim3d.learn.labelled import NOBODY, Annotations, Images, LabelledSet, Results
 from modsim3d.stored_run import StoredRun, open_run
 
 
-def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
+def labelled_run(folder: Path) -> tuple[LabelledSet, StoredRun]:
     """A run: an image for each camera and step, a condition for each performance state."""
     run = open_run(folder)
     scene, tables = run.scene, run.tables()
@@ -47,7 +47,7 @@ def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
     annotated = tables["truth"].filter(tables["truth"]["annotated"])
     side = "visible" if scene.annotation.mode == 2 else "full"
     vessels, labels = list(scene.vessel_names), tuple(scene.detector.labels)
-    truth = Truth(
+    truth = Annotations(
         image=image(annotated),
         label=_places(annotated, "label", labels),
         boxes_px=np.column_stack(
@@ -57,17 +57,16 @@ def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
         crowd=np.zeros(len(annotated), dtype=bool),
         identity=_places(annotated, "vessel", vessels),
         visible_fraction=_numbers(annotated, "visible_fraction"),
-        distance_m=_numbers(annotated, "depth_m"),
-    )
-    truth = Truth(**sorted_by_image(truth)[0])
+        depth_m=_numbers(annotated, "depth_m"),
+    ).by_image()
     detections = tables["detections"]
-    found = _found(detections, image(detections), labels, vessels, truth, len(images))
-    return Labelled(labels, states, images, truth, found), run
+    results = _results(detections, image(detections), labels, vessels, truth, len(images))
+    return LabelledSet(labels, states, images, truth, results), run
 
 
-def _found(
-    table: pa.Table, image: Indices, labels: tuple[str, ...], vessels: list[str], truth: Truth, images: int
-) -> Found:
+def _results(
+    table: pa.Table, image: Indices, labels: tuple[str, ...], vessels: list[str], truth: Annotations, images: int
+) -> Results:
     boxes = corner_form(np.column_stack([_numbers(table, name) for name in CENTRE_FORM]))
     kind = _places(table, "kind", KINDS)
     row_of = np.full(images * max(len(vessels), 1), NOBODY)
@@ -75,14 +74,13 @@ def _found(
     vessel = _places(table, "vessel", vessels)
     own = ~np.isin(kind, FALSE_KINDS) & (vessel >= 0)
     origin = np.where(own, row_of[image * len(vessels) + np.maximum(vessel, 0)], NOBODY)
-    found = Found(
+    return Results(
         image=image,
         label=_places(table, "label", labels),
         boxes_px=boxes,
         confidence=_numbers(table, "confidence"),
         origin=origin,
-    )
-    return Found(**sorted_by_image(found)[0])
+    ).by_image()
 
 
 def _numbers(table: pa.Table, name: str) -> Array:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from modsim3d.learn.labelled import Labelled
+    from modsim3d.learn.labelled import LabelledSet
     from modsim3d.learn_report import Report
 
 
@@ -140,7 +140,7 @@ def _given(  # type: ignore[no-untyped-def]
 
 def _sets(  # type: ignore[no-untyped-def]
     truth: Sequence[Path], detections: Sequence[Path], conditions: Sequence[str], runs: Sequence[Path], given
-) -> tuple[list[Labelled], float | None]:
+) -> tuple[list[LabelledSet], float | None]:
     """All sets, and the time between transitions where runs name one."""
     from modsim3d.learn.reading.pair import read_pair
 

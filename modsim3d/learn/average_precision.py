@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.matching import Matched
 
 COCO_POINTS, FEW_POINTS = 101, 11
@@ -72,7 +72,7 @@ class Ranking:
     truth_image: Indices
 
     @classmethod
-    def of(cls, labelled: Labelled, matched: Matched, label: int, images: Mask) -> Ranking:
+    def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
         """Those of a label in some of the images.
 
         Args:
@@ -81,11 +81,11 @@ class Ranking:
             label: Which.
             images: Which images, shape (I,).
         """
-        found, truth = labelled.found, labelled.truth
+        found, truth = labelled.results, labelled.annotations
         rows = np.flatnonzero(matched.counts & (found.label == label) & images[found.image])
         rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
-        sought = matched.truth_counts & (truth.label == label) & images[truth.image]
-        return cls(found.image[rows], matched.truth[rows] >= 0, found.confidence[rows], truth.image[sought])
+        sought = matched.sought & (truth.label == label) & images[truth.image]
+        return cls(found.image[rows], matched.annotation[rows] >= 0, found.confidence[rows], truth.image[sought])
 
     def curve(self, weights: Array | None = None) -> Curve | None:
         """The curve, of images with weights of shape (I,); None if there is nothing to find."""

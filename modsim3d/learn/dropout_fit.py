@@ -44,11 +44,11 @@ class Effect:
 
 def attribute_values(observed: Observed) -> dict[str, Array]:
     """What is known of each truth that counts, shapes (n,)."""
-    truth = observed.labelled.truth
+    truth = observed.labelled.annotations
     return {
         "visible_fraction": truth.visible_fraction[observed.rows],
         "size_px": truth.size_px[observed.rows],
-        "distance_m": truth.distance_m[observed.rows],
+        "distance_m": truth.depth_m[observed.rows],
     }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.average_precision import Curve
-from modsim3d.learn.labelled import NOBODY, Labelled
+from modsim3d.learn.labelled import NOBODY, LabelledSet
 from modsim3d.learn.matching import Rule, image_pairs, match, overlap
 
 KINDS = ("classification", "localisation", "both", "duplicate", "background", "missed")
@@ -47,7 +47,7 @@ class _Nearest:
 
 
 def error_shares(
-    labelled: Labelled, images: Mask, least_iou: float = 0.5, least_confidence: float = 0.0
+    labelled: LabelledSet, images: Mask, least_iou: float = 0.5, least_confidence: float = 0.0
 ) -> ErrorShares:
     """The shares over some images, at one IoU.
 
@@ -57,16 +57,16 @@ def error_shares(
         least_iou: Less is no match.
         least_confidence: Of detections that take part.
     """
-    found, truth = labelled.found, labelled.truth
+    found, truth = labelled.results, labelled.annotations
     matched = match(labelled, Rule(least_iou=least_iou, by_label=True), least_confidence)
     counts = matched.counts & images[found.image]
-    sought = matched.truth_counts & images[truth.image]
-    right = counts & (matched.truth >= 0)
+    sought = matched.sought & images[truth.image]
+    right = counts & (matched.annotation >= 0)
     false = np.flatnonzero(counts & ~right)
     near = _nearest(labelled, false, sought)
     kind = _kinds(near, least_iou)
     taken = np.zeros(len(truth), dtype=bool)
-    taken[matched.truth[right]] = True
+    taken[matched.annotation[right]] = True
     covered = taken.copy()
     covered[near.other[kind == 0]] = True
     covered[near.same[kind == 1]] = True
@@ -89,9 +89,9 @@ def error_shares(
     return ErrorShares(plain, gains, tallies | {"missed": int(missed.sum())})
 
 
-def _nearest(labelled: Labelled, rows: Indices, sought: Mask) -> _Nearest:
+def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask) -> _Nearest:
     """Best truths of some detections, −1 where nothing overlaps."""
-    found, truth, size = labelled.found, labelled.truth, len(rows)
+    found, truth, size = labelled.results, labelled.annotations, len(rows)
     best = {same: (np.full(size, NOBODY), np.zeros(size)) for same in (True, False)}
     columns = np.flatnonzero(sought)
     for first, second in image_pairs(found.image[rows], truth.image[columns], len(labelled.images)):
@@ -120,7 +120,7 @@ def _kinds(near: _Nearest, least_iou: float) -> Indices:
 class _State:
     """Detections as they are, or with something mended."""
 
-    labelled: Labelled
+    labelled: LabelledSet
     counts: Mask
     right: Mask
     label: Indices
@@ -128,7 +128,7 @@ class _State:
 
     def mean_precision(self) -> float:
         """Mean average precision over the labels that are there, by all points."""
-        found, truth, values = self.labelled.found, self.labelled.truth, []
+        found, truth, values = self.labelled.results, self.labelled.annotations, []
         for label in range(len(self.labelled.labels)):
             total = int((self.sought & (truth.label == label)).sum())
             if not total:
@@ -149,12 +149,12 @@ class _State:
     def mended(self, rows: Indices, truths: Indices, taken: Mask) -> _State:
         """Some detections made right: the surest of each truth that nothing has found; the others are left out."""
         free = ~taken[truths]
-        order = np.argsort(-self.labelled.found.confidence[rows[free]], kind="stable")
+        order = np.argsort(-self.labelled.results.confidence[rows[free]], kind="stable")
         rows_free, truths_free = rows[free][order], truths[free][order]
         _, first = np.unique(truths_free, return_index=True)
         chosen = rows_free[first]
         right, counts, label = self.right.copy(), self.counts.copy(), self.label.copy()
         counts[rows] = False
         counts[chosen], right[chosen] = True, True
-        label[chosen] = self.labelled.truth.label[truths_free[first]]
+        label[chosen] = self.labelled.annotations.label[truths_free[first]]
         return _State(self.labelled, counts, right, label, self.sought)

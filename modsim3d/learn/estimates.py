@@ -159,7 +159,7 @@ def correlation_column(
 
 def _clutter(observed: Observed, form: Form, resampling: Resampling) -> Columns:
     """How many false detections, with which labels, how large and where."""
-    found, states, k = observed.labelled.found, len(form.states), len(form.labels)
+    found, states, k = observed.labelled.results, len(form.states), len(form.labels)
     image = found.image[observed.false]
     state = observed.image_state[image]
     labels = resampling.counts(image, state * k + found.label[observed.false], (states, k))
@@ -236,7 +236,7 @@ def _confidence(observed: Observed, form: Form, resampling: Resampling) -> Colum
 
 def confidences(observed: Observed, form: Form) -> Iterator[tuple[str, str, Indices, Array]]:
     """Path, form, image and values of the confidence of each state and kind; of all states where shared."""
-    found, pairs = observed.labelled.found, observed.pairs()
+    found, pairs = observed.labelled.results, observed.pairs()
     false_image = found.image[observed.false]
     kinds = (
         ("true", pairs.image, pairs.state, pairs.confidence),

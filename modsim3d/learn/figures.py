@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import errors_between
 from modsim3d.learn.average_precision import NUMBERS, Ranking, average_precisions
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column, Resampling
 
@@ -87,11 +87,11 @@ def error_columns(resampling: Resampling, image: np.ndarray, values: Array) -> d
     }
 
 
-def confusion_counts(labelled: Labelled, matched: Matched, resampling: Resampling, images: Mask) -> Array:
+def confusion_counts(labelled: LabelledSet, matched: Matched, resampling: Resampling, images: Mask) -> Array:
     """Confusion matrices, shape (rows, k + 1, k + 1)."""
-    found, truth, size = labelled.found, labelled.truth, len(labelled.labels) + 1
-    sought = np.flatnonzero(matched.truth_counts & images[truth.image])
-    detection = matched.detection()[sought]
+    found, truth, size = labelled.results, labelled.annotations, len(labelled.labels) + 1
+    sought = np.flatnonzero(matched.sought & images[truth.image])
+    detection = matched.detection[sought]
     seen_as = np.where(detection >= 0, found.label[detection] if len(found) else 0, size - 1)
     false = matched.false[images[found.image[matched.false]]]
     image = np.concatenate([truth.image[sought], found.image[false]])
@@ -124,7 +124,7 @@ def rates(right: Array, detected: Array, true: Array, beta: float) -> dict[str, 
 
 def figures(
     name: str,
-    labelled: Labelled,
+    labelled: LabelledSet,
     matched: Matched,
     by_label: Matched,
     resampling: Resampling,
@@ -161,12 +161,12 @@ def figures(
     total = clutter.sum(axis=1, keepdims=True)
     columns["false labels"] = Column(_ratio(clutter, total), "share", np.full(k, total[0, 0]))
     found, truth = matched.pairs
-    ours = images[labelled.found.image[found]]
+    ours = images[labelled.results.image[found]]
     found, truth = found[ours], truth[ours]
-    error = errors_between(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth])
-    columns |= error_columns(resampling, labelled.found.image[found], error)
+    error = errors_between(labelled.results.boxes_px[found], labelled.annotations.boxes_px[truth])
+    columns |= error_columns(resampling, labelled.results.image[found], error)
     columns["error covariance"] = _covariance_column(columns)
-    columns |= _label_errors(resampling, labelled.found.image[found], labelled.truth.label[truth], error, k)
+    columns |= _label_errors(resampling, labelled.results.image[found], labelled.annotations.label[truth], error, k)
     columns |= _precision_columns(labelled, by_label, resampling, images)
     columns |= _entropies(labelled, matched, resampling, images)
     return Figures(name, int(images.sum()), resampling.units(images), counts[0], columns)
@@ -209,7 +209,7 @@ def _means(columns: Mapping[str, Column], true: Array) -> dict[str, Column]:
 
 
 def _precision_columns(
-    labelled: Labelled, by_label: Matched, resampling: Resampling, images: Mask
+    labelled: LabelledSet, by_label: Matched, resampling: Resampling, images: Mask
 ) -> dict[str, Column]:
     weights = resampling.weights[: 1 + CURVE_REPLICATES]
     rankings = [Ranking.of(labelled, by_label, label, images) for label in range(len(labelled.labels))]
@@ -228,19 +228,19 @@ def _precision_columns(
 _LEAST_PROBABILITY = 1e-12
 
 
-def _entropies(labelled: Labelled, matched: Matched, resampling: Resampling, images: Mask) -> dict[str, Column]:
+def _entropies(labelled: LabelledSet, matched: Matched, resampling: Resampling, images: Mask) -> dict[str, Column]:
     """Mean cross-entropy: of labels where probabilities are given, and of confidence as that of being right."""
-    found = labelled.found
+    found = labelled.results
     result = {}
     rows = np.flatnonzero(matched.counts & images[found.image])
-    right = matched.truth[rows] >= 0
+    right = matched.annotation[rows] >= 0
     sure = np.clip(np.where(right, found.confidence[rows], 1 - found.confidence[rows]), _LEAST_PROBABILITY, 1)
     result["confidence cross-entropy"] = _mean_column(resampling, found.image[rows], -np.log(sure))
     if found.probabilities is not None:
         rows, truth = matched.pairs
         given = images[found.image[rows]] & np.isfinite(found.probabilities[rows, 0])
         rows, truth = rows[given], truth[given]
-        chance = found.probabilities[rows, labelled.truth.label[truth]]
+        chance = found.probabilities[rows, labelled.annotations.label[truth]]
         loss = -np.log(np.clip(chance, _LEAST_PROBABILITY, 1))
         result["label cross-entropy"] = _mean_column(resampling, found.image[rows], loss)
     return result

@@ -287,7 +287,7 @@ def error_gaps(observed: Observed, units: Mapping[str, str]) -> Array:
 
 def _scores(observed: Observed, notes: list[str]) -> dict[str, tuple[str, str]]:
     """Which distribution of confidence each state and kind has."""
-    found, threshold = observed.labelled.found, observed.threshold
+    found, threshold = observed.labelled.results, observed.threshold
     pairs = observed.pairs()
     false_state = observed.image_state[found.image[observed.false]]
     chosen = {}
@@ -327,7 +327,7 @@ def _distance(values: Array, threshold: float) -> float:
 def _clutter(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     images = len(observed.labelled.images)
-    false = np.bincount(observed.labelled.found.image[observed.false], minlength=images).astype(np.float64)
+    false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
     true = np.bincount(observed.image[~observed.missed], minlength=images).astype(np.float64)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):

@@ -21,7 +21,7 @@ from modsim3d.detector.performance import Performance
 from modsim3d.detector.records import FALSE_KINDS, Frames, Targets
 from modsim3d.detector.reference import Reference
 from modsim3d.errors import ModsimError
-from modsim3d.learn.labelled import NOBODY, Found, Labelled, sorted_by_image
+from modsim3d.learn.labelled import NOBODY, LabelledSet, Results
 from modsim3d.learn.learned import Learned, Settings, Values, learn_again
 from modsim3d.learn.resampling import Column, from_scale, spread, to_scale
 
@@ -48,13 +48,13 @@ class Part:
     states: Indices
 
 
-def parts_of(labelled: Labelled, image_state: Indices) -> Iterator[Part]:
+def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
     """All images with a state, split by sequence and size.
 
     Raises:
         ModsimError: The size of an image is not known.
     """
-    images, truth = labelled.images, labelled.truth
+    images, truth = labelled.images, labelled.annotations
     used = np.flatnonzero(image_state >= 0)
     if not np.isfinite(images.sizes_px[used]).all():
         raise ModsimError("the detector cannot be simulated over images whose size is not known")
@@ -88,20 +88,20 @@ def parts_of(labelled: Labelled, image_state: Indices) -> Iterator[Part]:
                 label=truth.label[rows],
                 boxes_px=np.clip(truth.boxes_px[rows], 0, [*size, *size]),
                 visible_fraction=truth.visible_fraction[rows],
-                depth_m=truth.distance_m[rows],
+                depth_m=truth.depth_m[rows],
                 vessel_ids=tuple(f"{name}" for name in names.tolist()),
             ),
             image_state[ours],
         )
 
 
-def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, seed: int) -> Labelled:
+def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
     """The same images and truth, with what a detector puts out for them; states are those of the images."""
     parts = list(parts_of(labelled, image_state))
     reference = None
     if model.needs_reference:
         reference = sum((reference_of(model, part.frames, part.targets) for part in parts), Reference())
-    columns: list[Found] = []
+    columns: list[Results] = []
     for part in parts:
         times = part.frames.times_s
         changes = np.flatnonzero(np.diff(part.states, prepend=-1))
@@ -114,7 +114,7 @@ def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, se
         drawn = Detector(held, seed, clock=clock, reference=reference).detect(part.frames, part.targets)
         own = ~np.isin(drawn.kind, FALSE_KINDS) & (drawn.target >= 0)
         columns.append(
-            Found(
+            Results(
                 image=part.images[drawn.frame],
                 label=drawn.label,
                 boxes_px=drawn.boxes_px,
@@ -123,8 +123,8 @@ def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, se
             )
         )
     names = ("image", "label", "boxes_px", "confidence", "origin")
-    whole = Found(**{name: np.concatenate([getattr(part, name) for part in columns]) for name in names})
-    return replace(labelled, found=Found(**sorted_by_image(whole)[0]))
+    whole = Results(**{name: np.concatenate([getattr(part, name) for part in columns]) for name in names})
+    return replace(labelled, results=whole.by_image())
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,9 @@ def _least_error(column: Column) -> Array:
     return error
 
 
-def bias_of(learned: Learned, labelled: Labelled, image_state: Indices, settings: Settings, repeats: int = 12) -> Bias:
+def bias_of(
+    learned: Learned, labelled: LabelledSet, image_state: Indices, settings: Settings, repeats: int = 12
+) -> Bias:
     """Simulate what was learned, learn it again, and compare.
 
     Args:

@@ -12,7 +12,7 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.learn.estimates import Columns, estimate
 from modsim3d.learn.figures import covariance
 from modsim3d.learn.form import QUANTILES, Form, choose_form, first_times
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.matching import Rule, match
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling, resample
@@ -83,14 +83,14 @@ class Learned:
         return detector_content(self.form, self.values() if values is None else values, self.transitions)
 
 
-def observe(labelled: Labelled, states: Sequence[str], image_state: Indices, settings: Settings) -> Observed:
+def observe(labelled: LabelledSet, states: Sequence[str], image_state: Indices, settings: Settings) -> Observed:
     """Match, and put in columns."""
     matched = match(labelled, settings.rule, settings.threshold)
     return Observed.of(labelled, matched, tuple(states), image_state, settings.threshold)
 
 
 def learn(
-    labelled: Labelled, states: Sequence[str], image_state: Indices, transitions: Transitions, settings: Settings
+    labelled: LabelledSet, states: Sequence[str], image_state: Indices, transitions: Transitions, settings: Settings
 ) -> Learned:
     """Learn a detector.
 
@@ -112,7 +112,7 @@ def learn(
     return Learned(observed, form, columns, units, resampling, run_s, transitions)
 
 
-def learn_again(learned: Learned, labelled: Labelled, image_state: Indices, settings: Settings) -> Values:
+def learn_again(learned: Learned, labelled: LabelledSet, image_state: Indices, settings: Settings) -> Values:
     """The same numbers from other data, the models as they were."""
     observed = observe(labelled, learned.form.states, image_state, settings)
     columns = estimate(observed, learned.form, resample(labelled.images, 0, 0))

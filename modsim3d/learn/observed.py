@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import errors_between, sizes
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.matching import Matched
 
 _LEAST_SPREADS = 4.5
@@ -30,7 +30,7 @@ class Observed:
         threshold: Least confidence that took part.
     """
 
-    labelled: Labelled
+    labelled: LabelledSet
     matched: Matched
     states: tuple[str, ...]
     image_state: Indices
@@ -41,18 +41,18 @@ class Observed:
 
     @classmethod
     def of(
-        cls, labelled: Labelled, matched: Matched, states: tuple[str, ...], image_state: Indices, threshold: float
+        cls, labelled: LabelledSet, matched: Matched, states: tuple[str, ...], image_state: Indices, threshold: float
     ) -> Observed:
         """From matches."""
-        rows = np.flatnonzero(matched.truth_counts & (image_state[labelled.truth.image] >= 0))
+        rows = np.flatnonzero(matched.sought & (image_state[labelled.annotations.image] >= 0))
         false = matched.false
-        false = false[image_state[labelled.found.image[false]] >= 0]
-        return cls(labelled, matched, states, image_state, rows, matched.detection()[rows], false, threshold)
+        false = false[image_state[labelled.results.image[false]] >= 0]
+        return cls(labelled, matched, states, image_state, rows, matched.detection[rows], false, threshold)
 
     @property
     def image(self) -> Indices:
         """Of each truth, shape (n,)."""
-        return self.labelled.truth.image[self.rows]
+        return self.labelled.annotations.image[self.rows]
 
     @property
     def state(self) -> Indices:
@@ -62,7 +62,7 @@ class Observed:
     @property
     def label(self) -> Indices:
         """Of each truth, shape (n,)."""
-        return self.labelled.truth.label[self.rows]
+        return self.labelled.annotations.label[self.rows]
 
     @property
     def missed(self) -> Mask:
@@ -72,7 +72,7 @@ class Observed:
     @property
     def seen_as(self) -> Indices:
         """Label that each truth was taken for, k where missed, shape (n,)."""
-        found = self.labelled.found.label
+        found = self.labelled.results.label
         label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)
         return np.where(self.missed, len(self.labelled.labels), label)
 
@@ -80,10 +80,10 @@ class Observed:
         """Truths that were found, with the errors of their boxes."""
         place = np.flatnonzero(~self.missed)
         rows, detection = self.rows[place], self.detection[place]
-        truth_px = self.labelled.truth.boxes_px[rows]
-        error = errors_between(self.labelled.found.boxes_px[detection], truth_px)
-        image = self.labelled.truth.image[rows]
-        return Pairs(rows, image, self.image_state[image], self.labelled.found.confidence[detection], truth_px, error)
+        truth_px = self.labelled.annotations.boxes_px[rows]
+        error = errors_between(self.labelled.results.boxes_px[detection], truth_px)
+        image = self.labelled.annotations.image[rows]
+        return Pairs(rows, image, self.image_state[image], self.labelled.results.confidence[detection], truth_px, error)
 
 
 @dataclass(frozen=True, eq=False)

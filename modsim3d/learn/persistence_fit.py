@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.resampling import Resampling
 
 PAIRS_NEEDED = 200
@@ -35,14 +35,14 @@ class Steps:
         return len(self.earlier)
 
 
-def steps_between(labelled: Labelled, rows: Indices) -> Steps:
+def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
     """Pairs of rows of the truth that follow each other, of things with an identity in frames with times.
 
     Args:
         labelled: The sets.
         rows: Of the truth, shape (n,).
     """
-    truth, images = labelled.truth, labelled.images
+    truth, images = labelled.annotations, labelled.images
     image = truth.image[rows]
     time = images.time_s[image]
     known = np.flatnonzero((truth.identity[rows] >= 0) & np.isfinite(time))
@@ -57,7 +57,7 @@ def steps_between(labelled: Labelled, rows: Indices) -> Steps:
     return Steps(earlier[same], later[same], apart[same])
 
 
-def frame_interval_s(labelled: Labelled) -> float:
+def frame_interval_s(labelled: LabelledSet) -> float:
     """Median time between frames; NaN where images do not follow one another."""
     order = np.lexsort((labelled.images.time_s, labelled.images.sequence))
     gaps = np.diff(labelled.images.time_s[order])

@@ -10,7 +10,7 @@ from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_shares import KINDS, error_shares
 from modsim3d.learn.estimates import correlation_column
 from modsim3d.learn.figures import figures
-from modsim3d.learn.labelled import Labelled, joined
+from modsim3d.learn.labelled import LabelledSet, joined
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Rule, match
 from modsim3d.learn.observed import Observed
@@ -35,7 +35,7 @@ def sailboats_and_kayaks():
     seen = [(box, label) for box, (_, label) in zip(boxes, cells, strict=True) if label is not None]
     seen += [([100.0 * k, 500, 100.0 * k + 50, 550], k // 2) for k in range(4)]
     count, scores = len(cells), np.linspace(0.9, 0.5, len(seen)).tolist()
-    return Labelled(
+    return LabelledSet(
         ("sailboat", "kayak"),
         ("all",),
         images(1, (9000, 900)),
@@ -83,7 +83,7 @@ def test_error_moments_are_those_of_numpy():
     image = np.repeat(np.arange(60), 5)
     boxes[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
     moved[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
-    labelled = Labelled(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
+    labelled = LabelledSet(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
                         found(image, image * 0, moved, np.full(300, 0.9)))  # fmt: skip
     got = figures_of(labelled, 200)
     change = moved - boxes
@@ -102,7 +102,7 @@ def test_error_moments_are_those_of_numpy():
 def test_cross_entropy_of_labels_where_probabilities_are_given():
     boxes = [[0, 0, 10, 10], [50, 0, 60, 10], [0, 50, 10, 60]]
     chances = np.array([[0.5, 0.5], [0.9, 0.1], [np.nan, np.nan]])
-    labelled = Labelled(("a", "b"), ("all",), images(1), truth([0] * 3, [0, 1, 0], boxes),
+    labelled = LabelledSet(("a", "b"), ("all",), images(1), truth([0] * 3, [0, 1, 0], boxes),
                         found([0] * 3, [0, 0, 0], boxes, [0.8, 0.7, 0.6], chances))  # fmt: skip
     got = figures_of(labelled)
     assert got.columns["label cross-entropy"].estimate == pytest.approx(-(np.log(0.5) + np.log(0.1)) / 2)
@@ -165,7 +165,7 @@ def missed_by_size(seed, slope=-1.0, count=6000):
     place = np.arange(count) % 10 * 300.0
     boxes = np.stack([place, 0 * place, place + side, side], axis=1)
     image = np.arange(count) // 10
-    labelled = Labelled(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
+    labelled = LabelledSet(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
                         found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9)))  # fmt: skip
     state = np.zeros(count // 10, dtype=np.int64)
     return Observed.of(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
@@ -251,7 +251,7 @@ def test_error_shares_name_each_kind():
         (boxes[0], 0, 0.5),  # again
         ([9000, 0, 9100, 100], 0, 0.4),  # of nothing
     ]
-    labelled = Labelled(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
+    labelled = LabelledSet(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
                         found([0] * 6, [label for _, label, _ in seen], [box for box, _, _ in seen],
                               [score for _, _, score in seen]))  # fmt: skip
     shares = error_shares(labelled, np.ones(1, dtype=bool))
@@ -291,7 +291,7 @@ def at_the_edge(inner, outer, seed=2):
     moved = boxes + rng.normal(0, 3, boxes.shape)
     moved[inner:, 0] = np.maximum(moved[inner:, 0], 0)
     image = np.arange(count)
-    return Labelled(("a",), ("all",), images(count), truth(image, image * 0, boxes),
+    return LabelledSet(("a",), ("all",), images(count), truth(image, image * 0, boxes),
                     found(image, image * 0, moved, np.full(count, 0.9)))  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from modsim3d.detector.loader import parse_detector
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.coco import write_coco
 from modsim3d.learn.gate_bias import bias_of, simulated
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Rule
 from modsim3d.learn.reading.coco import read_coco
@@ -51,8 +51,8 @@ def test_exported_coco_is_the_run(run, exported):
     assert again.conditions == ("clear", "haze") or again.conditions == ("haze", "clear")
     names = [again.conditions[k] for k in again.images.condition]
     assert names == [first.conditions[k] for k in first.images.condition]
-    np.testing.assert_array_equal(again.truth.identity >= 0, True)
-    for part in ("truth", "found"):
+    np.testing.assert_array_equal(again.annotations.identity >= 0, True)
+    for part in ("annotations", "results"):
         for column in ("image", "label", "boxes_px"):
             np.testing.assert_allclose(
                 getattr(getattr(again, part), column), getattr(getattr(first, part), column), atol=1e-6
@@ -123,7 +123,7 @@ def test_the_same_data_give_the_same_bytes(exported, tmp_path):
 
 def false_of_states(run):
     labelled = labelled_run(run)[0]
-    false = labelled.found.image[(labelled.found.origin < 0) & (labelled.found.confidence >= 0.2)]
+    false = labelled.results.image[(labelled.results.origin < 0) & (labelled.results.confidence >= 0.2)]
     return np.bincount(labelled.images.condition[false], minlength=len(labelled.conditions))
 
 
@@ -149,7 +149,7 @@ def pairs_of_conditions(tmp_path, count):
         seen = rng.random(120) > 0.05 + 0.1 * number
         moved = boxes + rng.normal(0, 2, boxes.shape)
         sure = 0.5 + rng.random(sum(seen)) / 2
-        labelled = Labelled(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
+        labelled = LabelledSet(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
                             found(image[seen], image[seen] * 0, moved[seen], sure))  # fmt: skip
         gt, dt = write_coco(labelled, tmp_path / f"c{number}")
         arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
@@ -225,7 +225,7 @@ def blank(count=1500, side=60.0):
     """Two boats in every image, and nothing detected."""
     image = np.repeat(np.arange(count), 2)
     boxes = np.tile([[200.0, 200, 200 + side, 200 + side], [500.0, 500, 500 + side, 500 + side]], (count, 1))
-    return Labelled(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
+    return LabelledSet(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
                     found([], [], [], []))  # fmt: skip
 
 
@@ -251,7 +251,7 @@ def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
     state = np.zeros(1500, dtype=np.int64)
     settings = Settings(Rule(), replicates=20, clutter="calibrated")
     labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=3)
-    labelled = replace(labelled, found=replace(labelled.found, origin=None))
+    labelled = replace(labelled, results=replace(labelled.results, origin=None))
     learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), settings)
     bias = bias_of(learned, labelled, state, settings, repeats=5)
     values, corrected = learned.values(), bias.corrected()
@@ -341,7 +341,7 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
         boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (40, 1))
         image, label = np.repeat(np.arange(40), 2), np.tile([0, 1], 40)
         moved = boxes + rng.normal(0, [1, 1, 1, 1], boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
-        labelled = Labelled(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
+        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
                             found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
         gt, dt = write_coco(labelled, tmp_path / name)
         arguments += ["--condition", name, "--truth", gt, "--detections", dt]
@@ -361,8 +361,8 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
     def remarks(std_px, method="confidence", shift=0):
         labelled = simulated(blank(), state, parse_detector(one_state(std_px)), seed=3)
         labelled = replace(labelled, labels=("boat", "buoy"))
-        found = replace(labelled.found, label=labelled.found.label + shift)
-        return learn_detector(replace(labelled, found=found), replace(settings, rule=Rule(method)), Asked()).remarks
+        found = replace(labelled.results, label=labelled.results.label + shift)
+        return learn_detector(replace(labelled, results=found), replace(settings, rule=Rule(method)), Asked()).remarks
 
     assert remarks(2.0) == ()
     assert len(remarks(8.0)) == 1 and "of the matches have an IoU of less than 0.6" in remarks(8.0)[0]
@@ -377,7 +377,7 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     haze = np.arange(200) >= 188
     boxes = np.tile([[100.0, 100, 160, 160], [300.0, 300, 360, 360]], (200, 1))
     moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
-    labelled = Labelled(
+    labelled = LabelledSet(
         ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
         truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
     )  # fmt: skip

@@ -43,16 +43,16 @@ def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
     labelled = read(tmp_path)
     assert labelled.labels == ("ferry", "kayak")
     assert labelled.images.names == ("7", "b.png")  # in the order of the IDs, as COCO's tools have it
-    assert labelled.truth.image.tolist() == [0, 1, 1]
-    assert labelled.truth.label.tolist() == [0, 1, 0]
-    assert labelled.truth.boxes_px[1].tolist() == [10, 20, 40, 60]
-    assert labelled.truth.crowd.tolist() == labelled.truth.ignored.tolist() == [False, False, True]
-    assert labelled.truth.identity.tolist() == [-1, -1, 0]
-    assert labelled.truth.visible_fraction[0] == 0.25 and labelled.truth.distance_m[0] == 80
-    assert labelled.found.label.tolist() == [1, 0]
-    assert labelled.found.confidence.tolist() == [1, 0.75]
-    assert labelled.found.probabilities[0].tolist() == [0.1, 0.9]
-    assert np.isnan(labelled.found.probabilities[1]).all()
+    assert labelled.annotations.image.tolist() == [0, 1, 1]
+    assert labelled.annotations.label.tolist() == [0, 1, 0]
+    assert labelled.annotations.boxes_px[1].tolist() == [10, 20, 40, 60]
+    assert labelled.annotations.crowd.tolist() == labelled.annotations.ignored.tolist() == [False, False, True]
+    assert labelled.annotations.identity.tolist() == [-1, -1, 0]
+    assert labelled.annotations.visible_fraction[0] == 0.25 and labelled.annotations.depth_m[0] == 80
+    assert labelled.results.label.tolist() == [1, 0]
+    assert labelled.results.confidence.tolist() == [1, 0.75]
+    assert labelled.results.probabilities[0].tolist() == [0.1, 0.9]
+    assert np.isnan(labelled.results.probabilities[1]).all()
 
 
 def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
@@ -62,7 +62,7 @@ def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
 
 def test_images_without_annotations_and_without_results_are_there(tmp_path):
     empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
-    assert len(empty.images) == 2 and len(empty.truth) == 0 and len(empty.found) == 0
+    assert len(empty.images) == 2 and len(empty.annotations) == 0 and len(empty.results) == 0
 
 
 def changed(where, **keys):
@@ -122,7 +122,7 @@ def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
         read(tmp_path, results=results)
     assert len(raised.value.problems) == 21 and "9 more" in raised.value.problems[-1]
     labelled = read(tmp_path, results=results, skip_bad=True)
-    assert len(labelled.found) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
+    assert len(labelled.results) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
 
 
 @pytest.mark.parametrize(("where", "keys"), [(("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})])
@@ -130,7 +130,9 @@ def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
     truth, results = changed(where, **keys)
     results = [entry for entry in results if entry["image_id"] == 30]
     labelled = read(tmp_path, truth, results, skip_bad=True)
-    assert len(labelled.truth) == 2 and labelled.truth.distance_m.tolist() == pytest.approx([np.nan] * 2, nan_ok=True)
+    assert len(labelled.annotations) == 2 and labelled.annotations.depth_m.tolist() == pytest.approx(
+        [np.nan] * 2, nan_ok=True
+    )
     assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
 
 
@@ -139,7 +141,7 @@ def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
 def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
     labelled = random_set(seed)
     box = lambda corners: [corners[0], corners[1], corners[2] - corners[0], corners[3] - corners[1]]  # noqa: E731
-    truth, found = labelled.truth, labelled.found
+    truth, found = labelled.annotations, labelled.results
     gt = {
         "images": [{"id": k, "width": 600, "height": 600} for k in range(len(labelled.images))],
         "categories": [{"id": k, "name": name} for k, name in enumerate(labelled.labels)],
@@ -155,7 +157,7 @@ def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
         for d in range(len(found))
     ]  # fmt: skip
     again = read(tmp_path_factory.mktemp("coco"), gt, dt)
-    for part in ("truth", "found"):
+    for part in ("annotations", "results"):
         for name, column in vars(getattr(labelled, part)).items():
             if isinstance(column, np.ndarray):
                 np.testing.assert_allclose(getattr(getattr(again, part), name), column, atol=1e-9)
@@ -171,10 +173,10 @@ def test_mot(tmp_path):
     assert labelled.labels == ("boat",)
     assert labelled.images.time_s.tolist() == pytest.approx([0, 0.2, 0.4, 0.6])
     assert labelled.images.sizes_px[0].tolist() == [1920, 1080]
-    assert labelled.truth.identity.tolist() == [0, 0, 1]
-    assert labelled.truth.ignored.tolist() == [False, False, True]
-    assert labelled.truth.visible_fraction.tolist() == [0.5, 1, 1]
-    assert labelled.found.image.tolist() == [0, 1]
+    assert labelled.annotations.identity.tolist() == [0, 0, 1]
+    assert labelled.annotations.ignored.tolist() == [False, False, True]
+    assert labelled.annotations.visible_fraction.tolist() == [0.5, 1, 1]
+    assert labelled.results.image.tolist() == [0, 1]
     (tmp_path / "det.txt").write_text(
         "0,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
     )
@@ -195,7 +197,7 @@ def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,4
 
 
 def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
-    assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").found) == 1
+    assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").results) == 1
     with pytest.raises(InputError, match=r"det.txt line 1: must be numbers \(got '1,-1,,12"):
         mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
 
@@ -219,7 +221,7 @@ def test_mot_with_classes(tmp_path):
     (tmp_path / "det.txt").write_text("1,-1,12,20,30,40,0.9,5,-1,-1\n")
     labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(("a", "b"), (640, 480)))
     assert labelled.labels == ("b", "class_5")
-    assert labelled.truth.label.tolist() == [0, 1] and labelled.found.label.tolist() == [1]
+    assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [1]
 
 
 def test_yolo(tmp_path):
@@ -235,8 +237,8 @@ def test_yolo(tmp_path):
     labelled = read_pair("day", truth, predictions, given)
     assert labelled.labels == ("sailboat", "ferry")
     assert labelled.images.names == ("a", "b", "c", "d")
-    assert labelled.truth.boxes_px[0].tolist() == [300, 100, 500, 300]
-    assert labelled.found.image.tolist() == [2] and labelled.found.confidence.tolist() == [0.75]
+    assert labelled.annotations.boxes_px[0].tolist() == [300, 100, 500, 300]
+    assert labelled.results.image.tolist() == [2] and labelled.results.confidence.tolist() == [0.75]
     (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2\n0.5 0.1 0.1 0.1 0.1 0.9\n0 400 300 20 20 0.9\n")
     with pytest.raises(InputError, match=r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares"):
         read_pair("day", truth, predictions, given)
@@ -290,6 +292,8 @@ def test_joined_sets_keep_their_rows_apart():
     both = joined([first, second])
     assert both.labels == ("a", "b", "c") and both.conditions == ("all",)
     assert len(both.images) == len(first.images) + len(second.images)
-    np.testing.assert_array_equal(both.truth.image[len(first.truth) :], second.truth.image + len(first.images))
+    np.testing.assert_array_equal(
+        both.annotations.image[len(first.annotations) :], second.annotations.image + len(first.images)
+    )
     assert set(both.images.source.tolist()) == {0, 1}
-    assert np.all(np.diff(both.found.image) >= 0)
+    assert np.all(np.diff(both.results.image) >= 0)

@@ -45,14 +45,14 @@ def result(image_id, category_id=1, **more):
 )  # fmt: skip
 def test_an_image_is_named_by_its_id_or_by_its_file(names, given, tmp_path):
     labelled = read_pair("day", *coco(tmp_path, [result(each) for each in given], names), Given())
-    assert labelled.found.image.tolist() == [0, 2] and labelled.found.confidence.tolist() == [0.87512] * 2
+    assert labelled.results.image.tolist() == [0, 2] and labelled.results.confidence.tolist() == [0.87512] * 2
 
 
 def test_a_file_name_beside_a_number_that_is_another_images_id_decides(tmp_path):
     names = ("000012.jpg", "000013.jpg", "000011.jpg")
     results = [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")]
     labelled = read_pair("day", *coco(tmp_path, results, names), Given())
-    assert labelled.found.image.tolist() == [0, 2]
+    assert labelled.results.image.tolist() == [0, 2]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_a_file_name_beside_a_number_that_is_another_images_id_decides(tmp_path)
 )
 def test_numbers_that_are_ids_and_names_of_other_files_are_told(results, rows, doubtful, tmp_path):
     labelled = read_pair("day", *coco(tmp_path, results, ("000010.jpg", "000011.jpg", "000012.jpg")), Given())
-    assert labelled.found.image.tolist() == rows
+    assert labelled.results.image.tolist() == rows
     assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
@@ -83,7 +83,7 @@ def test_ids_of_images_may_be_text(tmp_path):
     content["annotations"][0]["image_id"] = "south"
     truth.write_text(json.dumps(content))
     labelled = read_pair("day", truth, detections, Given())
-    assert labelled.images.names == ("north", "south") and labelled.found.image.tolist() == [0]
+    assert labelled.images.names == ("north", "south") and labelled.results.image.tolist() == [0]
 
 
 def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path):
@@ -94,7 +94,7 @@ def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path
         "[0]: unknown category_id 0 (known: 1, 2)",
         "category IDs are off by one: --category-offset 1 would set them right",
     )
-    assert read_pair("day", *files, Given(category_offset=1)).found.label.tolist() == [0, 1]
+    assert read_pair("day", *files, Given(category_offset=1)).results.label.tolist() == [0, 1]
     with pytest.raises(InputError, match=r"\[1\]: unknown category_id 7 .*\Z"):
         read_pair("day", *coco(tmp_path, [result(11, 1), result(12, 7)]), Given())
 
@@ -126,7 +126,9 @@ def test_a_track_that_is_twice_in_an_image_is_refused(tmp_path):
 
 def test_a_track_below_zero_is_nobodys(tmp_path):
     boxes = [{"image_id": 11, "category_id": 1, "bbox": [x, 2, 30, 40], "track_id": -1} for x in (1, 50)]
-    assert read_pair("day", *coco(tmp_path, [result(11)], annotations=boxes), Given()).truth.identity.tolist() == [
+    assert read_pair(
+        "day", *coco(tmp_path, [result(11)], annotations=boxes), Given()
+    ).annotations.identity.tolist() == [
         -1,
         -1,
     ]
@@ -162,8 +164,8 @@ def test_yolos_images_say_how_large_and_how_many_they_are_and_its_data_what_they
     assert labelled.images.names == ("a", "b", "empty")
     assert labelled.images.sizes_px.tolist() == [[200, 100], [400, 300], [640, 480]]
     assert labelled.labels == ("kayak", "ferry")
-    assert labelled.truth.boxes_px.tolist() == [[50, 25, 150, 75], [100, 75, 300, 225]]
-    assert labelled.found.boxes_px.tolist() == [[100, 75, 300, 225]]
+    assert labelled.annotations.boxes_px.tolist() == [[50, 25, 150, 75], [100, 75, 300, 225]]
+    assert labelled.results.boxes_px.tolist() == [[100, 75, 300, 225]]
 
 
 def test_a_photograph_that_is_to_be_turned_is_as_large_as_it_is_shown(yolo):
@@ -198,7 +200,7 @@ def test_yolo_folders_that_are_not_meant_are_refused(yolo):
     with pytest.raises(InputError, match=r"b.txt line 1: has 5 numbers, must have 6.*\n.*save_conf=True"):
         read_pair("day", labels, predictions, Given())
     (predictions / "b.txt").unlink()
-    assert len(read_pair("day", labels, predictions, Given()).found) == 0  # nothing was detected
+    assert len(read_pair("day", labels, predictions, Given()).results) == 0  # nothing was detected
     (yolo / "set" / "images" / "val" / "a.jpg").write_bytes(b"no image")
     with pytest.raises(InputError, match=r"image .*a.jpg:\n.*cannot be read"):
         read_pair("day", labels, predictions, Given())

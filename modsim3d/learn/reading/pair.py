@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modsim3d.errors import InputError
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.reading.mot import read_mot
 from modsim3d.learn.reading.yolo import read_yolo
@@ -31,7 +31,7 @@ class Given:
     category_offset: int = 0
 
 
-def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> Labelled:
+def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> LabelledSet:
     """One condition: folders are YOLO's, `.txt` is MOT, anything else COCO.
 
     Raises:
