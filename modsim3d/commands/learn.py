@@ -75,7 +75,7 @@ def learn_command(
     from modsim3d.learn.labelled import joined
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.matching import Rule
-    from modsim3d.learn_detector import Asked, learn_detector
+    from modsim3d.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn_page import write_page
     from modsim3d.learn_report import NEVER_LEARNED, lead, tables
     from modsim3d.validation import read_text
@@ -87,7 +87,7 @@ def learn_command(
     parts, interval_s = _sets(truth or [], detections or [], condition or [], run or [], given)
     rule = Rule(match.value, least_iou=iou, most_distance_px=distance)
     settings = Settings(rule, confidence, replicates, seed, clutter.value)
-    asked = Asked(
+    options = LearnOptions(
         states=tuple(state or ()),
         clusters=states,
         sequence=read_text(sequence, "sequence") if sequence else None,
@@ -96,16 +96,16 @@ def learn_command(
         beta=beta,
         bias=bias or correct,
     )
-    report = learn_detector(joined(parts), settings, asked)
-    values = report.bias.corrected() if correct and report.bias else None
+    report = learn_detector(joined(parts), settings, options)
+    written = report.bias.corrected() if correct and report.bias else report.learned
     comments = [f"Learned by modsim3d learn. {lead(report)}"]
     comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
     comments += [f"Remark: {remark}" for remark in report.remarks]
     comments += ["Corrected once for the bias of the matching."] if correct else []
-    comments += [f"Left simple: {note}" for note in report.learned.form.notes]
+    comments += [f"Left simple: {note}" for note in report.learned.notes]
     for path in (out, page):
         path.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(detector_text(report.learned.detector(values), comments), encoding="utf-8", newline="\n")
+    out.write_text(detector_text(written.detector(), comments), encoding="utf-8", newline="\n")
     write_page(report, page)
     console = Console()
     console.print(lead(report), highlight=False, markup=False)
@@ -203,7 +203,7 @@ _BETWEEN = 2
 
 def _say_notes(console: Console, report: Report) -> None:
     console.print("\n[bold]Left simple, and why[/bold]")
-    for note in report.learned.form.notes or ("nothing: there was enough of everything",):
+    for note in report.learned.notes or ("nothing: there was enough of everything",):
         console.print(f"  {note}", highlight=False, markup=False)
 
 

@@ -30,11 +30,16 @@ class Effect:
 
     @property
     def doublings(self) -> bool:
-        """Whether it goes by doublings: sizes and distances do."""
+        """Whether the odds change by doublings of the attribute, as for sizes and distances, or by units."""
         return self.attribute != "visible_fraction"
 
+    @property
+    def slope_key(self) -> str:
+        """Key of the slope in the detector file."""
+        return "per_doubling" if self.doublings else "per_unit"
+
     def of(self, values: Array) -> Array:
-        """Units or doublings beyond the reference; none where unknown, shape (n,)."""
+        """Units or doublings beyond the reference, 0 where the value is unknown, shape (n,)."""
         known = np.where(np.isfinite(values), values, self.reference)
         if self.doublings:
             changed: Array = np.log2(np.maximum(known, 1.0) / self.reference)

@@ -153,6 +153,27 @@ def spread(replicates: Array) -> Array:
     return result
 
 
+def widened(values: Array, least: Array) -> Array:
+    """Replicates whose spread is at least a standard error from theory, in which noise that persists is counted.
+
+    With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
+
+    Args:
+        values: The estimate, then its replicates, shape (1 + replicates, ...).
+        least: Standard error of the estimate, shape (...).
+
+    Returns:
+        The same shape, and the same estimate.
+    """
+    if len(values) == 1:
+        return values
+    found = spread(values[1:])
+    usable = np.isfinite(found) & (found > 0) & np.isfinite(least)
+    factor = np.where(usable, np.maximum(least / np.where(usable, found, 1.0), 1.0), 1.0)
+    scaled: Array = values[0] + factor * (values - values[0])
+    return scaled
+
+
 def to_scale(values: Array, kind: str) -> Array:
     """Onto a scale on which the estimate is nearly normal."""
     scaled = values

@@ -87,7 +87,7 @@ def test_a_weight_of_two_is_the_image_twice():
     curve = ranking.curve(weights)
     image = np.concatenate([np.repeat(ranking.image, weights[ranking.image].astype(int))])
     right = np.repeat(ranking.right, weights[ranking.image].astype(int))
-    sought = np.repeat(ranking.truth_image, weights[ranking.truth_image].astype(int))
+    sought = np.repeat(ranking.annotation_image, weights[ranking.annotation_image].astype(int))
     again = Ranking(image, right, np.zeros(len(image)), sought).curve()
     assert curve.recall[-1] == pytest.approx(again.recall[-1])
     assert curve.precision[-1] == pytest.approx(again.precision[-1])
