@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import joined
-from modsim3d.learn.reading.pair import Given, read_pair
+from modsim3d.learn.reading.pair import ReadOptions, read_pair
 from tests.learning.labelled_sets import random_set
 
 TRUTH = {
@@ -36,7 +36,7 @@ def written(tmp_path, truth=TRUTH, results=RESULTS):
 
 
 def read(tmp_path, truth=TRUTH, results=RESULTS, **given):
-    return read_pair("day", *written(tmp_path, truth, results), Given(**given))
+    return read_pair("day", *written(tmp_path, truth, results), ReadOptions(**given))
 
 
 def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
@@ -169,7 +169,7 @@ def test_mot(tmp_path):
     (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=1920\nimHeight=1080\nseqLength=4\nframeRate=5\n")
     (folder / "gt.txt").write_text("1,3,10,20,30,40,1,1,0.5\n2,3,11,20,30,40,1,1,1\n2,4,0,0,9,9,0,1,1\n")
     (tmp_path / "det.txt").write_text("2,-1,12,20,30,40,0.9,-1,-1,-1\n1,-1,300,20,30,40,0.3\n")
-    labelled = read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given(labels=("boat",)))
+    labelled = read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions(labels=("boat",)))
     assert labelled.labels == ("boat",)
     assert labelled.images.time_s.tolist() == pytest.approx([0, 0.2, 0.4, 0.6])
     assert labelled.images.sizes_px[0].tolist() == [1920, 1080]
@@ -181,19 +181,19 @@ def test_mot(tmp_path):
         "0,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
     )
     with pytest.raises(InputError) as raised:
-        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given())
+        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
     assert [line.partition(":")[0] for line in raised.value.problems] == [
         f"det.txt line {k}" for k in (3, 4, 1, 2, 5)
     ]  # fmt: skip
     (tmp_path / "seqinfo.ini").unlink()
     with pytest.raises(InputError, match="give --image-size"):
-        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given())
+        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
 
 
 def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
     (tmp_path / "gt.txt").write_text(truth)
     (tmp_path / "det.txt").write_text(detections)
-    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(labels, size))
+    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(labels, size))
 
 
 def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
@@ -219,7 +219,7 @@ def test_a_sequence_without_size_or_rate_is_refused(entry, tmp_path):
 def test_mot_with_classes(tmp_path):
     (tmp_path / "gt.txt").write_text("1,3,10,20,30,40,1,2,1\n1,4,100,20,30,40,1,5,1\n")
     (tmp_path / "det.txt").write_text("1,-1,12,20,30,40,0.9,5,-1,-1\n")
-    labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(("a", "b"), (640, 480)))
+    labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(("a", "b"), (640, 480)))
     assert labelled.labels == ("b", "class_5")
     assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [1]
 
@@ -233,7 +233,7 @@ def test_yolo(tmp_path):
     (truth / "labels" / "images.txt").write_text("images/d.png\n")
     (truth / "data.yaml").write_text("names: {0: sailboat, 1: ferry}\n")
     (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2 0.75\n")
-    given = Given(image_size_px=(800, 400))
+    given = ReadOptions(image_size_px=(800, 400))
     labelled = read_pair("day", truth, predictions, given)
     assert labelled.labels == ("sailboat", "ferry")
     assert labelled.images.names == ("a", "b", "c", "d")
@@ -243,7 +243,7 @@ def test_yolo(tmp_path):
     with pytest.raises(InputError, match=r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares"):
         read_pair("day", truth, predictions, given)
     with pytest.raises(InputError, match="give --image-size"):
-        read_pair("day", truth, predictions, Given())
+        read_pair("day", truth, predictions, ReadOptions())
 
 
 def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=()):
@@ -252,7 +252,7 @@ def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=
     predictions.mkdir(exist_ok=True)
     (truth / "a.txt").write_text(line)
     (tmp_path / "data.yaml").write_text(data)
-    return read_pair("day", truth, predictions, Given(labels, (800, 400)))
+    return read_pair("day", truth, predictions, ReadOptions(labels, (800, 400)))
 
 
 def test_yolo_names_are_those_of_their_numbers(tmp_path):
@@ -276,7 +276,7 @@ def test_labels_of_the_same_name_are_refused(tmp_path):
 def test_what_is_not_there_is_not_taken_for_another_kind(tmp_path):
     yolo(tmp_path)
     with pytest.raises(InputError) as raised:
-        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", Given())
+        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", ReadOptions())
     assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
 
 
@@ -284,7 +284,7 @@ def test_two_kinds_of_files_do_not_go_together(tmp_path):
     gt, _ = written(tmp_path)
     (tmp_path / "det.txt").touch()
     with pytest.raises(InputError, match=r"looks like COCO and .* like MOT"):
-        read_pair("day", gt, tmp_path / "det.txt", Given())
+        read_pair("day", gt, tmp_path / "det.txt", ReadOptions())
 
 
 def test_joined_sets_keep_their_rows_apart():
