@@ -15,6 +15,7 @@ from modsim3d.learn.gate_bias import Bias
 from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matching import Matched
+from modsim3d.learn.parts import LEARNERS
 from modsim3d.learn.resampling import Column
 from modsim3d.learn.states import StateMap
 
@@ -107,7 +108,8 @@ def tables(report: Report, every: bool = False) -> list[Table]:
     found += [_label_errors(report, figures) for figures in detailed if several and every]
     found += [_confusion(report, figures) for figures in detailed]
     found += [_shares(report), _parameters(report)]
-    return found if report.bias is None else [*found, _bias(report.bias)]
+    found += [] if report.bias is None else [_bias(report.bias)]
+    return [*found, _models()]
 
 
 def _state_table(report: Report) -> Table:
@@ -254,6 +256,15 @@ def _bias(bias: Bias) -> Table:
     header = ("number", "learned", "learned again", "corrected", "standard errors")
     title = "Bias of the matching, by simulating what was learned and learning again"
     return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
+
+
+def _models() -> Table:
+    rows = tuple(
+        (part, name, "not learned" if learner is None else "learned")
+        for part, models in LEARNERS.items()
+        for name, learner in models.items()
+    )
+    return Table("Models that are learned", ("part", "model", "estimate"), rows)
 
 
 NEVER_LEARNED = (
