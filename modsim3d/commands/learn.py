@@ -31,7 +31,7 @@ class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
 
 
 class Clutter(str, Enum):  # noqa: UP042
-    """Which model of false positives."""
+    """Model of the number of false positives."""
 
     auto = "auto"
     calibrated = "calibrated"
@@ -45,25 +45,29 @@ def learn_command(
     condition: Annotated[list[str] | None, typer.Option(help="Name of each pair, in order.")] = None,
     run: Annotated[list[Path] | None, typer.Option(metavar="RUN", help="A run directory in place of files.")] = None,
     state: Annotated[list[str] | None, typer.Option(metavar="NAME=COND,...", help="Conditions of a state.")] = None,
-    states: Annotated[int | None, typer.Option(min=1, help="So many states, by clustering conditions on F1.")] = None,
-    sequence: Annotated[Path | None, typer.Option(help="Text with a state a line: how they follow.")] = None,
+    states: Annotated[int | None, typer.Option(min=1, help="Number of states to make by F1.")] = None,
+    sequence: Annotated[Path | None, typer.Option(help="Text with one state on each line, in time order.")] = None,
     interval: Annotated[float | None, typer.Option(metavar="S", help="Seconds between entries of a sequence.")] = None,
     match: Annotated[Match, typer.Option(help="How boxes are matched.")] = Match.confidence,
     iou: Annotated[float, typer.Option(min=0.01, max=1, help="Least IoU of a match.")] = 0.5,
-    distance: Annotated[float, typer.Option(min=0, metavar="PX", help="For --match centre: the most.")] = 50.0,
+    distance: Annotated[float, typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.")] = 50.0,
     confidence: Annotated[float, typer.Option(min=0, max=1, help="Least confidence that counts.")] = 0.2,
     clutter: Annotated[Clutter, typer.Option(help="Model of false positives.")] = Clutter.auto,
-    level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Of the intervals.")] = 0.95,
-    replicates: Annotated[int, typer.Option(min=20, help="Of the bootstrap.")] = 300,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
-    beta: Annotated[float, typer.Option(min=0.01, help="Of F-beta.")] = 2.0,
-    bias: Annotated[bool, typer.Option("--bias", help="Find what the matching does, by simulating.")] = False,
-    correct: Annotated[bool, typer.Option("--correct", help="Take that off what is written; one step.")] = False,
+    level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Level of the intervals.")] = 0.95,
+    replicates: Annotated[int, typer.Option(min=20, help="Replicates of the bootstrap.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    beta: Annotated[float, typer.Option(min=0.01, help="Weight of recall in F-beta.")] = 2.0,
+    bias: Annotated[bool, typer.Option("--bias", help="Find how much matching shifts the numbers.")] = False,
+    correct: Annotated[bool, typer.Option("--correct", help="Take that shift off the numbers, once.")] = False,
     labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
-    image_size: Annotated[str | None, typer.Option(metavar="W,H", help="YOLO; MOT without seqinfo.ini.")] = None,
-    frame_rate: Annotated[float | None, typer.Option(metavar="HZ", help="MOT without it; COCO's frame_id.")] = None,
+    image_size: Annotated[
+        str | None, typer.Option(metavar="W,H", help="For YOLO, and MOT without seqinfo.ini.")
+    ] = None,
+    frame_rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="For MOT without it, and COCO's frame_id.")
+    ] = None,
     category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
-    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out entries that are wrong.")] = False,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out wrong entries.")] = False,
     page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
 ) -> None:
     """Learn a detector from its results on a labelled set, with intervals that say how well it is known.

@@ -24,7 +24,7 @@ from modsim3d.learn.entries import Entry, entries_of, with_entries
 from modsim3d.learn.labelled import NOBODY, LabelledSet, Results
 from modsim3d.learn.learned import Learned, Settings, learn_again
 from modsim3d.learn.matching import match
-from modsim3d.learn.resampling import Column, from_scale, spread, to_scale
+from modsim3d.learn.resampling import Column, Kind, from_scale, spread, to_scale
 
 SURE = 0.05
 """Probability that any shift is called sure by chance alone."""
@@ -50,7 +50,7 @@ class Part:
 
 
 def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
-    """All images with a state, split by sequence and size.
+    """Split all images that have a state (I,) by sequence and size.
 
     Raises:
         ModsimError: The size of an image is not known.
@@ -97,7 +97,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
 
 
 def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
-    """The same images and truth, with what a detector puts out for them; states are those of the images."""
+    """The same images and annotations with the results of a simulated detector, in the state of each image (I,)."""
     parts = list(parts_of(labelled, image_state))
     reference = None
     if model.needs_reference:
@@ -201,13 +201,13 @@ class Bias:
 _RANGES = {"share": (0.0, 1.0), "rate": (0.0, np.inf)}
 
 
-def _scale(column: Column) -> str:
-    """Shares may be 0, where their usual scale ends: their bias is taken on the plain one."""
+def _scale(column: Column) -> Kind:
+    """The scale of the column; the plain one for shares and rates, which may be 0, where their own scales end."""
     return "mean" if column.kind in _RANGES else column.kind
 
 
 def _least_error(column: Column) -> Array:
-    """Standard error of a share or rate that may have happened once or never, on the plain scale."""
+    """Least standard error on the plain scale, for shares and rates of what may have happened once or never."""
     value, count = column.estimate, np.maximum(column.counts, 1.0)
     if column.kind not in _RANGES:
         return np.full(value.shape, 1e-12)

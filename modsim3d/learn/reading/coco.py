@@ -1,11 +1,11 @@
 """COCO ground truth and COCO results, as most detection libraries write them.
 
-Beyond COCO's own keys these are read where they are: of an image `condition`, `sequence` (or `video_id`) and `time_s`
-or `frame_id`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`; of a
-result `probabilities`, one for each category in their order. Masks are ignored: a box is taken from `bbox` alone.
+Beyond COCO's own keys these are read where they are given: of an image `condition`, `sequence` (or `video_id`) and
+`time_s` or `frame_id`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`;
+of a result `probabilities`, one for each category in their order. Boxes come from `bbox`; masks are ignored.
 
-Which image a result is of is said by `image_id`, or by a `file_name` beside it. Programs that know no IDs, such as
-ultralytics, put the name of the image's file without its ending in `image_id`, as a number where it is one.
+`image_id` names the image of a result, or a `file_name` beside it does. Programs that know no IDs, such as
+ultralytics, write the name of the image's file without its ending as `image_id`, as a number if it is one.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ def read_coco(
     category_offset: int = 0,
     frame_rate_hz: float | None = None,
 ) -> LabelledSet:
-    """One condition.
+    """Read one condition.
 
     Args:
         condition: Its name.
         truth: A COCO ground truth.
         detections: COCO results.
-        skip_bad: Leave out entries that something is wrong with, and count them.
-        category_offset: To be added to the category IDs of the results.
-        frame_rate_hz: Makes times of `frame_id`.
+        skip_bad: Leave out wrong entries and count them.
+        category_offset: Number to add to the category IDs of the results.
+        frame_rate_hz: Turns `frame_id` into times.
 
     Raises:
-        InputError: Something is wrong; each problem names the index of its entry.
+        InputError: The files are wrong; each problem names the index of its entry.
     """
     problems = Problems(f"ground truth {truth}", skip_bad)
     content = _object(truth, "ground truth", problems.source)
@@ -100,10 +100,10 @@ class _Known:
 def _known_to_results(
     entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
 ) -> tuple[_Known, list[str]]:
-    """What results may name: an `image_id` may be a file's name, and category IDs may count from elsewhere.
+    """What results may name: an `image_id` may be the name of a file, and category IDs may start at another number.
 
     Returns:
-        That, and a remark where both readings of an `image_id` would do and differ.
+        What they may name, and a remark if every `image_id` can be read in both ways and some mean different images.
     """
     rows = [entry for entry in entries if isinstance(entry, dict)]
     given = {image for entry in rows if isinstance(image := entry.get("image_id"), ID)}
@@ -112,7 +112,7 @@ def _known_to_results(
     if len(given & stems.keys()) > len(given & images.keys()):
         images = stems
     elif any("file_name" in entry for entry in rows):
-        pass  # which decides
+        pass  # file names decide
     elif given <= stems.keys() & images.keys() and any(stems[image] != images[image] for image in given):
         doubt = ["each image_id of the results is an image's id, and the name of another's file too: taken for the id"]
     categories = {number - category_offset: category for number, category in known.categories.items()}
@@ -145,7 +145,7 @@ def _unambiguous(rows_of: dict[ID, list[int]]) -> dict[ID, int]:
 
 
 def _parse(path: Path, what: str) -> Any:
-    """JSON, fast; where it is broken, slowly and with the place in the message."""
+    """Read JSON; if it is broken, read it again with a slower reader that names the place."""
     try:
         return orjson.loads(path.read_bytes())
     except (OSError, orjson.JSONDecodeError):
@@ -252,7 +252,7 @@ def _image(
 
 
 def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | None:
-    """Of an image, NaN where it is not known, None where it is no number."""
+    """Time of an image, NaN where it is not known, None where it is no number."""
     time = entry.get("time_s")
     if time is None and frame_rate_hz is not None:
         frame = entry.get("frame_id")
@@ -277,11 +277,11 @@ def _place(entry: Any, where: str, known: _Known, problems: Problems) -> Place |
 
 
 def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
-    """What an entry names by its key; None with a problem if there is no such thing."""
+    """The value that an entry refers to by a key; None with a problem if there is no such value."""
     value = entry.get(key)
     if isinstance(value, int | float | str) and value in known:
         return known[value]
-    # Looking for what was meant takes long where there is much to be meant: not for what nobody will see.
+    # The search for similar names takes long: not for problems that will not be shown.
     hint = f" ({nearest(str(value), map(str, known))})" if len(problems.lines) < MOST_PROBLEMS else ""
     problems.add(f"{where}: unknown {key} {value!r}{hint}" if key in entry else f"{where}: {key} is missing")
     return None
@@ -291,7 +291,7 @@ _MOST = {"visible_fraction": 1 + 1e-6, "distance_m": math.inf}
 
 
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
-    """A number from 0 to the most of its key, NaN where it is not given."""
+    """A number within the range of its key, NaN where it is not given; adds a problem if it is out of range."""
     value = entry.get(key)
     if value is None:
         return math.nan
@@ -305,7 +305,7 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
 
 
 def _identity(entry: Mapping[str, Any]) -> ID | None:
-    """Who it is; a number below 0 says that nobody knows, as in MOT."""
+    """Identity of an annotation; None where it is not given or a number below 0, as in MOT."""
     identity = entry.get("track_id", entry.get("instance_id"))
     known = isinstance(identity, str) or (isinstance(identity, int) and identity >= 0)
     return identity if known else None

@@ -1,8 +1,9 @@
 """MOT challenge text: `gt.txt` and `det.txt`.
 
-Truth: frame, identity, x, y, width, height, flag (0 is ignored), class, visibility. Detections: frame, −1, x, y, width,
-height, confidence, and a class where the eighth number is 1 or more; without one, all labels are one. A `seqinfo.ini`
-in the folder of the truth, or above it, gives the size of the images, their number and the frame rate.
+A line of truth is frame, identity, x, y, width, height, flag (0 is ignored), class, visibility. A line of detections is
+frame, −1, x, y, width, height, confidence, and a class if the eighth number is 1 or more; if no line has a class, there
+is only one label. A `seqinfo.ini` beside or above the truth gives the size of the images, their number and the frame
+rate.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from modsim3d.learn.reading.builder import (
 from modsim3d.learn.reading.text_lines import number_lines
 
 _MOST_FRAMES = 10_000_000
-"""More is no frame number but something else, such as a time."""
+"""A larger number is no frame but something else, such as a time."""
 
 
 @dataclass(frozen=True)

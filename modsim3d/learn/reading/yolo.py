@@ -1,9 +1,9 @@
 """YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
 
-Lines of detections end with the confidence. The images are those of the folder that is called `images` where the
-labels' is called `labels`, as in `set/images/val` and `set/labels/val`, or that lie beside their labels; each is as
-large as its file says. Without such files the images are those that either folder has a file for, and `images.txt`
-beside the labels, a name a line, adds others. One with no file, or an empty one, is an image with nothing in it.
+Lines of detections end with the confidence. The images lie in the folder `images` beside `labels`, as in
+`set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes. Without such files, every
+file in either folder stands for an image, and `images.txt` beside the labels, a name on each line, adds others. An
+image without a file of labels, or with an empty one, has nothing in it.
 """
 
 from __future__ import annotations
@@ -121,15 +121,15 @@ def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float
 
 
 _MOST_CLASSES = 10_000
-"""More is no class but something else."""
+"""A larger number is no class but something else."""
 _NOT_LABELS = ("classes.txt", "images.txt")
 
 
 def _folder(path: Path, needed: bool = False) -> Path:
-    """Where the text files are.
+    """The folder that has the text files.
 
     Raises:
-        InputError: There are none, but in folders below it; or none at all, where they are needed.
+        InputError: Only folders below it have text files; or there are none at all, and they are needed.
     """
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
@@ -144,7 +144,7 @@ def _folder(path: Path, needed: bool = False) -> Path:
 
 
 def _images(folder: Path, truth: Path) -> dict[str, Path]:
-    """The images that labels in a folder are of; none where they are not to be found."""
+    """The images of the labels in a folder, by name without ending; none if they are not found."""
     parts = list(folder.parts)
     if "labels" in parts:
         last = len(parts) - 1 - parts[::-1].index("labels")
@@ -166,7 +166,7 @@ def _listed(folder: Path) -> set[str]:
 
 
 def _names(truth: Path, folder: Path) -> tuple[str, ...]:
-    """Names of the classes, where a file beside the labels has them, or `data.yaml` up to three folders above."""
+    """Names of the classes from a file beside the labels, or from `data.yaml` up to three folders above."""
     for listed in (truth / "classes.txt", folder / "classes.txt"):
         if listed.is_file():
             return tuple(line.strip() for line in read_text(listed, "classes").splitlines() if line.strip())
