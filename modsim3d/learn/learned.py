@@ -42,7 +42,6 @@ class Settings:
         replicates: Number of replicates of the bootstrap.
         seed: Of all random numbers.
         clutter: Model of the number of false positives, or `auto`.
-        run_s: Length of the runs of frames that are resampled; found from the data if None.
     """
 
     rule: Rule = field(default_factory=Rule)
@@ -50,7 +49,6 @@ class Settings:
     replicates: int = 300
     seed: int = 0
     clutter: str = "auto"
-    run_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ def learn(observed: Observed, transitions: Transitions, settings: Settings) -> L
         settings: Model of false positives, and the resampling.
     """
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
-    run_s = _run_s(observed, form) if settings.run_s is None else settings.run_s
+    run_s = _run_s(observed, form)
     resampling = resample(images, settings.replicates, settings.seed, run_s)
     units: dict[str | None, int] = {
         name: resampling.units(observed.image_state == index) for index, name in enumerate(observed.states)
