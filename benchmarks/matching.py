@@ -53,7 +53,7 @@ def main(boxes: int) -> None:
         start = time.perf_counter()
         labelled = read_coco("all", *files)
         seconds = time.perf_counter() - start
-    print(f"read      {seconds:5.2f} s  {len(labelled.truth)} truths, {len(labelled.found)} detections")
+    print(f"read      {seconds:5.2f} s  {len(labelled.annotations)} truths, {len(labelled.results)} detections")
     for method in ("confidence", "optimal", "centre"):
         start = time.perf_counter()
         matched = match(labelled, Rule(method))

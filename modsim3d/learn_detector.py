@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.arrays import Indices, Mask
 from modsim3d.boxes import iou
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.learn.error_shares import error_shares
-from modsim3d.learn.estimates import least_inflation
-from modsim3d.learn.figures import Figures, figures
+from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.gate_bias import bias_of
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Matched, Rule, match
+from modsim3d.learn.observed import Observed
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
 from modsim3d.learn_report import Report
 
 
 @dataclass(frozen=True)
-class Asked:
+class LearnOptions:
     """What is wanted besides the settings of learning.
 
     Attributes:
         states: Texts such as `good=day,cloudy`.
         clusters: Number of states to make by F1.
-        sequence: Text with a state a line.
+        sequence: Text with the name of a state on each line.
         interval_s: Time between transitions.
-        level: Of the intervals.
-        beta: Of F-beta.
-        bias: Whether to find what the matching does.
+        level: Of the confidence intervals.
+        beta: How many times more recall weighs than precision in F-beta.
+        bias: Whether to find how much matching shifts the numbers.
     """
 
     states: tuple[str, ...] = ()
@@ -43,109 +45,117 @@ class Asked:
     bias: bool = False
 
 
-def learn_detector(labelled: Labelled, settings: Settings, asked: Asked) -> Report:
+def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOptions) -> Report:
     """Learn and report.
 
     Raises:
-        ModsimError: There is no truth, or the states do not fit the conditions.
+        ModsimError: There are no annotations, or the states do not fit the conditions.
     """
-    if asked.states and asked.clusters:
-        raise ModsimError("give --state, which names the conditions of each state, or --states, which finds them")
     matched = match(labelled, settings.rule, settings.threshold)
-    if not matched.truth_counts.any():
+    if not matched.sought.any():
         raise ModsimError("there is no truth that is to be found: nothing can be learned")
     by_label = match(labelled, Rule(least_iou=settings.rule.least_iou, by_label=True))
-    f1 = {name: _f1(labelled, matched.pairs[0], matched.counts, matched.truth_counts, k)
-          for k, name in enumerate(labelled.conditions)}  # fmt: skip
-    if asked.states:
-        state_map = parse_states(asked.states, labelled.conditions)
-    elif asked.clusters:
-        seen = np.unique(labelled.images.condition)
-        state_map = cluster({labelled.conditions[k]: f1[labelled.conditions[k]] for k in seen}, asked.clusters)
-    else:
-        state_map = each_its_own(labelled.conditions)
-    state_map = StateMap({name: tuple(given) for name, given in state_map.states.items()})
+    state_map = _state_map(labelled, matched, options)
     image_state = state_map.of_images(labelled.images, labelled.conditions)
-    present = [bool(np.any(image_state == k)) for k in range(len(state_map.names))]
-    if not all(present):
-        kept = {name: state_map.states[name] for name, there in zip(state_map.names, present, strict=True) if there}
-        state_map = StateMap(kept)
-        image_state = state_map.of_images(labelled.images, labelled.conditions)
-    transitions = _transitions(labelled, image_state, state_map, asked)
-    learned = learn(labelled, state_map.names, image_state, transitions, settings)
-    resampling = learned.resampling
-    inflation = least_inflation(learned.observed, learned.columns)
-
-    def of(name: str, images: np.ndarray) -> Figures:
-        return figures(name, labelled, matched, by_label, resampling, images, asked.beta, inflation)
-
-    conditions = [of(name, labelled.images.condition == k) for k, name in enumerate(labelled.conditions)
-                  if np.any(labelled.images.condition == k)]  # fmt: skip
-    conditions.sort(key=lambda each: -float(np.nan_to_num(each.columns["any F1"].estimate)))
+    observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold)
+    learned = learn(observed, _transitions(observed, options), settings)
+    matches = Matches(labelled, matched, by_label, learned.resampling, options.beta, learned.numbers.classes.inflation)
     return Report(
         labelled=labelled,
         by_label=by_label,
-        conditions=conditions,
-        states=[of(name, image_state == k) for k, name in enumerate(state_map.names)],
+        conditions=_figures_of_conditions(matches),
+        states=[matches.figures(name, image_state == k) for k, name in enumerate(state_map.names)],
         state_map=state_map,
         learned=learned,
-        shares=error_shares(labelled, image_state >= 0, settings.rule.least_iou),
-        bias=bias_of(learned, labelled, image_state, settings) if asked.bias else None,
-        level=asked.level,
-        beta=asked.beta,
+        shares=error_shares(labelled, by_label, image_state >= 0, settings.rule.least_iou),
+        bias=bias_of(learned, settings) if options.bias else None,
+        level=options.level,
+        beta=options.beta,
         matched_by=str(settings.rule),
-        remarks=(*labelled.notes, *_about_matches(labelled, matched, settings.rule, state_map.names, image_state)),
+        remarks=(*labelled.notes, *_remarks(observed, settings.rule)),
     )
+
+
+def _state_map(labelled: LabelledSet, matched: Matched, options: LearnOptions) -> StateMap:
+    """The states that are named, that clusters make or that conditions are; only those with images."""
+    if options.states and options.clusters:
+        raise ModsimError("give --state, which names the conditions of each state, or --states, which finds them")
+    if options.states:
+        state_map = parse_states(options.states, labelled.conditions)
+    elif options.clusters:
+        seen = np.unique(labelled.images.condition)
+        f1 = {labelled.conditions[k]: _f1(labelled, matched, labelled.images.condition == k) for k in seen}
+        state_map = cluster(f1, options.clusters)
+    else:
+        state_map = each_its_own(labelled.conditions)
+    used = np.unique(state_map.of_images(labelled.images, labelled.conditions))
+    return StateMap({name: given for k, (name, given) in enumerate(state_map.states.items()) if k in used})
+
+
+def _f1(labelled: LabelledSet, matched: Matched, images: Mask) -> float:
+    """F1 of some images (I,), labels left aside."""
+    right = float(images[labelled.results.image[matched.pairs[0]]].sum())
+    detected = float((matched.counts & images[labelled.results.image]).sum())
+    true = float((matched.sought & images[labelled.annotations.image]).sum())
+    return 2 * right / (detected + true) if detected + true else 0.0
+
+
+def _figures_of_conditions(matches: Matches) -> list[Figures]:
+    """The figures of conditions that have images, the largest F1 first."""
+    condition = matches.labelled.images.condition
+    found = [
+        matches.figures(name, condition == k)
+        for k, name in enumerate(matches.labelled.conditions)
+        if np.any(condition == k)
+    ]
+    return sorted(found, key=lambda each: -float(np.nan_to_num(each.any_label.f1.estimate)))
+
+
+def _transitions(observed: Observed, options: LearnOptions) -> Transitions:
+    """How states follow each other, from the text if it is given, else from the frames."""
+    count, interval_s = len(observed.states), options.interval_s
+    if interval_s is not None and not interval_s > 0:
+        raise InputError("--interval", [f"must be above 0 (got {interval_s:g})"])
+    if options.sequence is None:
+        return transitions_of(observed.labelled.images, observed.image_state, count, interval_s)
+    return count_transitions([parse_sequence(options.sequence, observed.states, "--sequence")], count, interval_s)
 
 
 _NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
 _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
-def _about_matches(
-    labelled: Labelled, matched: Matched, rule: Rule, states: tuple[str, ...], image_state: np.ndarray
-) -> list[str]:
-    """What the matches themselves say against them."""
-    remarks, (found, truth) = [], matched.pairs
+def _remarks(observed: Observed, rule: Rule) -> Iterator[str]:
+    """What speaks against the matches."""
+    labelled, (found, annotation) = observed.labelled, observed.matched.pairs
     if not len(found):
-        return ["nothing matches: are truth and detections of the same images, and boxes in pixels of the same size?"]
-    shift = labelled.found.label[found] - labelled.truth.label[truth]
+        yield "nothing matches: are truth and detections of the same images, and boxes in pixels of the same size?"
+        return
+    yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
+    if rule.method in ("confidence", "optimal"):
+        gate = rule.least_iou + _NEAR_THE_GATE
+        near = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]) < gate
+        yield from _remarks_on_gate(observed, near, observed.image_state[labelled.annotations.image[annotation]], gate)
+
+
+def _remarks_on_labels(shift: Indices) -> Iterator[str]:
+    """A remark if detected labels (m,) are nearly all one off the true ones."""
     for step, where in ((1, "after"), (-1, "before")):
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
-            remarks.append(
+            yield (
                 f"{(shift == step).mean():.0%} of the matches have the label {where} that of the truth in the list of "
                 f"categories: do results count from elsewhere (--category-offset {-step})?"
             )
-    if rule.method in ("confidence", "optimal"):
-        near = iou(labelled.found.boxes_px[found], labelled.truth.boxes_px[truth]) < rule.least_iou + _NEAR_THE_GATE
-        state = image_state[labelled.truth.image[truth]]
-        for k, name in enumerate(states):
-            share = float(near[state == k].mean()) if np.any(state == k) else 0.0
-            if share > _MANY_NEAR:
-                remarks.append(
-                    f"{share:.0%} of the matches{f' in {name}' if len(states) > 1 else ''} have an IoU of less than "
-                    f"{rule.least_iou + _NEAR_THE_GATE:.2g}: larger errors were cut off, and count as a miss and a "
-                    "false detection each (--bias says how much that does; --match centre, at a distance that is "
-                    "large against the errors, cuts off less)"
-                )
-    return remarks
 
 
-def _f1(labelled: Labelled, found: np.ndarray, counts: np.ndarray, sought: np.ndarray, condition: int) -> float:
-    """Of a condition, labels left aside."""
-    here = labelled.images.condition == condition
-    right = float(here[labelled.found.image[found]].sum())
-    detected = float((counts & here[labelled.found.image]).sum())
-    true = float((sought & here[labelled.truth.image]).sum())
-    return 2 * right / (detected + true) if detected + true else 0.0
-
-
-def _transitions(labelled: Labelled, image_state: np.ndarray, state_map: StateMap, asked: Asked) -> Transitions:
-    """From the text where it is given, else from the frames."""
-    count = len(state_map.names)
-    if asked.interval_s is not None and not asked.interval_s > 0:
-        raise InputError("--interval", [f"must be above 0 (got {asked.interval_s:g})"])
-    if asked.sequence is None:
-        return transitions_of(labelled.images, image_state, count, asked.interval_s)
-    sequence = parse_sequence(asked.sequence, state_map.names, "--sequence")
-    return count_transitions([sequence], count, asked.interval_s)
+def _remarks_on_gate(observed: Observed, near: Mask, state: Indices, gate: float) -> Iterator[str]:
+    """A remark for each state of which many matches are near the least IoU, given state and nearness of each (m,)."""
+    for k, name in enumerate(observed.states):
+        share = float(near[state == k].mean()) if np.any(state == k) else 0.0
+        if share > _MANY_NEAR:
+            yield (
+                f"{share:.0%} of the matches{f' in {name}' if len(observed.states) > 1 else ''} have an IoU of less "
+                f"than {gate:.2g}: larger errors were cut off, and count as a miss and a false detection each (--bias "
+                "says how much that does; --match centre, at a distance that is large against the errors, cuts off "
+                "less)"
+            )

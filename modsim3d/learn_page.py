@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.boxes import errors_between
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.learn.average_precision import Curve, Ranking
 from modsim3d.learn_report import NEVER_LEARNED, Report, lead, tables
@@ -23,11 +22,11 @@ def write_page(report: Report, path: Path) -> None:
     body += [page.heading("Precision against recall"), *_curve_pictures(report)]
     body += [page.heading("Box errors"), *_scatter(report)]
     body += [page.heading("Confusion matrices"), *_matrices(report)]
-    gains = {name: max(gain, 0.0) for name, gain in report.shares.gains.items()}
+    gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}
     body += [page.heading("What average precision is lost to"), charts.named_bars(gains, "points", _SHARES)]
     for table in tables(report, every=True):
         body += [page.heading(table.title), '<div class="wide">', page.table(table.rows, table.header), "</div>"]
-    notes = report.learned.form.notes
+    notes = report.learned.notes
     body.append(page.heading("Left simple"))
     body += [page.paragraph(note) for note in notes] or [page.paragraph("Nothing: there was enough of everything.")]
     body += [page.paragraph(NEVER_LEARNED), page.paragraph(_POINTS, "soft")]
@@ -56,7 +55,7 @@ def _curve_pictures(report: Report) -> list[str]:
     curves = []
     for label, name in enumerate(report.labelled.labels):
         of_state: dict[str, tuple[Array, Array]] = {}
-        for index, state in enumerate(report.learned.form.states):
+        for index, state in enumerate(report.learned.observed.states):
             images = report.learned.observed.image_state == index
             curve: Curve | None = Ranking.of(report.labelled, report.by_label, label, images).curve()
             if curve is not None and len(curve.recall):
@@ -66,16 +65,13 @@ def _curve_pictures(report: Report) -> list[str]:
 
 
 def _scatter(report: Report) -> list[str]:
-    pairs = report.learned.observed.pairs()
-    detection = report.learned.observed.detection[~report.learned.observed.missed]
-    error = errors_between(report.labelled.found.boxes_px[detection], pairs.truth_px)
-    relative = all(unit.endswith("relative") for unit in report.learned.form.units.values())
-    error = error / pairs.sides_px if relative else error  # in the unit in which they are learned
+    pairs, relative = report.learned.observed.pairs, report.learned.form.box_errors.relative
+    error = pairs.errors(np.ones(len(pairs), dtype=bool), relative)  # in the unit in which they are learned
     plots = []
     for (i, j), what in (((0, 1), "centres"), ((2, 3), "sizes")):
         groups = {
             state: error[pairs.state == index][:, [i, j]]
-            for index, state in enumerate(report.learned.form.states)
+            for index, state in enumerate(report.learned.observed.states)
             if np.any(pairs.state == index)
         }
         units = ("widths", "heights") if relative else ("px", "px")
@@ -90,8 +86,8 @@ def _matrices(report: Report) -> list[str]:
     for figures in report.states:
         k = len(report.labelled.labels)
         shares = np.full((k + 1, k + 1), np.nan)
-        shares[:, :k] = figures.columns["confusion"].estimate
-        shares[:k, k] = figures.columns["false labels"].estimate
+        shares[:, :k] = figures.confusion.estimate
+        shares[:k, k] = figures.false_labels.estimate
         parts += [
             page.paragraph(figures.name),
             charts.confusion_table(report.labelled.labels, figures.counts, shares),

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.learn.average_precision import NUMBERS
+from modsim3d.learn.error_moments import CELLS, PAIRS, ErrorMoments
 from modsim3d.learn.error_shares import ErrorShares
-from modsim3d.learn.figures import CELLS, PAIRS, Figures
-from modsim3d.learn.form import QUANTILES
+from modsim3d.learn.figures import Figures, Rates
 from modsim3d.learn.gate_bias import Bias
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matching import Matched
+from modsim3d.learn.parts import LEARNERS
 from modsim3d.learn.resampling import Column
 from modsim3d.learn.states import StateMap
 
@@ -27,21 +27,21 @@ class Report:
     """Everything that is reported.
 
     Attributes:
-        labelled: The sets.
+        labelled: Images, annotations and results.
         by_label: Matches label by label, for curves.
         conditions: Figures of each condition, the largest F1 first.
         states: Figures of each performance state.
         state_map: Which conditions make which state.
         learned: The detector.
         shares: What average precision is lost to.
-        bias: Of the matching; None where it was not asked for.
-        level: Of the intervals.
-        beta: Of F-beta.
-        matched_by: The rule in words.
+        bias: By how much matching shifts the numbers; None where that was not asked for.
+        level: Of the confidence intervals.
+        beta: How many times more recall weighs than precision in F-beta.
+        matched_by: The matching rule in words.
         remarks: What the numbers have to be read with: entries left out, what matching hides.
     """
 
-    labelled: Labelled
+    labelled: LabelledSet
     by_label: Matched
     conditions: Sequence[Figures]
     states: Sequence[Figures]
@@ -54,22 +54,28 @@ class Report:
     matched_by: str
     remarks: tuple[str, ...] = ()
 
+    @property
+    def states_differ(self) -> bool:
+        """Whether the states are not just the conditions."""
+        return any(names != (state,) for state, names in self.state_map.states.items())
+
+    def name(self, figures: Figures) -> str:
+        """The name of a group, which says that it is a state where there are conditions beside it."""
+        state = self.states_differ and any(figures is each for each in self.states)
+        return f"state {figures.name}" if state else figures.name
+
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
-
-    Attributes:
-        title: Above it.
-        header: Names of the columns.
-        rows: Cells.
-    """
+    """A title, the names of the columns, and rows of cells."""
 
     title: str
     header: Row
     rows: tuple[Row, ...]
 
 
+_RATES = ("precision", "recall", "F1", "FNR", "FDR")
+_AVERAGE_PRECISIONS = ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC")
 _ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height") for key in ("exp", "std"))
 
 
@@ -85,41 +91,29 @@ def _cell(column: Column, level: float, units: int, digits: int, *place: int) ->
 
 
 def tables(report: Report, every: bool = False) -> list[Table]:
-    """In the order of the thesis's chapter 8.
+    """All tables in the order of the thesis's chapter 8.
 
     Args:
-        report: Of what.
+        report: What was learned.
         every: Also what a terminal has no room for: labels of each condition, errors of labels, covariances.
     """
-    groups = [*report.conditions, *report.states] if _states_differ(report) else list(report.states)
-    found = [_state_table(report)] if _states_differ(report) else []
+    groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
+    detailed = groups if every else report.states
+    several = len(report.labelled.labels) > 1
+    found = [_state_table(report)] if report.states_differ else []
     found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups)]
     found += [_covariances(report, groups)] if every else []
     found.append(_curves(report, groups))
-    detailed = groups if every else report.states
-    if len(report.labelled.labels) > 1:
-        found += [_labels(report, figures) for figures in detailed]
-        found += [_label_errors(report, figures) for figures in detailed] if every else []
+    found += [_labels(report, figures) for figures in detailed if several]
+    found += [_label_errors(report, figures) for figures in detailed if several and every]
     found += [_confusion(report, figures) for figures in detailed]
-    found.append(_shares(report))
-    found.append(_parameters(report))
-    if report.bias is not None:
-        found.append(_bias(report.bias))
-    return found
-
-
-def _states_differ(report: Report) -> bool:
-    return any(names != (state,) for state, names in report.state_map.states.items())
-
-
-def _name(report: Report, figures: Figures) -> str:
-    """A state's says that it is one, where there are conditions beside it."""
-    state = _states_differ(report) and any(figures is each for each in report.states)
-    return f"state {figures.name}" if state else figures.name
+    found += [_shares(report), _parameters(report)]
+    found += [] if report.bias is None else [_bias(report.bias)]
+    return [*found, _models()]
 
 
 def _state_table(report: Report) -> Table:
-    f1 = {figures.name: float(figures.columns["any F1"].estimate) for figures in report.conditions}
+    f1 = {figures.name: float(figures.any_label.f1.estimate) for figures in report.conditions}
     rows = [
         (state, ", ".join(f"{name} ({f1[name]:.3f})" if name in f1 else name for name in names))
         for state, names in report.state_map.states.items()
@@ -130,12 +124,11 @@ def _state_table(report: Report) -> Table:
 
 
 def _rates(report: Report, groups: Sequence[Figures]) -> Table:
-    keys = ("precision", "recall", "F1", "F-beta", "FNR", "FDR")
     rows = tuple(
         (
-            _name(report, figures),
+            report.name(figures),
             str(figures.images),
-            *(_cell(figures.columns[f"any {key}"], report.level, figures.units, 3) for key in keys),
+            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label.columns),
         )
         for figures in groups
     )
@@ -144,62 +137,54 @@ def _rates(report: Report, groups: Sequence[Figures]) -> Table:
 
 
 def _labels(report: Report, figures: Figures) -> Table:
+    def cells(columns: Sequence[Column], *place: int) -> list[str]:
+        return [_cell(column, report.level, figures.units, 3, *place) for column in columns]
+
+    def row(rates: Rates) -> tuple[Column, ...]:
+        return rates.precision, rates.recall, rates.f1, rates.false_negative_rate, rates.false_discovery_rate
+
+    columns = [*row(figures.of_labels), figures.average_precision.all_points]
     rows = [
-        (
-            name,
-            f"{figures.counts[:, place].sum():.0f}",
-            *(
-                _cell(figures.columns[key], report.level, figures.units, 3, place)
-                for key in ("precision", "recall", "F1", "FNR", "FDR", NUMBERS[0])
-            ),
-        )
+        (name, f"{figures.counts[:, place].sum():.0f}", *cells(columns, place))
         for place, name in enumerate(report.labelled.labels)
     ]
-    for mean in ("mean", "weighted"):
-        keys = [f"{mean} {key}" for key in ("precision", "recall", "F1", "FNR", "FDR")]
-        cells = [_cell(figures.columns[key], report.level, figures.units, 3) for key in keys]
-        last = _cell(figures.columns[f"mean {NUMBERS[0]}"], report.level, figures.units, 3) if mean == "mean" else ""
-        rows.append((f"{mean if mean == 'weighted' else 'arithmetic'} mean", "", *cells, last))
-    header = ("label", "truths", "precision", "recall", "F1", "FNR", "FDR", "AP")
-    return Table(f"Labels in {_name(report, figures)}: another label is a miss of one and a false one of the other",
-                 header, tuple(rows))  # fmt: skip
+    rows.append(("arithmetic mean", "", *cells([*row(figures.mean), figures.mean_average_precision.all_points])))
+    rows.append(("weighted mean", "", *cells(row(figures.weighted)), ""))
+    title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
+    return Table(title, ("label", "truths", *_RATES, "AP"), tuple(rows))
+
+
+def _error_cells(report: Report, figures: Figures, moments: ErrorMoments) -> list[str]:
+    columns = (moments.mean, moments.std)
+    return [_cell(column, report.level, figures.units, 1, k) for k in range(4) for column in columns]
 
 
 def _errors(report: Report, groups: Sequence[Figures]) -> Table:
-    rows = tuple(
-        (
-            _name(report, figures),
-            *(
-                _cell(figures.columns[f"error {key}"], report.level, figures.units, 1, place)
-                for place in range(4)
-                for key in ("mean", "std")
-            ),
-        )
-        for figures in groups
-    )
+    rows = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
     return Table("Box errors in pixels: expected value and standard deviation", ("condition", *_ERROR_COLUMNS), rows)
 
 
 def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
-    return _by_pair("Correlation coefficients of the box errors", report, groups, "error correlation", 2, PAIRS)
+    title = "Correlation coefficients of the box errors"
+    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, PAIRS)
 
 
 def _covariances(report: Report, groups: Sequence[Figures]) -> Table:
-    return _by_pair("Covariances of the box errors in square pixels", report, groups, "error covariance", 1, CELLS)
+    title = "Covariances of the box errors in square pixels"
+    return _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
 
 
 def _by_pair(
     title: str,
     report: Report,
     groups: Sequence[Figures],
-    key: str,
+    column: Callable[[Figures], Column],
     digits: int,
     pairs: Sequence[tuple[int, int]],
 ) -> Table:
-    """A column of each group, an entry for each pair of components."""
-    places = range(len(pairs))
+    """A row for each group, a column for each pair of components of the box error."""
     rows = tuple(
-        (_name(report, each), *(_cell(each.columns[key], report.level, each.units, digits, k) for k in places))
+        (report.name(each), *(_cell(column(each), report.level, each.units, digits, k) for k in range(len(pairs))))
         for each in groups
     )
     return Table(title, ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in pairs)), rows)
@@ -207,31 +192,22 @@ def _by_pair(
 
 def _label_errors(report: Report, figures: Figures) -> Table:
     rows = tuple(
-        (
-            name,
-            *(
-                _cell(figures.columns[f"error {key} of labels"], report.level, figures.units, 1, label, place)
-                for place in range(4)
-                for key in ("mean", "std")
-            ),
-        )
-        for label, name in enumerate(report.labelled.labels)
+        (name, *_error_cells(report, figures, moments))
+        for name, moments in zip(report.labelled.labels, figures.errors_of_labels, strict=True)
     )
-    title = f"Box errors in pixels by what was there, in {_name(report, figures)}"
+    title = f"Box errors in pixels by what was there, in {report.name(figures)}"
     return Table(title, ("label", *_ERROR_COLUMNS), rows)
 
 
 def _curves(report: Report, groups: Sequence[Figures]) -> Table:
-    extra = [key for key in ("confidence cross-entropy", "label cross-entropy") if key in groups[0].columns]
-    rows = tuple(
-        (
-            _name(report, figures),
-            *(_cell(figures.columns[f"mean {key}"], report.level, figures.units, 3) for key in NUMBERS),
-            *(_cell(figures.columns[key], report.level, figures.units, 3) for key in extra if key in figures.columns),
-        )
-        for figures in groups
-    )
-    return Table("Mean average precision over labels, every detection counted", ("condition", *NUMBERS, *extra), rows)
+    rows = []
+    for figures in groups:
+        entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
+        columns = [*figures.mean_average_precision.columns, *entropies]
+        rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
+    extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
+    title = "Mean average precision over labels, every detection counted"
+    return Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))
 
 
 def _confusion(report: Report, figures: Figures) -> Table:
@@ -240,78 +216,55 @@ def _confusion(report: Report, figures: Figures) -> Table:
     for row, name in enumerate([*names, "missed"]):
         cells = [
             f"{figures.counts[row, column]:.0f}  "
-            + _cell(figures.columns["confusion"], report.level, figures.units, 3, row, column)
+            + _cell(figures.confusion, report.level, figures.units, 3, row, column)
             for column in range(k)
         ]
         last = ""
         if row < k:
-            share = _cell(figures.columns["false labels"], report.level, figures.units, 3, row)
-            last = f"{figures.counts[row, k]:.0f}  {share}"
+            last = f"{figures.counts[row, k]:.0f}  {_cell(figures.false_labels, report.level, figures.units, 3, row)}"
         rows.append((name, *cells, last))
-    title = f"Confusion matrix of {_name(report, figures)}: detected as, by what was there; counts and probabilities"
+    title = f"Confusion matrix of {report.name(figures)}: detected as, by what was there; counts and probabilities"
     return Table(title, ("", *names, "background"), tuple(rows))
 
 
 def _shares(report: Report) -> Table:
-    rows = tuple((name, str(report.shares.counts[name]), f"{gain:.2f}") for name, gain in report.shares.gains.items())
+    rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
     title = f"What mean average precision, {100 * report.shares.average_precision:.1f} points, is lost to"
     return Table(title, ("error", "number", "points gained if mended"), rows)
 
 
 def _parameters(report: Report) -> Table:
-    rows: list[Row] = []
-    learned = report.learned
-    intervals, values = learned.intervals(report.level), learned.values()
-    values = values | {"transition_matrix": learned.transitions.matrix}
-    for path in sorted(values, key=lambda path: (path.startswith("states."), path)):
-        if ".confusion" in path or ".false_positive_labels" in path:
-            continue  # they have tables of their own
-        low, high = intervals[path]
-        value = np.asarray(values[path])
-        for place in np.ndindex(*value.shape):
-            name = _number(learned, path, place)
-            ends = f"{float(np.asarray(low)[place]):.4g} to {float(np.asarray(high)[place]):.4g}"
-            rows.append((name, f"{float(value[place]):.4g}", ends))
+    intervals = [each for each in report.learned.intervals(report.level) if not each.key.own_table]
+    rows = []
+    for each in sorted(intervals, key=lambda each: (each.key.state is not None, each.key.path)):
+        for place in np.ndindex(*each.estimate.shape):
+            value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
+            rows.append((each.key.at(place), f"{value:.4g}", f"{low:.4g} to {high:.4g}"))
     return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
-
-
-def _number(learned: Learned, path: str, place: tuple[int, ...]) -> str:
-    """A number by its path and, in words where there are any, its place."""
-    form, kind = learned.form, path.rpartition(".")[2]
-    if kind == "box_error_correlation":
-        return f"{path}[{','.join(ERROR_COMPONENTS[k] for k in PAIRS[place[0]])}]"
-    if kind.startswith("box_error"):
-        unit = form.units[path.removeprefix("states.").rpartition(".")[0]].split()[-1]
-        return f"{path}[{ERROR_COMPONENTS[place[0]]}] ({unit})"
-    if kind in ("confusion", "false_positive_labels"):
-        seen, *there = ([*form.labels, "missed"][k] for k in place)
-        return f"{path}[{seen}{' from ' + there[0] if there else ''}]"
-    if kind == "false_positives_per_image" and form.clutter != kind.removeprefix("false_positives_"):
-        return f"{path} (not written)"
-    if kind == "transition_matrix":
-        return f"{path}[{form.states[place[0]]} from {form.states[place[1]]}]"
-    if kind == "px":
-        return f"{path}[{('width', 'height')[place[0]]}]"
-    if kind == "quantiles":
-        return f"{path}[{place[0] / (QUANTILES - 1):.0%}]"
-    return path + "".join(f"[{k}]" for k in place)
 
 
 def _bias(bias: Bias) -> Table:
     rows: list[tuple[float, Row]] = []
-    values, corrected = bias.learned.values(), bias.corrected()
-    for path, shift in bias.shifts.items():
-        sure = bias.significant(path)
-        for place in zip(*np.nonzero(np.atleast_1d(sure)), strict=True):
-            where = place if np.ndim(shift) else ()
-            strength = abs(float(shift[where])) / float(bias.errors[path][where])
-            name = _number(bias.learned, path, where)
-            numbers = [float(each[where]) for each in (values[path], bias.again[path], corrected[path])]
-            rows.append((strength, (name, *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")))
+    for each in bias.shifts:
+        for found in zip(*np.nonzero(np.atleast_1d(bias.significant(each))), strict=True):
+            place = found if np.ndim(each.shift) else ()
+            strength = abs(float(each.shift[place])) / float(each.error[place])
+            numbers = [float(values[place]) for values in (each.entry.estimate, each.again, each.corrected)]
+            cells = (each.entry.key.at(place), *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")
+            rows.append((strength, cells))
     rows.sort(key=lambda row: -row[0])
     header = ("number", "learned", "learned again", "corrected", "standard errors")
     title = "Bias of the matching, by simulating what was learned and learning again"
     return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
+
+
+def _models() -> Table:
+    rows = tuple(
+        (part, name, "not learned" if learner is None else "learned")
+        for part, models in LEARNERS.items()
+        for name, learner in models.items()
+    )
+    return Table("Models that are learned", ("part", "model", "estimate"), rows)
 
 
 NEVER_LEARNED = (
@@ -321,11 +274,11 @@ NEVER_LEARNED = (
 
 
 def lead(report: Report) -> str:
-    """What it rests on, in one sentence."""
+    """One sentence on the data and the method that the numbers rest on."""
     learned, labelled = report.learned, report.labelled
     drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
     return (
-        f"{len(labelled.images)} images, {len(labelled.truth)} truths, {len(labelled.found)} detections; matched by "
-        f"{report.matched_by}, confidence at least {learned.form.threshold:g}; {report.level:.0%} intervals by "
-        f"bootstrap over {learned.units['']} {drawn}."
+        f"{len(labelled.images)} images, {len(labelled.annotations)} truths, {len(labelled.results)} detections; "
+        f"matched by {report.matched_by}, confidence at least {learned.observed.threshold:g}; "
+        f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
     )

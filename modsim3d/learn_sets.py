@@ -9,19 +9,19 @@ import numpy as np
 from modsim3d.arrays import Indices
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.formats.columns import NOBODY, indices, numbers, positions
-from modsim3d.learn.labelled import Found, Images, Labelled, Truth, sorted_by_image
+from modsim3d.learn.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.report_rows import RunRows
 from modsim3d.stored_run import StoredRun, open_run
 
 
-def labelled_run(folder: Path) -> tuple[Labelled, StoredRun]:
+def labelled_run(folder: Path) -> tuple[LabelledSet, StoredRun]:
     """Read a run as a labelled set, with an image for each frame and a condition for each performance state."""
     run = open_run(folder)
     rows, detector = RunRows.of(run), run.scene.detector
     cameras = len(run.scene.cameras)
     frames = rows.frames[np.lexsort((rows.frames // cameras, rows.frames % cameras))]  # in order of camera and step
     truth, states = _truth(rows, frames), tuple(state.name for state in detector.states)
-    labelled = Labelled(detector.labels, states, _images(rows, frames), truth, _found(rows, frames, truth))
+    labelled = LabelledSet(detector.labels, states, _images(rows, frames), truth, _results(rows, frames, truth))
     return labelled, run
 
 
@@ -39,10 +39,10 @@ def _images(rows: RunRows, frames: Indices) -> Images:
     )
 
 
-def _truth(rows: RunRows, frames: Indices) -> Truth:
+def _truth(rows: RunRows, frames: Indices) -> Annotations:
     """The annotated vessels of all images."""
     annotated, scene = np.flatnonzero(rows.annotated), rows.scene
-    truth = Truth(
+    return Annotations(
         image=positions(frames, rows.truth_frame[annotated]),
         label=indices(rows.truth, "label", scene.detector.labels)[annotated],
         boxes_px=rows.boxes_px("visible" if scene.annotation.mode == 2 else "full")[annotated],
@@ -50,16 +50,15 @@ def _truth(rows: RunRows, frames: Indices) -> Truth:
         crowd=np.zeros(len(annotated), dtype=bool),
         identity=rows.truth_vessel[annotated],
         visible_fraction=rows.numbers("visible_fraction")[annotated],
-        distance_m=rows.numbers("depth_m")[annotated],
-    )
-    return Truth(**sorted_by_image(truth)[0])
+        depth_m=rows.numbers("depth_m")[annotated],
+    ).by_image()
 
 
-def _found(rows: RunRows, frames: Indices, truth: Truth) -> Found:
+def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
     """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
     image, vessels = positions(frames, rows.drawn_frame), len(rows.scene.vessels)
     own = ~np.isin(indices(rows.drawn, "kind", KINDS), FALSE_KINDS) & (rows.drawn_vessel >= 0)
-    found = Found(
+    return Results(
         image=image,
         label=indices(rows.drawn, "label", rows.scene.detector.labels),
         boxes_px=rows.drawn_boxes_px(),
@@ -67,5 +66,4 @@ def _found(rows: RunRows, frames: Indices, truth: Truth) -> Found:
         origin=positions(
             truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.drawn_vessel, NOBODY)
         ),
-    )
-    return Found(**sorted_by_image(found)[0])
+    ).by_image()

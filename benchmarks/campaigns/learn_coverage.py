@@ -19,7 +19,8 @@ import numpy as np
 
 from modsim3d.formats.coco import write_coco
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.matching import Rule
+from modsim3d.learn.matching import Rule, match
+from modsim3d.learn.observed import Observed
 from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.states import each_its_own, transitions_of
 from modsim3d.learn_sets import labelled_run
@@ -50,14 +51,16 @@ def one(scene: str, seed: int, method: str, folder: Path) -> dict[str, Any]:
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(labelled, states.names, image_state, transitions, Settings(Rule(method), seed=seed))
+    settings = Settings(Rule(method), seed=seed)
+    matched = match(labelled, settings.rule, settings.threshold)
+    learned = learn(Observed(labelled, matched, states.names, image_state, settings.threshold), transitions, settings)
     asked = asked_of()
     total = sum(value.size for value in asked.values())
-    result: dict[str, Any] = {"numbers": total, "not_learned": [path for path in asked if path not in learned.columns]}
-    result["not_learned"].remove("transition_matrix")
+    result: dict[str, Any] = {"numbers": total}
     for level in (*LEVELS, 1 - (1 - TOGETHER) / total):
         inside: dict[str, list[int]] = defaultdict(lambda: [0, 0])
-        intervals = learned.intervals(level)
+        intervals = {each.key.path: (each.low, each.high) for each in learned.intervals(level)}
+        result["not_learned"] = [path for path in asked if path not in intervals]
         for path, value in asked.items():
             if path not in intervals:
                 continue

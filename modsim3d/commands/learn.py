@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from modsim3d.learn.labelled import Labelled
+    from modsim3d.learn.labelled import LabelledSet
+    from modsim3d.learn.reading.pair import ReadOptions
     from modsim3d.learn_report import Report
 
 
@@ -30,7 +31,7 @@ class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
 
 
 class Clutter(str, Enum):  # noqa: UP042
-    """Which model of false positives."""
+    """Model of the number of false positives."""
 
     auto = "auto"
     calibrated = "calibrated"
@@ -44,104 +45,86 @@ def learn_command(
     condition: Annotated[list[str] | None, typer.Option(help="Name of each pair, in order.")] = None,
     run: Annotated[list[Path] | None, typer.Option(metavar="RUN", help="A run directory in place of files.")] = None,
     state: Annotated[list[str] | None, typer.Option(metavar="NAME=COND,...", help="Conditions of a state.")] = None,
-    states: Annotated[int | None, typer.Option(min=1, help="So many states, by clustering conditions on F1.")] = None,
-    sequence: Annotated[Path | None, typer.Option(help="Text with a state a line: how they follow.")] = None,
+    states: Annotated[int | None, typer.Option(min=1, help="Number of states to make by F1.")] = None,
+    sequence: Annotated[Path | None, typer.Option(help="Text with one state on each line, in time order.")] = None,
     interval: Annotated[float | None, typer.Option(metavar="S", help="Seconds between entries of a sequence.")] = None,
     match: Annotated[Match, typer.Option(help="How boxes are matched.")] = Match.confidence,
     iou: Annotated[float, typer.Option(min=0.01, max=1, help="Least IoU of a match.")] = 0.5,
-    distance: Annotated[float, typer.Option(min=0, metavar="PX", help="For --match centre: the most.")] = 50.0,
+    distance: Annotated[float, typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.")] = 50.0,
     confidence: Annotated[float, typer.Option(min=0, max=1, help="Least confidence that counts.")] = 0.2,
     clutter: Annotated[Clutter, typer.Option(help="Model of false positives.")] = Clutter.auto,
-    level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Of the intervals.")] = 0.95,
-    replicates: Annotated[int, typer.Option(min=20, help="Of the bootstrap.")] = 300,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
-    beta: Annotated[float, typer.Option(min=0.01, help="Of F-beta.")] = 2.0,
-    bias: Annotated[bool, typer.Option("--bias", help="Find what the matching does, by simulating.")] = False,
-    correct: Annotated[bool, typer.Option("--correct", help="Take that off what is written; one step.")] = False,
+    level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Level of the intervals.")] = 0.95,
+    replicates: Annotated[int, typer.Option(min=20, help="Replicates of the bootstrap.")] = 300,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    beta: Annotated[float, typer.Option(min=0.01, help="Weight of recall in F-beta.")] = 2.0,
+    bias: Annotated[bool, typer.Option("--bias", help="Find how much matching shifts the numbers.")] = False,
+    correct: Annotated[bool, typer.Option("--correct", help="Take that shift off the numbers, once.")] = False,
     labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
-    image_size: Annotated[str | None, typer.Option(metavar="W,H", help="YOLO; MOT without seqinfo.ini.")] = None,
-    frame_rate: Annotated[float | None, typer.Option(metavar="HZ", help="MOT without it; COCO's frame_id.")] = None,
+    image_size: Annotated[
+        str | None, typer.Option(metavar="W,H", help="For YOLO, and MOT without seqinfo.ini.")
+    ] = None,
+    frame_rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="For MOT without it, and COCO's frame_id.")
+    ] = None,
     category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
-    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out entries that are wrong.")] = False,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out wrong entries.")] = False,
     page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
 ) -> None:
     """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
 
     Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
     """
-    from rich.console import Console
-
-    from modsim3d.formats.detector_yaml import detector_text
-    from modsim3d.learn.labelled import joined
     from modsim3d.learn.learned import Settings
     from modsim3d.learn.matching import Rule
-    from modsim3d.learn_detector import Asked, learn_detector
-    from modsim3d.learn_page import write_page
-    from modsim3d.learn_report import NEVER_LEARNED, lead, tables
+    from modsim3d.learn_detector import LearnOptions, learn_detector
     from modsim3d.text_files import read_text
 
     page = out.with_suffix(".html") if page is None else page
     if page == out:
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-    given = _given(labels, image_size, skip_bad, frame_rate, category_offset)
-    parts, interval_s = _sets(truth or [], detections or [], condition or [], run or [], given)
-    rule = Rule(match.value, least_iou=iou, most_distance_px=distance)
-    settings = Settings(rule, confidence, replicates, seed, clutter.value)
-    asked = Asked(
-        states=tuple(state or ()),
-        clusters=states,
-        sequence=read_text(sequence, "sequence") if sequence else None,
-        interval_s=interval if interval is not None else interval_s,
-        level=level,
-        beta=beta,
-        bias=bias or correct,
-    )
-    report = learn_detector(joined(parts), settings, asked)
-    values = report.bias.corrected() if correct and report.bias else None
-    comments = [f"Learned by modsim3d learn. {lead(report)}"]
-    comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
-    comments += [f"Remark: {remark}" for remark in report.remarks]
-    comments += ["Corrected once for the bias of the matching."] if correct else []
-    comments += [f"Left simple: {note}" for note in report.learned.form.notes]
-    for path in (out, page):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(detector_text(report.learned.detector(values), comments), encoding="utf-8", newline="\n")
-    write_page(report, page)
-    console = Console()
-    console.print(lead(report), highlight=False, markup=False)
-    for remark in report.remarks:
-        console.print(f"Remark: {remark}.", highlight=False, markup=False)
-    for table in tables(report):
-        _print(console, table.title, table.header, table.rows)
-    _say_notes(console, report)
-    console.print(f"\n{NEVER_LEARNED}", highlight=False, markup=False)
-    console.print(f"\nwritten  {out}, {page}", highlight=False, markup=False, soft_wrap=True)
+    options = _read_options(labels, image_size, skip_bad, frame_rate, category_offset)
+    labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
+    interval = run_interval if interval is None else interval
+    order = read_text(sequence, "sequence") if sequence else None
+    settings = Settings(Rule(match.value, iou, distance), confidence, replicates, seed, clutter.value)
+    wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
+    report = learn_detector(labelled, settings, wanted)
+    _write(report, out, page, correct)
+    _show(report, out, page)
 
 
-def _given(  # type: ignore[no-untyped-def]
+def _read_options(
     labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int
-):
-    from modsim3d.learn.reading.pair import Given
+) -> ReadOptions:
+    from modsim3d.learn.reading.pair import ReadOptions
 
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
-    size = None
-    if image_size is not None:
-        try:
-            width, height = (float(part) for part in image_size.replace("x", ",").split(","))
-        except ValueError:
-            raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{image_size}')"]) from None
-        if not (width > 0 and height > 0):
-            raise InputError("--image-size", [f"both sides must be above 0 (got '{image_size}')"])
-        size = (width, height)
     if frame_rate is not None and not 0 < frame_rate < math.inf:
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
-    return Given(names, size, skip_bad, frame_rate, category_offset)
+    size_px = None if image_size is None else _size_px(image_size)
+    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset)
 
 
-def _sets(  # type: ignore[no-untyped-def]
-    truth: Sequence[Path], detections: Sequence[Path], conditions: Sequence[str], runs: Sequence[Path], given
-) -> tuple[list[Labelled], float | None]:
-    """All sets, and the time between transitions where runs name one."""
+def _size_px(text: str) -> tuple[float, float]:
+    """Width and height of a text such as `1920,1080`."""
+    try:
+        width, height = (float(part) for part in text.replace("x", ",").split(","))
+    except ValueError:
+        raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{text}')"]) from None
+    if not (width > 0 and height > 0):
+        raise InputError("--image-size", [f"both sides must be above 0 (got '{text}')"])
+    return width, height
+
+
+def _labelled_set(
+    truth: Sequence[Path],
+    detections: Sequence[Path],
+    conditions: Sequence[str],
+    runs: Sequence[Path],
+    options: ReadOptions,
+) -> tuple[LabelledSet, float | None]:
+    """All files and runs as one set, and the time between transitions where runs name one."""
+    from modsim3d.learn.labelled import joined
     from modsim3d.learn.reading.pair import read_pair
 
     if len(truth) != len(detections):
@@ -156,7 +139,7 @@ def _sets(  # type: ignore[no-untyped-def]
     if not truth and not runs:
         raise ModsimError("nothing to learn from: give --truth and --detections, or --run")
     names = conditions or (["usual"] if len(truth) == 1 else [f"condition_{k + 1}" for k in range(len(truth))])
-    parts = [read_pair(*pair, given) for pair in zip(names, truth, detections, strict=True)]
+    parts = [read_pair(*pair, options) for pair in zip(names, truth, detections, strict=True)]
     interval_s = None
     for folder in runs:
         from modsim3d.learn_sets import labelled_run
@@ -164,7 +147,48 @@ def _sets(  # type: ignore[no-untyped-def]
         labelled, opened = labelled_run(folder)
         parts.append(labelled)
         interval_s = opened.scene.detector.transition_interval_s
-    return parts, interval_s
+    return joined(parts), interval_s
+
+
+def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
+    """Write the detector file, its numbers corrected for the bias if asked for, and the page."""
+    from modsim3d.formats.detector_yaml import detector_text
+    from modsim3d.learn_page import write_page
+    from modsim3d.learn_report import lead
+
+    learned = report.bias.corrected() if correct and report.bias else report.learned
+    comments = [f"Learned by modsim3d learn. {lead(report)}"]
+    comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
+    comments += [f"Remark: {remark}" for remark in report.remarks]
+    comments += ["Corrected once for the bias of the matching."] if correct else []
+    comments += [f"Left simple: {note}" for note in report.learned.notes]
+    for path in (out, page):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(detector_text(learned.detector(), comments), encoding="utf-8", newline="\n")
+    write_page(report, page)
+
+
+def _show(report: Report, out: Path, page: Path) -> None:
+    """Print the tables."""
+    from rich.console import Console
+
+    from modsim3d.learn_report import NEVER_LEARNED, lead, tables
+
+    console = Console()
+    console.print(lead(report), highlight=False, markup=False)
+    for remark in report.remarks:
+        console.print(f"Remark: {remark}.", highlight=False, markup=False)
+    for table in tables(report):
+        _print(console, table.title, table.header, table.rows)
+    console.print("\n[bold]Left simple, and why[/bold]")
+    for note in report.learned.notes or ("nothing: there was enough of everything",):
+        console.print(f"  {note}", highlight=False, markup=False)
+    console.print(f"\n{NEVER_LEARNED}", highlight=False, markup=False)
+    console.print(f"\nwritten  {out}, {page}", highlight=False, markup=False, soft_wrap=True)
+
+
+_BETWEEN = 2
+"""Spaces between columns."""
 
 
 def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -177,13 +201,13 @@ def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[S
         left = place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
         table.add_column(Text(name), justify="left" if left else "right")
     for row in cells:
-        table.add_row(*map(Text, row))  # names are not markup, whatever is in them
+        table.add_row(*map(Text, row))  # names may hold brackets, which are not markup
     console.print()
     console.print(table)
 
 
 def _fitted(rows: Sequence[Sequence[str]], width: int) -> list[list[str]]:
-    """Cells in as few lines as there is room for: intervals go under their numbers, then both ends do."""
+    """Cells broken into as few lines as the width allows: first before intervals, then before both their ends."""
     breaks: tuple[Callable[[str], str], ...] = (
         lambda cell: cell,
         lambda cell: cell.replace(" [", "\n["),
@@ -195,16 +219,6 @@ def _fitted(rows: Sequence[Sequence[str]], width: int) -> list[list[str]]:
         if sum(needed) + _BETWEEN * (len(needed) - 1) <= width:
             break
     return found
-
-
-_BETWEEN = 2
-"""Spaces between columns."""
-
-
-def _say_notes(console: Console, report: Report) -> None:
-    console.print("\n[bold]Left simple, and why[/bold]")
-    for note in report.learned.form.notes or ("nothing: there was enough of everything",):
-        console.print(f"  {note}", highlight=False, markup=False)
 
 
 def export_command(

@@ -12,10 +12,10 @@ from typing import Any
 
 import orjson
 
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 
 
-def write_coco(labelled: Labelled, folder: Path) -> tuple[Path, Path]:
+def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
     """Write `gt.json` and `dt.json`.
 
     Args:
@@ -32,9 +32,9 @@ def write_coco(labelled: Labelled, folder: Path) -> tuple[Path, Path]:
     return truth, results
 
 
-def ground_truth(labelled: Labelled) -> dict[str, Any]:
+def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
     """The content of a ground truth; IDs begin at 1."""
-    images, truth = labelled.images, labelled.truth
+    images, truth = labelled.images, labelled.annotations
     sizes, times = images.sizes_px.tolist(), images.time_s.tolist()
     entries = []
     for k, name in enumerate(images.names):
@@ -54,18 +54,17 @@ def ground_truth(labelled: Labelled) -> dict[str, Any]:
             entry["ignore"] = 1
         if truth.identity[row] >= 0:
             entry["track_id"] = int(truth.identity[row])
-        for key in ("visible_fraction", "distance_m"):
-            value = float(getattr(truth, key)[row])
-            if math.isfinite(value):
-                entry[key] = value
+        for key, column in (("visible_fraction", truth.visible_fraction), ("distance_m", truth.depth_m)):
+            if math.isfinite(column[row]):
+                entry[key] = float(column[row])
         annotations.append(entry)
     categories = [{"id": k + 1, "name": name} for k, name in enumerate(labelled.labels)]
     return {"images": entries, "annotations": annotations, "categories": categories}
 
 
-def coco_results(labelled: Labelled) -> list[dict[str, Any]]:
+def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
     """The content of a results file."""
-    found = labelled.found
+    found = labelled.results
     columns = found.image.tolist(), found.label.tolist(), found.boxes_px.tolist(), found.confidence.tolist()
     return [
         {"image_id": image + 1, "category_id": label + 1, "bbox": _sides(box), "score": score}

@@ -7,12 +7,12 @@ interpolated curve, and 11 points (eq. 5.43) a coarser average.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.matching import Matched
 
 COCO_POINTS, FEW_POINTS = 101, 11
@@ -23,9 +23,9 @@ class Curve:
     """Precision and recall at falling confidence.
 
     Attributes:
-        recall: Not falling, shape (m,).
-        precision: Shape (m,).
-        confidence: At which, shape (m,).
+        recall: Non-decreasing, shape (m,).
+        precision: At that recall, shape (m,).
+        confidence: Least confidence that gives them, shape (m,).
     """
 
     recall: Array
@@ -57,40 +57,40 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Detections of one label, the surest first.
+    """Detections of one label, the most confident first.
 
     Attributes:
-        image: Shape (m,).
-        right: Whether each is of a truth, shape (m,).
-        confidence: Shape (m,).
-        truth_image: Image of each truth that is to be found, shape (T,).
+        image: Image of each detection, shape (m,).
+        right: Whether each matches an annotation, shape (m,).
+        confidence: Non-increasing, shape (m,).
+        annotation_image: Image of each annotation that is to be detected, shape (T,).
     """
 
     image: Indices
     right: Mask
     confidence: Array
-    truth_image: Indices
+    annotation_image: Indices
 
     @classmethod
-    def of(cls, labelled: Labelled, matched: Matched, label: int, images: Mask) -> Ranking:
-        """Those of a label in some of the images.
+    def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
+        """Detections of a label in some of the images.
 
         Args:
-            labelled: What was found.
-            matched: Label by label, at any confidence.
-            label: Which.
-            images: Which images, shape (I,).
+            labelled: Images, annotations and results.
+            matched: Matches label by label, at any confidence.
+            label: Index of the label.
+            images: Which images take part, shape (I,).
         """
-        found, truth = labelled.found, labelled.truth
+        found, truth = labelled.results, labelled.annotations
         rows = np.flatnonzero(matched.counts & (found.label == label) & images[found.image])
         rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
-        sought = matched.truth_counts & (truth.label == label) & images[truth.image]
-        return cls(found.image[rows], matched.truth[rows] >= 0, found.confidence[rows], truth.image[sought])
+        sought = matched.sought & (truth.label == label) & images[truth.image]
+        return cls(found.image[rows], matched.annotation[rows] >= 0, found.confidence[rows], truth.image[sought])
 
     def curve(self, weights: Array | None = None) -> Curve | None:
-        """The curve, of images with weights of shape (I,); None if there is nothing to find."""
+        """The curve under weights of images, shape (I,), all one if None; None if there is nothing to detect."""
         each = np.ones(len(self.image)) if weights is None else weights[self.image]
-        total = len(self.truth_image) if weights is None else float(weights[self.truth_image].sum())
+        total = len(self.annotation_image) if weights is None else float(weights[self.annotation_image].sum())
         if total <= 0:
             return None
         right = np.cumsum(np.where(self.right, each, 0.0))
@@ -99,19 +99,37 @@ class Ranking:
         return Curve(right[some] / total, right[some] / every[some], self.confidence[some])
 
 
-NUMBERS = ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC")
+@dataclass(frozen=True)
+class AveragePrecision:
+    """Summaries of a curve of precision against recall.
+
+    Attributes:
+        all_points: Area under the interpolated curve (eq. 5.44).
+        eleven_points: Mean interpolated precision at 11 levels of recall (eq. 5.43).
+        coco_points: Mean interpolated precision at 101 levels of recall, as COCO's tools have it.
+        area: Area under the curve itself.
+    """
+
+    all_points: float
+    eleven_points: float
+    coco_points: float
+    area: float
+
+    @classmethod
+    def of(cls, curve: Curve) -> AveragePrecision:
+        """Those of a curve."""
+        return cls(curve.all_points(), curve.at_points(FEW_POINTS), curve.at_points(COCO_POINTS), curve.area())
 
 
 def average_precisions(ranking: Ranking, weights: Array) -> Array:
-    """The numbers of `NUMBERS` for each row of weights, shape (rows, 4); NaN where there is nothing to find."""
-    result = np.full((len(weights), len(NUMBERS)), np.nan)
+    """The fields of `AveragePrecision` under each row of weights (rows, I).
+
+    Returns:
+        Shape (rows, 4), NaN where there is nothing to detect.
+    """
+    result = np.full((len(weights), 4), np.nan)
     for row, weight in enumerate(weights):
         curve = ranking.curve(None if row == 0 and np.all(weight == 1) else weight)
         if curve is not None:
-            result[row] = (
-                curve.all_points(),
-                curve.at_points(FEW_POINTS),
-                curve.at_points(COCO_POINTS),
-                curve.area(),
-            )
+            result[row] = astuple(AveragePrecision.of(curve))
     return result

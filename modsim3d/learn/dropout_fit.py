@@ -1,4 +1,4 @@
-"""How misses follow what a thing looks like: logistic regression with an intercept for each state and label."""
+"""How misses depend on what a thing looks like: logistic regression, an intercept for each state and label."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling
 
 MISSES_FOR_EACH = 20
-"""Misses, and finds, that a regression must have for each effect (after Peduzzi et al. (1996), who ask for 10)."""
+"""Misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996) ask for 10)."""
 _STEPS = 60
 
 
@@ -21,8 +21,8 @@ class Effect:
     """One attribute in the odds of a miss.
 
     Attributes:
-        attribute: Of the detector file: `visible_fraction`, `size_px` or `distance_m`.
-        reference: Where it changes nothing.
+        attribute: Its key in the detector file: `visible_fraction`, `size_px` or `distance_m`.
+        reference: Value of the attribute at which the odds are those of the state.
     """
 
     attribute: str
@@ -30,11 +30,16 @@ class Effect:
 
     @property
     def doublings(self) -> bool:
-        """Whether it goes by doublings: sizes and distances do."""
+        """Whether the odds change by doublings of the attribute, as for sizes and distances, or by units."""
         return self.attribute != "visible_fraction"
 
+    @property
+    def slope_key(self) -> str:
+        """Key of the slope in the detector file."""
+        return "per_doubling" if self.doublings else "per_unit"
+
     def of(self, values: Array) -> Array:
-        """Units or doublings beyond the reference; none where unknown, shape (n,)."""
+        """Units or doublings beyond the reference, 0 where the value is unknown, shape (n,)."""
         known = np.where(np.isfinite(values), values, self.reference)
         if self.doublings:
             changed: Array = np.log2(np.maximum(known, 1.0) / self.reference)
@@ -43,12 +48,12 @@ class Effect:
 
 
 def attribute_values(observed: Observed) -> dict[str, Array]:
-    """What is known of each truth that counts, shapes (n,)."""
-    truth = observed.labelled.truth
+    """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
+    truth = observed.labelled.annotations
     return {
         "visible_fraction": truth.visible_fraction[observed.rows],
         "size_px": truth.size_px[observed.rows],
-        "distance_m": truth.distance_m[observed.rows],
+        "distance_m": truth.depth_m[observed.rows],
     }
 
 
@@ -57,11 +62,11 @@ class MissFit:
     """A regression of misses.
 
     Attributes:
-        slopes: Log-odds for each unit or doubling, first the estimate, shape (1 + replicates, effects).
+        slopes: Log-odds for each unit or doubling, the estimate first, shape (1 + replicates, effects).
         errors: Standard errors of the estimate, shape (effects,).
-        rates: Of misses of each state and label, as a mean over all truth of that label whatever state held, shape
-            (1 + replicates, states, k): what `anchor: state_rate` holds; NaN where nothing was.
-        chance: Of a miss of each truth in the state that held, shape (n,).
+        rates: Miss rate of each state and label, shape (1 + replicates, states, k), NaN where there was nothing. A mean
+            over all annotations of the label, whatever their state: the rate that `anchor: state_rate` keeps.
+        chance: Probability of a miss of each annotation in its own state, shape (n,).
     """
 
     slopes: Array
@@ -71,10 +76,15 @@ class MissFit:
 
 
 def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resampling) -> MissFit | None:
-    """Fit intercepts and slopes by largest likelihood; replicates by one step along its curvature.
+    """Fit intercepts and slopes by maximum likelihood, replicates by one Newton step from the estimate.
+
+    Args:
+        observed: The data.
+        effects: Attributes whose slopes are fitted; may be empty.
+        resampling: Weights of images.
 
     Returns:
-        None where the misses do not determine them.
+        None where the misses do not determine the parameters.
     """
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
@@ -85,7 +95,7 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     missed = observed.missed.astype(np.float64)
     number = np.bincount(group, minlength=states * k)
     hits = np.bincount(group, weights=missed, minlength=states * k)
-    usable = (hits > 0) & (hits < number)  # the rest have a rate of 0 or 1, whatever the looks
+    usable = (hits > 0) & (hits < number)  # the others have a rate of 0 or 1 whatever the attributes are
     fitted = usable[group]
     place = np.cumsum(usable) - 1
     count, p = int(usable.sum()), int(usable.sum()) + len(effects)
@@ -146,10 +156,19 @@ def _weighted_information(
 
 
 def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
-    """One step towards the largest likelihood under each row of weights; the first, at the largest already, is none.
+    """One Newton step under each row of weights; the first row is at the maximum already, so its step is zero.
 
-    By each row's own curvature: the estimate's would make effects that few images decide look better known than they
-    are. Where a row's curvature is singular, for it has no misses of a kind, the estimate's has to do.
+    Each row has its own curvature: with that of the estimate, effects that few images decide would look better known
+    than they are. Where the curvature of a row is singular, because it has no misses of some kind, that of the
+    estimate is used.
+
+    Args:
+        curvature: Information matrix under each row of weights, shape (rows, p, p).
+        scores: Gradient of the log-likelihood under each row, shape (rows, p).
+        inverse: Inverse of the information matrix of the estimate, shape (p, p).
+
+    Returns:
+        Shape (rows, p).
     """
     ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
     steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]
@@ -159,7 +178,7 @@ def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
 
 
 def _anchored(observed: Observed, x: Array, thetas: Array, usable: Mask, every: Array, resampling: Resampling) -> Array:
-    """Mean chance of a miss in each state over all truth of a label; replicates to first order."""
+    """Mean probability of a miss in each state over all annotations of a label; replicates to first order."""
     states, k = len(observed.states), len(observed.labelled.labels)
     rates = np.full((len(thetas), states, k), np.nan)
     count = int(usable.sum())

@@ -1,97 +1,118 @@
 """What average precision is lost to, one kind of error at a time (after Bolya et al. (2020), "TIDE").
 
-A false detection of a label is, by its largest overlap with truth: `classification` (well placed, another label),
-`localisation` (right label, ill placed), `both`, `duplicate` (of what a surer one has found) or `background`; a truth
-that no detection comes near is `missed`. Each share is by how much mean average precision would rise if that kind alone
-were mended.
+A false detection is classed by its largest overlap with annotations: `classification` (well placed, another label),
+`localisation` (right label, badly placed), `both`, `duplicate` (of what a more confident one has detected) or
+`background`. An annotation that no detection comes near is `missed`. The gain of a kind is how much mean average
+precision would rise if errors of that kind alone were corrected.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.learn.average_precision import Curve
-from modsim3d.learn.labelled import NOBODY, Labelled
-from modsim3d.learn.matching import Rule, image_pairs, match, overlap
+from modsim3d.learn.labelled import NOBODY, LabelledSet
+from modsim3d.learn.matching import Matched, image_pairs, overlap
 
-KINDS = ("classification", "localisation", "both", "duplicate", "background", "missed")
+
+class ErrorKind(Enum):
+    """A kind of error; the value is its name in reports."""
+
+    CLASSIFICATION = "classification"
+    LOCALISATION = "localisation"
+    BOTH = "both"
+    DUPLICATE = "duplicate"
+    BACKGROUND = "background"
+    MISSED = "missed"
+
+
 BACKGROUND_IOU = 0.1
+_KINDS = tuple(ErrorKind)
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorShares:
-    """What each kind costs.
+@dataclass(frozen=True)
+class ErrorShare:
+    """One kind of error.
 
     Attributes:
-        average_precision: Mean over labels, as it is, by all points.
-        gains: Points of mean average precision for each of `KINDS`, in hundredths.
-        counts: How many errors of each kind.
+        kind: The kind.
+        count: How many errors of this kind there are.
+        gain_points: Hundredths of mean average precision that correcting them would gain.
     """
 
+    kind: ErrorKind
+    count: int
+    gain_points: float
+
+
+@dataclass(frozen=True)
+class ErrorShares:
+    """What mean average precision, over labels and by all points, is lost to: a share for each kind."""
+
     average_precision: float
-    gains: dict[str, float]
-    counts: dict[str, int]
+    shares: tuple[ErrorShare, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _Nearest:
-    """For each detection its best truth of the same and of another label, and how well they overlap."""
+    """The best annotation of the same and of another label for each of n detections, with their IoU, shapes (n,)."""
 
     same: Indices
     same_iou: Array
     other: Indices
     other_iou: Array
 
+    def kinds(self, least_iou: float) -> Indices:
+        """Index into `ErrorKind` of each; a localisation error comes before one of the label."""
+        duplicate, localisation = self.same_iou >= least_iou, self.same_iou >= BACKGROUND_IOU
+        classification, both = self.other_iou >= least_iou, self.other_iou >= BACKGROUND_IOU
+        order = ErrorKind.DUPLICATE, ErrorKind.LOCALISATION, ErrorKind.CLASSIFICATION, ErrorKind.BOTH
+        places = [_KINDS.index(kind) for kind in order]
+        background = _KINDS.index(ErrorKind.BACKGROUND)
+        return np.select([duplicate, localisation, classification, both], places, default=background)
 
-def error_shares(
-    labelled: Labelled, images: Mask, least_iou: float = 0.5, least_confidence: float = 0.0
-) -> ErrorShares:
-    """The shares over some images, at one IoU.
+
+def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_iou: float = 0.5) -> ErrorShares:
+    """The shares over some images.
 
     Args:
-        labelled: What was found.
+        labelled: Images, annotations and results.
+        by_label: Matches label by label, by IoU in order of confidence.
         images: Which images, shape (I,).
-        least_iou: Less is no match.
-        least_confidence: Of detections that take part.
+        least_iou: Least IoU of those matches.
     """
-    found, truth = labelled.found, labelled.truth
-    matched = match(labelled, Rule(least_iou=least_iou, by_label=True), least_confidence)
-    counts = matched.counts & images[found.image]
-    sought = matched.truth_counts & images[truth.image]
-    right = counts & (matched.truth >= 0)
+    results, annotations = labelled.results, labelled.annotations
+    counts = by_label.counts & images[results.image]
+    sought = by_label.sought & images[annotations.image]
+    right = counts & (by_label.annotation >= 0)
     false = np.flatnonzero(counts & ~right)
     near = _nearest(labelled, false, sought)
-    kind = _kinds(near, least_iou)
-    taken = np.zeros(len(truth), dtype=bool)
-    taken[matched.truth[right]] = True
+    kinds = near.kinds(least_iou)
+    taken = np.zeros(len(annotations), dtype=bool)
+    taken[by_label.annotation[right]] = True
+    mislabelled, misplaced = (kinds == _KINDS.index(kind) for kind in _KINDS[:2])
     covered = taken.copy()
-    covered[near.other[kind == 0]] = True
-    covered[near.same[kind == 1]] = True
+    covered[near.other[mislabelled]] = True
+    covered[near.same[misplaced]] = True
     missed = sought & ~covered
-    state = _State(labelled, counts, right, found.label, sought)
-    plain = state.mean_precision()
-    gains = {}
-    for index, name in enumerate(KINDS):
-        ours = false[kind == index]
-        if name == "classification":
-            mended = state.mended(ours, near.other[kind == 0], taken)
-        elif name == "localisation":
-            mended = state.mended(ours, near.same[kind == 1], taken)
-        elif name == "missed":
-            mended = _State(labelled, counts, right, found.label, sought & ~missed)
-        else:
-            mended = state.without(ours)
-        gains[name] = 100 * (mended.mean_precision() - plain)
-    tallies = {name: int((kind == index).sum()) for index, name in enumerate(KINDS[:-1])}
-    return ErrorShares(plain, gains, tallies | {"missed": int(missed.sum())})
+    state = _State(labelled, counts, right, results.label, sought)
+    corrected = {kind: state.without(false[kinds == index]) for index, kind in enumerate(_KINDS)}
+    corrected[ErrorKind.CLASSIFICATION] = state.corrected(false[mislabelled], near.other[mislabelled], taken)
+    corrected[ErrorKind.LOCALISATION] = state.corrected(false[misplaced], near.same[misplaced], taken)
+    corrected[ErrorKind.MISSED] = replace(state, sought=sought & ~missed)
+    plain, numbers = state.mean_precision(), np.bincount(kinds, minlength=len(_KINDS)).tolist()
+    numbers[_KINDS.index(ErrorKind.MISSED)] = int(missed.sum())
+    gains = [100 * (corrected[kind].mean_precision() - plain) for kind in _KINDS]
+    return ErrorShares(plain, tuple(map(ErrorShare, _KINDS, numbers, gains)))
 
 
-def _nearest(labelled: Labelled, rows: Indices, sought: Mask) -> _Nearest:
-    """Best truths of some detections, −1 where nothing overlaps."""
-    found, truth, size = labelled.found, labelled.truth, len(rows)
+def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask) -> _Nearest:
+    """Best annotations for some rows of the results (n,); −1 where nothing overlaps."""
+    found, truth, size = labelled.results, labelled.annotations, len(rows)
     best = {same: (np.full(size, NOBODY), np.zeros(size)) for same in (True, False)}
     columns = np.flatnonzero(sought)
     for first, second in image_pairs(found.image[rows], truth.image[columns], len(labelled.images)):
@@ -105,22 +126,11 @@ def _nearest(labelled: Labelled, rows: Indices, sought: Mask) -> _Nearest:
     return _Nearest(*best[True], *best[False])
 
 
-def _kinds(near: _Nearest, least_iou: float) -> Indices:
-    """Index into `KINDS` of each false detection; a localisation error comes before one of the label."""
-    conditions = [
-        near.same_iou >= least_iou,
-        near.same_iou >= BACKGROUND_IOU,
-        near.other_iou >= least_iou,
-        near.other_iou >= BACKGROUND_IOU,
-    ]
-    return np.select(conditions, [3, 1, 0, 2], default=4)
-
-
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Detections as they are, or with something mended."""
+    """Detections as they are, or with some errors corrected; columns of the results, and which annotations count."""
 
-    labelled: Labelled
+    labelled: LabelledSet
     counts: Mask
     right: Mask
     label: Indices
@@ -128,7 +138,7 @@ class _State:
 
     def mean_precision(self) -> float:
         """Mean average precision over the labels that are there, by all points."""
-        found, truth, values = self.labelled.found, self.labelled.truth, []
+        found, truth, values = self.labelled.results, self.labelled.annotations, []
         for label in range(len(self.labelled.labels)):
             total = int((self.sought & (truth.label == label)).sum())
             if not total:
@@ -141,20 +151,27 @@ class _State:
         return float(np.mean(values)) if values else 0.0
 
     def without(self, rows: Indices) -> _State:
-        """Some detections left out."""
+        """Leave some detections out."""
         counts = self.counts.copy()
         counts[rows] = False
-        return _State(self.labelled, counts, self.right, self.label, self.sought)
+        return replace(self, counts=counts)
 
-    def mended(self, rows: Indices, truths: Indices, taken: Mask) -> _State:
-        """Some detections made right: the surest of each truth that nothing has found; the others are left out."""
+    def corrected(self, rows: Indices, truths: Indices, taken: Mask) -> _State:
+        """Make some detections right.
+
+        Args:
+            rows: The detections, shape (n,).
+            truths: The annotation of each, shape (n,). The most confident detection of one counts, if nothing else
+                has detected it; the other rows are left out.
+            taken: Which annotations have been detected, shape (T,).
+        """
         free = ~taken[truths]
-        order = np.argsort(-self.labelled.found.confidence[rows[free]], kind="stable")
+        order = np.argsort(-self.labelled.results.confidence[rows[free]], kind="stable")
         rows_free, truths_free = rows[free][order], truths[free][order]
         _, first = np.unique(truths_free, return_index=True)
         chosen = rows_free[first]
         right, counts, label = self.right.copy(), self.counts.copy(), self.label.copy()
         counts[rows] = False
         counts[chosen], right[chosen] = True, True
-        label[chosen] = self.labelled.truth.label[truths_free[first]]
-        return _State(self.labelled, counts, right, label, self.sought)
+        label[chosen] = self.labelled.annotations.label[truths_free[first]]
+        return replace(self, counts=counts, right=right, label=label)

@@ -1,8 +1,7 @@
-"""What matching does to what is learned, found by simulating.
+"""By how much matching shifts what is learned, found by simulation.
 
-A rule of matching cuts off large errors: a box too far off is a miss and a false detection. How much that shifts the
-numbers is told by the detector itself: it is simulated over the very truth that it was learned from, and learned again
-under the same rule.
+A matching rule cuts off large errors: a box too far off counts as a miss and a false detection. To see how much that
+shifts the numbers, the learned detector is simulated over the same annotations and learned again by the same rule.
 """
 
 from __future__ import annotations
@@ -13,19 +12,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector import Detector, take_census
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.learn.labelled import NOBODY, Found, Labelled, sorted_by_image
-from modsim3d.learn.learned import Learned, Settings, Values, learn_again
-from modsim3d.learn.resampling import Column, from_scale, spread, to_scale
+from modsim3d.learn.entries import Entry, entries_of, with_entries
+from modsim3d.learn.labelled import NOBODY, LabelledSet, Results
+from modsim3d.learn.learned import Learned, Settings, learn_again
+from modsim3d.learn.matching import match
+from modsim3d.learn.resampling import Column, Kind, from_scale, spread, to_scale
 
 SURE = 0.05
-"""Chance that any bias at all is called sure by chance alone."""
+"""Probability that any shift is called sure by chance alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +35,10 @@ class Part:
 
     Attributes:
         images: Their rows, shape (S,).
-        rows: Rows of the truth in them that count, shape (n,).
-        frames: The frames.
-        targets: Their truth.
-        states: Of each frame, shape (S,).
+        rows: Rows of the annotations in them that count, shape (n,).
+        frames: The images as frames of a camera.
+        targets: The annotations as targets.
+        states: Performance state in each frame, shape (S,).
     """
 
     images: Indices
@@ -47,13 +48,13 @@ class Part:
     states: Indices
 
 
-def parts_of(labelled: Labelled, image_state: Indices) -> Iterator[Part]:
-    """All images with a state, split by sequence and size.
+def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
+    """Split all images that have a state (I,) by sequence and size.
 
     Raises:
         ModsimError: The size of an image is not known.
     """
-    images, truth = labelled.images, labelled.truth
+    images, truth = labelled.images, labelled.annotations
     used = np.flatnonzero(image_state >= 0)
     if not np.isfinite(images.sizes_px[used]).all():
         raise ModsimError("the detector cannot be simulated over images whose size is not known")
@@ -87,18 +88,18 @@ def parts_of(labelled: Labelled, image_state: Indices) -> Iterator[Part]:
                 label=truth.label[rows],
                 boxes_px=np.clip(truth.boxes_px[rows], 0, [*size, *size]),
                 visible_fraction=truth.visible_fraction[rows],
-                depth_m=truth.distance_m[rows],
+                depth_m=truth.depth_m[rows],
                 vessel_ids=tuple(f"{name}" for name in names.tolist()),
             ),
             image_state[ours],
         )
 
 
-def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, seed: int) -> Labelled:
-    """The same images and truth, with what a detector puts out for them; states are those of the images."""
+def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
+    """The same images and annotations with the results of a simulated detector, in the state of each image (I,)."""
     parts = list(parts_of(labelled, image_state))
     census = take_census(model, ((part.frames, part.targets) for part in parts))
-    columns: list[Found] = []
+    columns: list[Results] = []
     for part in parts:
         times = part.frames.times_s
         changes = np.flatnonzero(np.diff(part.states, prepend=-1))
@@ -111,7 +112,7 @@ def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, se
         drawn = Detector(held, seed, census, clock).detect(part.frames, part.targets)
         own = ~np.isin(drawn.kind, FALSE_KINDS) & (drawn.target >= 0)
         columns.append(
-            Found(
+            Results(
                 image=part.images[drawn.frame],
                 label=drawn.label,
                 boxes_px=drawn.boxes_px,
@@ -120,56 +121,90 @@ def simulated(labelled: Labelled, image_state: Indices, model: DetectorModel, se
             )
         )
     names = ("image", "label", "boxes_px", "confidence", "origin")
-    whole = Found(**{name: np.concatenate([getattr(part, name) for part in columns]) for name in names})
-    return replace(labelled, found=Found(**sorted_by_image(whole)[0]))
+    whole = Results(**{name: np.concatenate([getattr(part, name) for part in columns]) for name in names})
+    return replace(labelled, results=whole.by_image())
+
+
+@dataclass(frozen=True, eq=False)
+class Shift:
+    """By how much learning shifts one entry, on the scale on which it is nearly normal; arrays of the entry's shape.
+
+    Attributes:
+        entry: What was learned.
+        shift: Mean shift.
+        error: Its standard error.
+        again: Mean of what was learned again, on the plain scale.
+    """
+
+    entry: Entry
+    shift: Array
+    error: Array
+    again: Array
+
+    @classmethod
+    def of(cls, entry: Entry, runs: Array) -> Shift:
+        """From what was learned again, shape (repeats, ...)."""
+        kind = _scale(entry.column)
+        scaled = to_scale(runs, kind)
+        moved = scaled - to_scale(entry.estimate, kind)
+        shift = np.nan_to_num(np.nanmean(np.where(np.isfinite(moved), moved, 0.0), axis=0))
+        error = np.maximum(spread(scaled), _least_error(entry.column)) / np.sqrt(len(runs))
+        return cls(entry, shift, error, from_scale(scaled.mean(axis=0), kind))
+
+    @property
+    def corrected(self) -> Array:
+        """The estimate less the shift."""
+        kind = _scale(self.entry.column)
+        moved = from_scale(to_scale(self.entry.estimate, kind) - self.shift, kind)
+        least, most = _RANGES.get(self.entry.column.kind, (-np.inf, np.inf))
+        return np.clip(moved, least, most)
 
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """By how much learning shifts each number, on the scale on which it is nearly normal.
+    """By how much learning shifts each entry.
 
     Attributes:
         learned: What was learned.
-        shifts: Mean shift, by path.
-        errors: Its standard error, by path.
-        again: Mean of what was learned again, by path, on the plain scale.
-        repeats: How often it was.
+        shifts: One for each of its entries.
+        repeats: How often it was learned again.
     """
 
     learned: Learned
-    shifts: Values
-    errors: Values
-    again: Values
+    shifts: tuple[Shift, ...]
     repeats: int
 
-    def significant(self, path: str) -> np.ndarray:
-        """Which numbers are surely shifted, by Student's test of all of them together."""
-        numbers = sum(np.size(shift) for shift in self.shifts.values())
+    def significant(self, shift: Shift) -> Mask:
+        """Which numbers of an entry are surely shifted, by Student's test of all numbers together."""
+        numbers = sum(np.size(each.shift) for each in self.shifts)
         needed = float(stats.t.ppf(1 - SURE / (2 * numbers), self.repeats - 1))
         with np.errstate(invalid="ignore"):
-            return np.isfinite(self.errors[path]) & (np.abs(self.shifts[path]) > needed * self.errors[path])
+            surely: Mask = np.isfinite(shift.error) & (np.abs(shift.shift) > needed * shift.error)
+        return surely
 
-    def corrected(self) -> Values:
-        """The learned numbers less their bias, where that is sure."""
-        values = self.learned.values()
-        for path, shift in self.shifts.items():
-            kind = _scale(self.learned.columns[path])
-            moved = from_scale(to_scale(values[path], kind) - shift, kind)
-            least, most = _RANGES.get(self.learned.columns[path].kind, (-np.inf, np.inf))
-            values[path] = np.where(self.significant(path), np.clip(moved, least, most), values[path])
-        return values
+    def corrected(self) -> Learned:
+        """What was learned with the sure shifts taken off the estimates; replicates stay as they are."""
+        shifts = iter(self.shifts)
+        return replace(
+            self.learned, numbers=with_entries(self.learned.numbers, lambda _: self._corrected(next(shifts)))
+        )
+
+    def _corrected(self, shift: Shift) -> Entry:
+        values = shift.entry.column.values.copy()
+        values[0] = np.where(self.significant(shift), shift.corrected, values[0])
+        return replace(shift.entry, column=replace(shift.entry.column, values=values))
 
 
 _RANGES = {"share": (0.0, 1.0), "rate": (0.0, np.inf)}
 
 
-def _scale(column: Column) -> str:
-    """Shares may be 0, where their usual scale ends: their bias is taken on the plain one."""
+def _scale(column: Column) -> Kind:
+    """The scale of the column; the plain one for shares and rates, which may be 0, where their own scales end."""
     return "mean" if column.kind in _RANGES else column.kind
 
 
 def _least_error(column: Column) -> Array:
-    """Standard error of a share or rate that may have happened once or never, on the plain scale."""
+    """Least standard error on the plain scale, for shares and rates of what may have happened once or never."""
     value, count = column.estimate, np.maximum(column.counts, 1.0)
     if column.kind not in _RANGES:
         return np.full(value.shape, 1e-12)
@@ -179,27 +214,21 @@ def _least_error(column: Column) -> Array:
     return error
 
 
-def bias_of(learned: Learned, labelled: Labelled, image_state: Indices, settings: Settings, repeats: int = 12) -> Bias:
-    """Simulate what was learned, learn it again, and compare.
+def bias_of(learned: Learned, settings: Settings, repeats: int = 12) -> Bias:
+    """Simulate what was learned over the data that it was learned from, learn it again, and compare.
 
     Args:
         learned: What was learned.
-        labelled: From what.
-        image_state: Of each image.
-        settings: As it was learned.
-        repeats: How often, each with another seed.
+        settings: How it was learned.
+        repeats: How often to learn it again, each time from another seed.
     """
-    model = parse_detector(learned.detector(), "what was learned")
-    runs = [
-        learn_again(learned, simulated(labelled, image_state, model, settings.seed + 1 + k), image_state, settings)
-        for k in range(repeats)
-    ]
-    shifts, errors, again = {}, {}, {}
-    for path, value in learned.values().items():
-        kind = _scale(learned.columns[path])
-        scaled = np.stack([to_scale(run[path], kind) for run in runs])
-        moved = scaled - to_scale(value, kind)
-        shifts[path] = np.nan_to_num(np.nanmean(np.where(np.isfinite(moved), moved, 0.0), axis=0))
-        errors[path] = np.maximum(spread(scaled), _least_error(learned.columns[path])) / np.sqrt(repeats)
-        again[path] = from_scale(scaled.mean(axis=0), kind)
-    return Bias(learned, shifts, errors, again, repeats)
+    model, observed = parse_detector(learned.detector(), "what was learned"), learned.observed
+    runs = []
+    for k in range(repeats):
+        labelled = simulated(observed.labelled, observed.image_state, model, settings.seed + 1 + k)
+        matched = match(labelled, settings.rule, settings.threshold)
+        again = learn_again(learned, replace(observed, labelled=labelled, matched=matched))
+        runs.append([entry.estimate for entry in entries_of(again)])
+    entries = entries_of(learned.numbers)
+    shifts = tuple(Shift.of(entry, np.stack(found)) for entry, *found in zip(entries, *runs, strict=True))
+    return Bias(learned, shifts, repeats)

@@ -1,14 +1,15 @@
-"""Which detection is of which truth.
+"""Which detection is of which annotation.
 
 All images are matched at once: pairs that could match are found by arithmetic over all pairs within images, and only
-those few are walked through. A detection is at most one truth's, and a truth at most one detection's; what COCO ignores
-(crowds, `ignore`) is matched only by what would otherwise match nothing, and then neither counts.
+those few are walked through. A detection matches at most one annotation, and an annotation at most one detection.
+What COCO ignores (crowds, `ignore`) is matched only by detections that match nothing else, and then neither counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -16,12 +17,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import areas, intersections, iou
+from modsim3d.boxes import areas, centres, intersections, iou
 from modsim3d.errors import ModsimError
-from modsim3d.learn.labelled import NOBODY, Found, Labelled, Truth
+from modsim3d.learn.labelled import NOBODY, LabelledSet
 
 PAIRS_AT_ONCE = 2_000_000
-METHODS = ("confidence", "optimal", "centre", "provenance")
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Rule:
     """How boxes are matched.
 
     Attributes:
-        method: `confidence`: the surest detection chooses first, the truth with the largest IoU; `optimal`: as many
-            matches as there can be, and of those the largest sum of IoU; `centre`: like `confidence`, but the nearest
-            centre; `provenance`: what a simulated run says itself.
-        least_iou: Less is no match.
-        most_distance_px: Between centres; farther is no match.
+        method: `confidence`: the most confident detection chooses first, the annotation with the largest IoU;
+            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: like `confidence`,
+            but the nearest centre; `provenance`: what a simulated run says itself.
+        least_iou: A pair with less is no match.
+        most_distance_px: Largest distance between the centres of a match, for `centre`.
         by_label: Whether only boxes of the same label match.
     """
 
@@ -43,7 +43,7 @@ class Rule:
     by_label: bool = False
 
     def __str__(self) -> str:
-        """For a report."""
+        """The rule in words, for a report."""
         if self.method == "provenance":
             return "provenance"
         if self.method == "centre":
@@ -57,50 +57,73 @@ class Matched:
     """Matches of the detections that take part.
 
     Attributes:
-        truth: Row of the truth of each detection, −1 for none, shape (D,).
-        counts: Whether a detection counts: it took part, and is not of something ignored, shape (D,).
-        truth_counts: Whether a truth is to be found, shape (T,).
+        annotation: Row of the annotation that each detection matches, −1 for none, shape (D,).
+        counts: Whether a detection counts: it took part, and does not match something ignored, shape (D,).
+        sought: Whether an annotation is to be detected, shape (T,).
     """
 
-    truth: Indices
+    annotation: Indices
     counts: Mask
-    truth_counts: Mask
+    sought: Mask
 
-    @property
+    @cached_property
     def pairs(self) -> tuple[Indices, Indices]:
-        """Rows of detections and of their truths, where both count."""
-        found = np.flatnonzero(self.counts & (self.truth >= 0))
-        return found, self.truth[found]
+        """Rows of detections and of their annotations where both count, shapes (m,)."""
+        rows = np.flatnonzero(self.counts & (self.annotation >= 0))
+        return rows, self.annotation[rows]
 
-    @property
+    @cached_property
     def false(self) -> Indices:
-        """Rows of false detections."""
-        return np.flatnonzero(self.counts & (self.truth < 0))
+        """Rows of false detections, shape (f,)."""
+        return np.flatnonzero(self.counts & (self.annotation < 0))
 
+    @cached_property
     def detection(self) -> Indices:
-        """Row of the detection of each truth, −1 for none, shape (T,)."""
-        rows = np.full(len(self.truth_counts), NOBODY)
-        found, truth = self.pairs
-        rows[truth] = found
-        return rows
+        """Row of the detection that matches each annotation, −1 for none, shape (T,)."""
+        found = np.full(len(self.sought), NOBODY)
+        rows, annotation = self.pairs
+        found[annotation] = rows
+        return found
 
 
-def overlap(boxes_px: Array, truth_px: Array, crowd: Mask) -> Array:
-    """IoU; of crowds the share of the detection inside, as COCO has it; shape (n,)."""
-    inside: Array = intersections(boxes_px, truth_px) / np.maximum(areas(boxes_px), 1e-300)
-    return np.where(crowd, inside, iou(boxes_px, truth_px))
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Pairs that could match, n rows.
+
+    Attributes:
+        detection: Rows of the results, shape (n,).
+        annotation: Rows of the annotations, shape (n,).
+        quality: Of the match, the greater the better, shape (n,).
+    """
+
+    detection: Indices
+    annotation: Indices
+    quality: Array
+
+    def where(self, chosen: Mask) -> Candidates:
+        """Some of the pairs."""
+        return Candidates(self.detection[chosen], self.annotation[chosen], self.quality[chosen])
+
+
+def overlap(boxes_px: Array, annotated_px: Array, crowd: Mask) -> Array:
+    """IoU of boxes (n, 4), pair by pair; for crowds the share of the detection inside, as COCO has it; shape (n,)."""
+    inside: Array = intersections(boxes_px, annotated_px) / np.maximum(areas(boxes_px), 1e-300)
+    return np.where(crowd, inside, iou(boxes_px, annotated_px))
 
 
 def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[Indices, Indices]]:
-    """All pairs of rows in the same image, some at a time.
+    """All pairs of rows in the same image, about `PAIRS_AT_ONCE` at a time.
 
     Args:
-        first: Images of the one, non-decreasing.
-        second: Of the other.
-        images: How many there are.
+        first: Image of each row of one table, non-decreasing, shape (n,).
+        second: Image of each row of the other table, non-decreasing, shape (m,).
+        images: Number of images.
+
+    Yields:
+        Rows of the first and of the second table, shapes (pairs,).
     """
-    starts = [np.searchsorted(rows, np.arange(images + 1)) for rows in (first, second)]
-    others = np.diff(starts[1])[first]  # pairs that each of the first has
+    starts = np.searchsorted(second, np.arange(images + 1))
+    others = np.diff(starts)[first]  # pairs that each of the first has
     ends = np.cumsum(others)
     begin = 0
     while begin < len(first):
@@ -108,72 +131,75 @@ def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[
         stop = max(int(np.searchsorted(ends, before + PAIRS_AT_ONCE, side="right")), begin + 1)
         rows = np.repeat(np.arange(begin, stop), others[begin:stop])
         offset = np.arange(len(rows)) - np.repeat(ends[begin:stop] - others[begin:stop] - before, others[begin:stop])
-        yield rows, starts[1][first[rows]] + offset
+        yield rows, starts[first[rows]] + offset
         begin = stop
 
 
-def candidates(labelled: Labelled, takes_part: Mask, rule: Rule) -> tuple[Indices, Indices, Array]:
-    """Pairs that could match, and how well: detections, truths and a quality that is better the greater it is."""
-    found, truth = labelled.found, labelled.truth
-    rows = np.flatnonzero(takes_part)
-    kept: list[tuple[Indices, Indices, Array]] = []
-    for first, second in image_pairs(found.image[rows], truth.image, len(labelled.images)):
-        detection = rows[first]
-        good, quality = _good(found, truth, detection, second, rule)
-        kept.append((detection[good], second[good], quality[good]))
-    if not kept:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
-    return tuple(np.concatenate(column) for column in zip(*kept, strict=True))  # type: ignore[return-value]
+def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matched:
+    """Match the detections that are confident enough.
 
-
-def _good(found: Found, truth: Truth, detection: Indices, second: Indices, rule: Rule) -> tuple[Mask, Array]:
-    a, b = found.boxes_px[detection], truth.boxes_px[second]
-    if rule.method == "centre":
-        between = np.hypot(*((a[:, :2] + a[:, 2:] - b[:, :2] - b[:, 2:]) / 2).T)
-        good, quality = between <= rule.most_distance_px, -between
+    Raises:
+        ModsimError: The rule is `provenance`, and the set does not say where detections come from.
+    """
+    takes_part = labelled.results.confidence >= least_confidence
+    if rule.method == "provenance":
+        matches = _by_provenance(labelled, takes_part)
     else:
-        quality = overlap(a, b, truth.crowd[second])
+        assign = _optimal if rule.method == "optimal" else _greedy
+        matches = assign(labelled, _candidates(labelled, takes_part, rule))
+    ignored = np.append(labelled.annotations.ignored, False)[matches]
+    return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored)
+
+
+def _by_provenance(labelled: LabelledSet, takes_part: Mask) -> Indices:
+    if labelled.results.origin is None:
+        raise ModsimError("matching by provenance needs simulated runs (--run): files do not say whose a detection is")
+    return np.where(takes_part, labelled.results.origin, NOBODY)
+
+
+def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
+    """Pairs of detections that take part and annotations that the rule lets match."""
+    rows, images = np.flatnonzero(takes_part), len(labelled.images)
+    kept = [Candidates(rows[:0], rows[:0], np.empty(0))]
+    for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):
+        good, quality = _quality(labelled, rows[first], second, rule)
+        kept.append(Candidates(rows[first], second, quality).where(good))
+    return Candidates(
+        np.concatenate([part.detection for part in kept]),
+        np.concatenate([part.annotation for part in kept]),
+        np.concatenate([part.quality for part in kept]),
+    )
+
+
+def _quality(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> tuple[Mask, Array]:
+    """Whether pairs of rows may match, and how well they do, shapes (n,)."""
+    results, annotations = labelled.results, labelled.annotations
+    a_px, b_px = results.boxes_px[detection], annotations.boxes_px[annotation]
+    if rule.method == "centre":
+        quality = -np.hypot(*(centres(a_px) - centres(b_px)).T)
+        good = quality >= -rule.most_distance_px
+    else:
+        quality = overlap(a_px, b_px, annotations.crowd[annotation])
         good = quality >= min(rule.least_iou, 1 - 1e-10)
     if rule.by_label:
-        good = good & (found.label[detection] == truth.label[second])
+        good = good & (results.label[detection] == annotations.label[annotation])
     return good, quality
 
 
-def match(labelled: Labelled, rule: Rule, least_confidence: float = 0.0) -> Matched:
-    """Match the detections that are sure enough.
+def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
+    """Most confident detection first.
 
-    Raises:
-        ModsimError: Provenance is asked for and not known.
+    Ties are broken as COCO's own tools do: the later of equal annotations, the earlier of equal detections.
     """
-    found, truth = labelled.found, labelled.truth
-    takes_part = found.confidence >= least_confidence
-    if rule.method == "provenance":
-        return _by_provenance(labelled, takes_part)
-    detection, target, quality = candidates(labelled, takes_part, rule)
-    assign: Callable[[Labelled, Indices, Indices, Array], Indices] = _optimal if rule.method == "optimal" else _greedy
-    matches = assign(labelled, detection, target, quality)
-    return _counted(truth, takes_part, matches)
-
-
-def _counted(truth: Truth, takes_part: Mask, matches: Indices) -> Matched:
-    ignored = np.append(truth.ignored, False)[matches]
-    return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~truth.ignored)
-
-
-def _by_provenance(labelled: Labelled, takes_part: Mask) -> Matched:
-    if labelled.found.origin is None:
-        raise ModsimError("matching by provenance needs simulated runs (--run): files do not say whose a detection is")
-    return _counted(labelled.truth, takes_part, np.where(takes_part, labelled.found.origin, NOBODY))
-
-
-def _greedy(labelled: Labelled, detection: Indices, target: Indices, quality: Array) -> Indices:
-    """The surest first; ties as COCO's own tools break them: the later of equal truths, the earlier of detections."""
-    truth, found = labelled.truth, labelled.found
-    matches = np.full(len(found), NOBODY)
-    order = np.lexsort((-target, -quality, truth.ignored[target], detection, -found.confidence[detection]))
+    annotations, results = labelled.annotations, labelled.results
+    target, detection = pairs.annotation, pairs.detection
+    matches = np.full(len(results), NOBODY)
+    order = np.lexsort(
+        (-target, -pairs.quality, annotations.ignored[target], detection, -results.confidence[detection])
+    )
     taken: set[int] = set()
     done: set[int] = set()
-    crowd = truth.crowd[target[order]].tolist()
+    crowd = annotations.crowd[target[order]].tolist()
     for row, box, many in zip(detection[order].tolist(), target[order].tolist(), crowd, strict=True):
         if row in done or (box in taken and not many):
             continue
@@ -183,22 +209,22 @@ def _greedy(labelled: Labelled, detection: Indices, target: Indices, quality: Ar
     return matches
 
 
-def _optimal(labelled: Labelled, detection: Indices, target: Indices, quality: Array) -> Indices:
-    """As many as there can be, then the largest sum; what is ignored is left to the detections that remain."""
-    truth, matches = labelled.truth, np.full(len(labelled.found), NOBODY)
-    sought = ~truth.ignored[target]
-    _assign(detection[sought], target[sought], quality[sought], matches)
-    left = ~sought & (matches[detection] < 0)
-    rest = _greedy(labelled, detection[left], target[left], quality[left])
+def _optimal(labelled: LabelledSet, pairs: Candidates) -> Indices:
+    """As many matches as possible, of those the largest sum; ignored annotations take detections that are left."""
+    matches = np.full(len(labelled.results), NOBODY)
+    sought = ~labelled.annotations.ignored[pairs.annotation]
+    _assign(pairs.where(sought), matches)
+    rest = _greedy(labelled, pairs.where(~sought & (matches[pairs.detection] < 0)))
     return np.where(matches >= 0, matches, rest)
 
 
-def _assign(detection: Indices, target: Indices, quality: Array, matches: Indices) -> None:
-    """Assignment problems, one for each cluster of boxes that can match each other."""
-    if not len(detection):
+def _assign(pairs: Candidates, matches: Indices) -> None:
+    """Solve an assignment problem for each cluster of boxes that can match each other; writes to the matches."""
+    if not len(pairs.detection):
         return
-    rows, row = np.unique(detection, return_inverse=True)
-    columns, column = np.unique(target, return_inverse=True)
+    quality = pairs.quality
+    rows, row = np.unique(pairs.detection, return_inverse=True)
+    columns, column = np.unique(pairs.annotation, return_inverse=True)
     size = len(rows) + len(columns)
     graph = coo_array((np.ones(len(row)), (row, len(rows) + column)), shape=(size, size))
     _, cluster = connected_components(graph, directed=False)

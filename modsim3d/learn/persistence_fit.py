@@ -1,4 +1,4 @@
-"""How long misses and box errors stay with a thing, from frame to frame."""
+"""How long misses and box errors persist for a thing, from frame to frame."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.learn.labelled import Labelled
-from modsim3d.learn.resampling import Resampling
+from modsim3d.learn.labelled import LabelledSet
+from modsim3d.learn.resampling import Column, Resampling, widened
 
 PAIRS_NEEDED = 200
-"""Of consecutive sightings, before a correlation time is looked for."""
-MISSES_NEEDED = 30
+"""Consecutive sightings, before a correlation time is looked for."""
 _GRID = 96
+_ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Consecutive rows of the same thing.
+    """Consecutive sightings of the same thing.
 
     Attributes:
-        earlier: Places among the rows given, shape (m,).
-        later: Likewise.
-        apart_s: Time between, shape (m,).
+        earlier: Places of the earlier ones among the rows given, shape (m,).
+        later: Places of the later ones, shape (m,).
+        apart_s: Time between the two, shape (m,).
     """
 
     earlier: Indices
@@ -35,30 +35,64 @@ class Steps:
         return len(self.earlier)
 
 
-def steps_between(labelled: Labelled, rows: Indices) -> Steps:
-    """Pairs of rows of the truth that follow each other, of things with an identity in frames with times.
+@dataclass(frozen=True, eq=False)
+class Consecutive:
+    """Products of the residuals of consecutive sightings.
+
+    Attributes:
+        products: Of the earlier and the later residual, shape (m,).
+        expected: Their expectation if the noise were the same in both, shape (m,).
+        apart_s: Time between the two, shape (m,).
+        image: Image of the later one, shape (m,).
+    """
+
+    products: Array
+    expected: Array
+    apart_s: Array
+    image: Indices
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.products)
+
+    def correlated(self, significant: float) -> bool:
+        """Whether the mean product is so many standard errors above zero."""
+        error = float(self.products.std()) / np.sqrt(max(len(self), 1))
+        return bool(error > 0 and float(self.products.mean()) > significant * error)
+
+    def rough_time_s(self) -> float:
+        """The correlation time, without replicates."""
+        image = np.zeros_like(self.image)
+        return float(correlation_time(_ONCE, image, self.products, self.expected, self.apart_s)[0])
+
+    def column(self, resampling: Resampling) -> Column:
+        """The correlation time; its replicates spread at least as pairs say, since runs of frames may be few."""
+        times = correlation_time(resampling, self.image, self.products, self.expected, self.apart_s)
+        if times[0] > 0:
+            least = np.array(relative_error(self.products, self.expected, self.apart_s, float(times[0])))
+            times = np.exp(widened(np.log(np.maximum(times, 1e-12)), least))
+        return Column(times, "positive", np.array(float(len(self))))
+
+
+def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
+    """Consecutive annotations of the same thing, where it has an identity and the frames have times.
 
     Args:
         labelled: The sets.
-        rows: Of the truth, shape (n,).
+        rows: Of the annotations to look at, shape (n,).
     """
-    truth, images = labelled.truth, labelled.images
-    image = truth.image[rows]
-    time = images.time_s[image]
-    known = np.flatnonzero((truth.identity[rows] >= 0) & np.isfinite(time))
-    keys = images.sequence[image[known]], truth.identity[rows[known]]
-    order = known[np.lexsort((time[known], keys[1], keys[0]))]
+    image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
+    sequence, time_s = labelled.images.sequence[image], labelled.images.time_s[image]
+    known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
+    order = known[np.lexsort((time_s[known], identity[known], sequence[known]))]
     earlier, later = order[:-1], order[1:]
-    same = (truth.identity[rows[earlier]] == truth.identity[rows[later]]) & (
-        images.sequence[image[earlier]] == images.sequence[image[later]]
-    )
-    apart = time[later] - time[earlier]
-    same &= apart > 0
-    return Steps(earlier[same], later[same], apart[same])
+    apart_s = time_s[later] - time_s[earlier]
+    same = (identity[earlier] == identity[later]) & (sequence[earlier] == sequence[later]) & (apart_s > 0)
+    return Steps(earlier[same], later[same], apart_s[same])
 
 
-def frame_interval_s(labelled: Labelled) -> float:
-    """Median time between frames; NaN where images do not follow one another."""
+def frame_interval_s(labelled: LabelledSet) -> float:
+    """Median time between consecutive frames; NaN where there are none."""
     order = np.lexsort((labelled.images.time_s, labelled.images.sequence))
     gaps = np.diff(labelled.images.time_s[order])
     same = np.diff(labelled.images.sequence[order]) == 0
@@ -67,17 +101,17 @@ def frame_interval_s(labelled: Labelled) -> float:
 
 
 def correlation_time(resampling: Resampling, image: Indices, products: Array, expected: Array, apart_s: Array) -> Array:
-    """τ for which the expected products, times e^(−Δt/τ), sum to what the products sum to.
+    """Correlation time τ for which the products sum to the expected ones times e^(−Δt/τ).
 
     Args:
         resampling: Weights of images.
-        image: Of each pair, shape (m,).
+        image: Image of each pair, shape (m,).
         products: Of residuals that persist together, shape (m,).
-        expected: Of the products if nothing changed between, shape (m,).
-        apart_s: Shape (m,).
+        expected: Expectation of the products if the noise were the same in both, shape (m,).
+        apart_s: Time Δt between the two, shape (m,).
 
     Returns:
-        In seconds, shape (rows,): 0 where there is no correlation; at most a thousand times the median gap.
+        Seconds, shape (rows,): 0 where there is no correlation; at most a thousand times the median Δt.
     """
     gap = float(np.median(apart_s))
     grid = gap * np.geomspace(0.05, 1000, _GRID)
@@ -97,10 +131,16 @@ def correlation_time(resampling: Resampling, image: Indices, products: Array, ex
 
 
 def relative_error(products: Array, expected: Array, apart_s: Array, time_s: float) -> float:
-    """Standard error of τ over τ, from how much each pair strays from what those before it lead to expect.
+    """Relative standard error of a correlation time τ, from the deviation of each pair's product.
 
-    Given its past, a product is expected to be e^(−Δt/τ) of its residual's square, so that what remains of it is
-    independent of what remains of others, whatever persists; and there are many more pairs than runs of frames.
+    Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from that
+    are independent of each other whatever persists, and there are many more pairs than runs of frames.
+
+    Args:
+        products: Of residuals, shape (m,).
+        expected: Expectation of the products if the noise were the same in both, shape (m,).
+        apart_s: Time Δt between the two, shape (m,).
+        time_s: The correlation time τ.
     """
     gap = float(np.median(apart_s))
     kept = float(np.exp(-gap / time_s))

@@ -1,13 +1,14 @@
 """Bootstrap over images: how well a number is known.
 
-Images are drawn with replacement (Efron (1979)); where they are consecutive frames, noise persists from one to
-the next, and runs of frames are drawn instead, long against the time that noise persists. Every estimator here takes
-weights of images, of which the first row is one each: it gives the estimate, the others its replicates.
+Images are drawn with replacement (Efron (1979)). Where they are consecutive frames, noise persists from one to the
+next, so runs of frames are drawn that are long against the time that noise persists. Every estimator takes weights of
+images. Their first row, one for each image, gives the estimate, and the other rows give its replicates.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy import special, stats
@@ -18,6 +19,10 @@ from modsim3d.learn.labelled import Images
 
 _LEAST_SPREAD = 1e-12
 
+Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate"]
+"""A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, or a
+`rate` of a Poisson number."""
+
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
@@ -25,14 +30,22 @@ class Resampling:
 
     Attributes:
         weights: How often each image was drawn; in the first row once each, shape (1 + replicates, I).
-        unit: What was drawn, of each image, shape (I,): itself, or a run of frames.
+        unit: Index of what was drawn with each image, itself or a run of frames, shape (I,).
     """
 
     weights: Array
     unit: Indices
 
     def sums(self, image: Indices, values: Array) -> Array:
-        """Weighted sums of rows that belong to images, shape (1 + replicates, ...), from values of shape (n, ...)."""
+        """Weighted sums of values.
+
+        Args:
+            image: Image of each value, shape (n,).
+            values: Shape (n, ...).
+
+        Returns:
+            Shape (1 + replicates, ...).
+        """
         columns = int(np.prod(values.shape[1:]))
         flat = values.reshape(len(image), columns)
         index = np.repeat(image, columns), np.tile(np.arange(columns), len(image))
@@ -41,7 +54,17 @@ class Resampling:
         return total.reshape(len(self.weights), *values.shape[1:])
 
     def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...], amount: Array | None = None) -> Array:
-        """Weighted counts, or sums of amounts, of rows in the cells of a table, shape (1 + replicates, *shape)."""
+        """Weighted counts in the cells of a table.
+
+        Args:
+            image: Image of each thing that is counted, shape (n,).
+            cell: Its cell in the flattened table, shape (n,).
+            shape: Of the table.
+            amount: How much each counts, one if None, shape (n,).
+
+        Returns:
+            Shape (1 + replicates, *shape).
+        """
         size = int(np.prod(shape))
         amount = np.ones(len(image)) if amount is None else amount
         by_image = csr_array((amount, (image, cell)), shape=(self.weights.shape[1], size))
@@ -49,17 +72,17 @@ class Resampling:
         return total.reshape(len(self.weights), *shape)
 
     def units(self, chosen: Mask) -> int:
-        """How many of what is drawn hold the chosen images."""
+        """How many single images or runs hold the chosen images, shape (I,)."""
         return len(np.unique(self.unit[chosen]))
 
 
 def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> Resampling:
-    """Draw images, or runs of frames, within each source as many as it has.
+    """Draw as many images, or runs of frames, from each source as it has.
 
     Args:
-        images: Of which.
-        replicates: How often.
-        seed: Everything random comes from it.
+        images: The images.
+        replicates: How often they are drawn.
+        seed: Of all random numbers.
         run_s: Length of the runs where images have times; 0 draws single images.
     """
     timed = np.isfinite(images.time_s) if run_s > 0 else np.zeros(len(images), dtype=bool)
@@ -84,48 +107,48 @@ class Column:
     """An estimate with its replicates.
 
     Attributes:
-        values: The estimate first, shape (1 + replicates, ...).
-        kind: What decides the scale on which it is nearly normal: `share` of a number of trials, `fraction` (another
-            number from 0 to 1), `mean`, `positive`, `correlation`, or `rate` of a Poisson number.
-        counts: Observations that it rests on, of the shape of one row; for a `rate`, what it is a rate per.
-        inflation: Of a share: by how much noise that persists raises its variance at least. Replicates cannot tell
-            where the thing happened once or never.
+        values: The estimate, then its replicates, shape (1 + replicates, ...).
+        kind: Kind of number, which decides the scale on which the estimate is nearly normal.
+        counts: Observations that the estimate rests on, of the shape of one row; of a `rate`, the number of images.
+        inflation: Factor by which noise that persists raises the variance of a share at least. Replicates cannot tell
+            it for what happened once or never.
     """
 
     values: Array
-    kind: str
+    kind: Kind
     counts: Array
     inflation: float = 1.0
 
     @property
     def estimate(self) -> Array:
-        """The first row."""
+        """The first row of the values."""
         first: Array = self.values[0]
         return first
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
-        """Both ends of confidence intervals, shapes of one row.
+        """Both ends of confidence intervals, each of the shape of one row.
 
         Args:
             level: Such as 0.95.
-            units: Of what was drawn: few of them make the spread itself uncertain, hence Student's distribution.
+            units: Number of images or runs that were drawn. With few of them the spread itself is uncertain, hence
+                Student's distribution.
         """
         wide = float(stats.t.ppf((1 + level) / 2, max(units - 1, 1)))
         widen, tail = (wide / float(stats.norm.ppf((1 + level) / 2))) ** 2, (1 - level) / 2
         if self.kind in ("share", "rate"):
             return self._counted(widen, tail)
         centre = to_scale(self.estimate, self.kind)
-        # Replicates of a single unit are all alike, and say nothing about how well the number is known.
+        # Replicates of a single unit are all equal and do not tell how well the number is known.
         reach = wide * spread(to_scale(self.values[1:], self.kind)) if units > 1 else np.full(centre.shape, np.inf)
         low, high = from_scale(centre - reach, self.kind), from_scale(centre + reach, self.kind)
-        if self.kind == "fraction":  # nor do they where all is right, or nothing
+        if self.kind == "fraction":  # nor do they where everything or nothing is right
             at_end = (self.estimate <= 0) | (self.estimate >= 1)
             counted_low, counted_high = self._counted(widen, tail)
             low, high = np.where(at_end, counted_low, low), np.where(at_end, counted_high, high)
         return low, high
 
     def _counted(self, widen: float, tail: float) -> tuple[Array, Array]:
-        """Jeffreys's, of as many independent observations as the spread of the replicates says."""
+        """Jeffreys's intervals for as many independent observations as the spread of the replicates implies."""
         value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
         alone = value / count if self.kind == "rate" else value * (1 - value) / count
         found = spread(self.values[1:]) ** 2
@@ -143,7 +166,7 @@ class Column:
 
 
 def spread(replicates: Array) -> Array:
-    """Standard deviation over replicates, those left out that could not be worked out."""
+    """Standard deviation over finite replicates (replicates, ...), shape (...); infinite if there are under two."""
     finite = np.isfinite(replicates)
     number = finite.sum(axis=0)
     filled = np.where(finite, replicates, 0.0)
@@ -153,8 +176,29 @@ def spread(replicates: Array) -> Array:
     return result
 
 
-def to_scale(values: Array, kind: str) -> Array:
-    """Onto a scale on which the estimate is nearly normal."""
+def widened(values: Array, least: Array) -> Array:
+    """Replicates whose spread is at least a standard error from theory, in which noise that persists is counted.
+
+    With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
+
+    Args:
+        values: The estimate, then its replicates, shape (1 + replicates, ...).
+        least: Standard error of the estimate, shape (...).
+
+    Returns:
+        The same shape, and the same estimate.
+    """
+    if len(values) == 1:
+        return values
+    found = spread(values[1:])
+    usable = np.isfinite(found) & (found > 0) & np.isfinite(least)
+    factor = np.where(usable, np.maximum(least / np.where(usable, found, 1.0), 1.0), 1.0)
+    scaled: Array = values[0] + factor * (values - values[0])
+    return scaled
+
+
+def to_scale(values: Array, kind: Kind) -> Array:
+    """Numbers of any shape on a scale on which an estimate of this kind is nearly normal."""
     scaled = values
     with np.errstate(divide="ignore", invalid="ignore"):
         if kind in ("share", "fraction"):
@@ -166,8 +210,8 @@ def to_scale(values: Array, kind: str) -> Array:
     return scaled
 
 
-def from_scale(values: Array, kind: str) -> Array:
-    """Back again."""
+def from_scale(values: Array, kind: Kind) -> Array:
+    """Numbers of any shape back from the scale of `to_scale`."""
     plain = values
     with np.errstate(over="ignore"):
         if kind in ("share", "fraction"):

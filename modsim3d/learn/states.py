@@ -19,37 +19,39 @@ NAMES = {
     3: ("excellent", "good", "bad"),
     4: ("excellent", "good", "bad", "terrible"),
 }
-"""Of clusters, in order of falling F1; the thesis's for four."""
+"""Names of clusters, the largest F1 first; four have the thesis's names."""
 
 
 @dataclass(frozen=True)
 class StateMap:
-    """States and their conditions.
+    """Performance states and their conditions.
 
     Attributes:
-        states: Name → names of its conditions, in their order.
+        states: Names of the conditions of each state, by the name of the state.
     """
 
     states: Mapping[str, tuple[str, ...]]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the states."""
+        """Names of the states."""
         return tuple(self.states)
 
     def of_images(self, images: Images, conditions: Sequence[str]) -> Indices:
         """State of each image, −1 where its condition is in none, shape (I,)."""
-        of = {condition: k for k, names in enumerate(self.states.values()) for condition in names}
-        return np.array([of.get(condition, -1) for condition in conditions], dtype=np.int64)[images.condition]
+        state_of = {condition: k for k, names in enumerate(self.states.values()) for condition in names}
+        return np.array([state_of.get(condition, -1) for condition in conditions], dtype=np.int64)[images.condition]
 
 
 def parse_states(given: Sequence[str], conditions: Sequence[str]) -> StateMap:
-    """From texts such as `good=day,cloudy`; conditions that are left out take no part.
+    """States from texts such as `good=day,cloudy`; conditions that no text names take no part.
 
     Raises:
-        InputError: A condition is unknown or in two states, or the form is another.
+        InputError: A text has another form, or its conditions are unknown or in another state already.
     """
-    problems, states, used = [], {}, {}  # type: ignore[var-annotated]
+    problems: list[str] = []
+    states: dict[str, tuple[str, ...]] = {}
+    used: dict[str, str] = {}
     for text in given:
         name, equals, listed = text.partition("=")
         parts = tuple(part.strip() for part in listed.split(",") if part.strip())
@@ -76,17 +78,17 @@ def each_its_own(conditions: Sequence[str]) -> StateMap:
 
 
 def cluster(f1: Mapping[str, float], count: int) -> StateMap:
-    """States by F1: the split into intervals with the least sum of squares within, found exactly.
+    """Cluster conditions by F1 into the intervals with the least sum of squares within.
 
-    On a line the best clusters are intervals, so all splits are tried by dynamic programming (Fisher (1958)): the
-    answer is always the same, unlike that of k-means from random starts.
+    On a line the best clusters are intervals. Dynamic programming tries all of them (Fisher (1958)), so the answer is
+    always the same, unlike that of k-means from random starts.
 
     Args:
-        f1: Of each condition.
-        count: How many states.
+        f1: F1 of each condition, by its name.
+        count: Number of states.
 
     Raises:
-        InputError: There are fewer conditions.
+        InputError: There are fewer conditions than states.
     """
     if count > len(f1):
         raise InputError("states", [f"--states {count}: there are only {len(f1)} conditions"])
@@ -98,7 +100,7 @@ def cluster(f1: Mapping[str, float], count: int) -> StateMap:
 
 
 def _best_split(values: Array, count: int) -> list[tuple[int, int]]:
-    """Intervals of sorted values, each not empty."""
+    """First and last + 1 place of each interval of sorted values (n,); none is empty."""
     n = len(values)
 
     def cost(a: int, b: int) -> float:
@@ -118,15 +120,15 @@ def _best_split(values: Array, count: int) -> list[tuple[int, int]]:
 
 
 def transitions_of(images: Images, image_state: Indices, states: int, interval_s: float | None = None) -> Transitions:
-    """From frames whose conditions change while they run; sets of one condition say nothing about changes.
+    """The chain that frames show whose condition changes while they run; sets of one condition show none.
 
-    Cameras that have had the same states at the same times share a chain, and count once.
+    Cameras that had the same states at the same times share a chain and count once.
 
     Args:
         images: The images.
-        image_state: Shape (I,).
-        states: How many there are.
-        interval_s: Time between transitions; None for one each frame, whose usual interval it then is.
+        image_state: State of each image, −1 for none, shape (I,).
+        states: Number of states.
+        interval_s: Time between transitions; if None, one at each frame, and the usual time between frames.
     """
     changing = [s for s in np.unique(images.source) if len(np.unique(image_state[images.source == s])) > 1]
     frames = []
@@ -138,26 +140,26 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
     found: dict[tuple[bytes, bytes, int], list[Indices]] = {}
     for rows in frames if usual_s else []:
         times = images.time_s[rows]
-        if interval_s is None:  # by each gap: rounded times make the usual one a little too short or long to add up
+        if interval_s is None:  # gap by gap: rounded times make the usual gap slightly wrong, which would add up
             number = np.cumsum(np.rint(np.diff(times, prepend=times[0]) / usual_s))
         else:  # a state changes at multiples of an interval
             number = np.floor(times / usual_s + 1e-6)
         numbers, first = np.unique(number, return_index=True)
         ours = image_state[rows[first]]
         key = (times[first].tobytes(), ours.tobytes(), int(images.source[rows[0]]))
-        found[key] = np.split(ours, np.flatnonzero(np.diff(numbers) != 1) + 1)  # what lies between is not known
+        found[key] = np.split(ours, np.flatnonzero(np.diff(numbers) != 1) + 1)  # states between are not known
     return count_transitions([part for parts in found.values() for part in parts], states, usual_s or None)
 
 
 def _usual_gap_s(times_s: Sequence[Array]) -> float:
-    """Between frames; 0 if none follows another."""
+    """Median time between frames, given the times of each sequence; 0 if no frame follows another."""
     gaps = np.concatenate([np.diff(each) for each in times_s]) if times_s else np.zeros(0)
     gaps = gaps[gaps > 0]
     return float(f"{np.median(gaps):.6g}") if len(gaps) else 0.0
 
 
 def parse_sequence(text: str, states: Sequence[str], source: str) -> Indices:
-    """States of a text, a name a line.
+    """Indices of the states that a text names, one on each line, shape (lines,).
 
     Raises:
         InputError: A name is unknown; each problem names its line.

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.learn.entries import Interval, Key, columns_of_one, digits
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """A Markov chain.
+    """A Markov chain of performance states.
 
     Attributes:
-        counts: Transitions to i from j, shape (n, n).
-        initial: State at the first step.
+        counts: Transitions to state i from state j, shape (n, n).
+        initial: Index of the state at the first step.
         interval_s: Time between transitions; None for one at each step.
-        notes: Why it is not learned.
+        notes: Why the chain is not learned.
     """
 
     counts: Array
@@ -34,10 +36,10 @@ class Transitions:
 
     @property
     def matrix(self) -> Array:
-        """(N_ij + 1) / (Σ_i N_ij + n): one transition of each kind is made up, as in eq. 6.21, and columns sum to one.
+        """(N_ij + 1) / (Σ_i N_ij + n), shape (n, n): one transition of each kind is added, as in eq. 6.21.
 
-        Eq. 6.21 divides by the length of the whole sequence instead, so that its columns do not. Where no sequence
-        was seen, a state stays what it is.
+        Columns sum to one. Those of eq. 6.21 do not, because it divides by the length of the whole sequence. Without
+        a sequence, every state stays as it is.
         """
         n = len(self.counts)
         if not self.observed:
@@ -45,8 +47,12 @@ class Transitions:
         result: Array = (self.counts + 1) / (self.counts.sum(axis=0) + n)
         return result
 
-    def interval(self, level: float) -> tuple[Array, Array]:
-        """Credible intervals: with those made up an entry is Beta's, and its mean is the matrix's."""
+    def interval(self, level: float, states: tuple[str, ...]) -> Interval:
+        """Credible intervals of the matrix, whose entries have Beta distributions; `states` names its axes."""
+        key = Key(("transition_matrix",), axes=(states, states))
+        return Interval(key, self.matrix, *self._ends(level))
+
+    def _ends(self, level: float) -> tuple[Array, Array]:
         n = len(self.counts)
         if n == 1:
             return self.matrix, self.matrix
@@ -57,14 +63,21 @@ class Transitions:
         tail = (1 - level) / 2
         return special.betaincinv(hits, rest, tail), special.betaincinv(hits, rest, 1 - tail)
 
+    def sections(self, states: tuple[str, ...]) -> dict[str, Any]:
+        """What the detector file says of the chain, whose states have these names."""
+        sections = {"initial_state": states[self.initial], "transition_matrix": columns_of_one(self.matrix)}
+        if self.interval_s is not None:
+            sections["transition_interval_s"] = digits(self.interval_s)
+        return sections
+
 
 def count_transitions(sequences: Sequence[Indices], states: int, interval_s: float | None = None) -> Transitions:
-    """From sequences of states; one each time step or interval.
+    """The chain that sequences of states show.
 
     Args:
-        sequences: Of states, shapes (any,).
-        states: How many there are.
-        interval_s: Time between entries.
+        sequences: Indices of states, one for each time step or interval, shapes (any,).
+        states: Number of states.
+        interval_s: Time between the entries of a sequence.
     """
     counts = np.zeros((states, states))
     for sequence in sequences:

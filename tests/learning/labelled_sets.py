@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.learn.labelled import Found, Images, Labelled, Truth, sorted_by_image
+from modsim3d.learn.labelled import Annotations, Images, LabelledSet, Results
 
 
 def random_boxes(rng, count, extent=400.0):
@@ -21,7 +21,7 @@ def images(count, size_px=(600.0, 600.0), time_s=None):
 
 def truth(image, label, boxes_px, ignored=None, crowd=None, identity=None, visible=None):
     count = len(image)
-    return Truth(
+    return Annotations(
         np.asarray(image, dtype=np.int64),
         np.asarray(label, dtype=np.int64),
         np.asarray(boxes_px, dtype=float).reshape(-1, 4),
@@ -34,7 +34,7 @@ def truth(image, label, boxes_px, ignored=None, crowd=None, identity=None, visib
 
 
 def found(image, label, boxes_px, confidence, probabilities=None, origin=None):
-    return Found(
+    return Results(
         np.asarray(image, dtype=np.int64),
         np.asarray(label, dtype=np.int64),
         np.asarray(boxes_px, dtype=float).reshape(-1, 4),
@@ -67,5 +67,5 @@ def random_set(seed, image_count=12, labels=3, crowds=True, ties=False):
         np.round(confidence, 1) if ties else confidence,
     )
     names = tuple("abcdefgh"[:labels])
-    detections = Found(**sorted_by_image(whole)[0])
-    return Labelled(names, ("all",), images(image_count), truth(image, label, boxes, ignored, crowd), detections)
+    detections = whole.by_image()
+    return LabelledSet(names, ("all",), images(image_count), truth(image, label, boxes, ignored, crowd), detections)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from modsim3d.learn.figures import PAIRS
+from modsim3d.learn.error_moments import PAIRS
 from modsim3d.run import run_scene
 from modsim3d.scene_reader import data_folder, load_scene
 
@@ -66,6 +66,7 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
 
 def outside(asked, intervals) -> dict[str, int]:
     """How many numbers of each path lie outside their intervals; a path that was not learned has all outside."""
+    intervals = {each.key.path: (each.low, each.high) for each in intervals}
     found = {}
     for path, value in asked.items():
         if path not in intervals:

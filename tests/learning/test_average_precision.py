@@ -16,7 +16,7 @@ from tests.learning.labelled_sets import random_set
 def coco_average_precision(labelled):
     """At IoU 0.5, of each label, by COCO's own tools; NaN where they have none."""
     size = lambda box: [box[0], box[1], box[2] - box[0], box[3] - box[1]]  # noqa: E731
-    truth, found = labelled.truth, labelled.found
+    truth, found = labelled.annotations, labelled.results
     content = {
         "info": {},
         "images": [{"id": k, "width": 600, "height": 600} for k in range(len(labelled.images))],
@@ -49,13 +49,13 @@ def coco_average_precision(labelled):
 @pytest.mark.parametrize("seed", range(12))
 def test_average_precision_at_101_points_is_that_of_pycocotools(seed):
     labelled = random_set(seed, image_count=25)
-    only_crowds = labelled.truth.crowd  # COCO's files know crowds, and nothing else that is ignored
+    only_crowds = labelled.annotations.crowd  # COCO's files know crowds, and nothing else that is ignored
     labelled = type(labelled)(
         labelled.labels,
         labelled.conditions,
         labelled.images,
-        type(labelled.truth)(**{**vars(labelled.truth), "ignored": only_crowds}),
-        labelled.found,
+        type(labelled.annotations)(**{**vars(labelled.annotations), "ignored": only_crowds}),
+        labelled.results,
     )
     matched = match(labelled, Rule(by_label=True))
     everything = np.ones(len(labelled.images), dtype=bool)
@@ -87,7 +87,7 @@ def test_a_weight_of_two_is_the_image_twice():
     curve = ranking.curve(weights)
     image = np.concatenate([np.repeat(ranking.image, weights[ranking.image].astype(int))])
     right = np.repeat(ranking.right, weights[ranking.image].astype(int))
-    sought = np.repeat(ranking.truth_image, weights[ranking.truth_image].astype(int))
+    sought = np.repeat(ranking.annotation_image, weights[ranking.annotation_image].astype(int))
     again = Ranking(image, right, np.zeros(len(image)), sought).curve()
     assert curve.recall[-1] == pytest.approx(again.recall[-1])
     assert curve.precision[-1] == pytest.approx(again.precision[-1])

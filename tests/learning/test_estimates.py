@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from modsim3d.learn.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import Effect, fit_misses
-from modsim3d.learn.error_shares import KINDS, error_shares
-from modsim3d.learn.estimates import correlation_column
-from modsim3d.learn.figures import figures
-from modsim3d.learn.labelled import Labelled, joined
+from modsim3d.learn.error_moments import covariance
+from modsim3d.learn.error_shares import ErrorKind, error_shares
+from modsim3d.learn.figures import Matches
+from modsim3d.learn.labelled import LabelledSet, joined
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.matching import Rule, match
-from modsim3d.learn.observed import Observed
-from modsim3d.learn.persistence_fit import correlation_time, relative_error
+from modsim3d.learn.observed import ErrorSource, Observed
+from modsim3d.learn.persistence_fit import Consecutive, correlation_time, relative_error
 from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
 from modsim3d.learn.states import transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
@@ -25,7 +25,9 @@ def figures_of(labelled, replicates=50, threshold=0.0, beta=2.0):
     matched = match(labelled, Rule(), threshold)
     by_label = match(labelled, Rule(by_label=True))
     everything = np.ones(len(labelled.images), dtype=bool)
-    return figures("all", labelled, matched, by_label, resample(labelled.images, replicates, 1), everything, beta)
+    return Matches(labelled, matched, by_label, resample(labelled.images, replicates, 1), beta).figures(
+        "all", everything
+    )
 
 
 def sailboats_and_kayaks():
@@ -35,7 +37,7 @@ def sailboats_and_kayaks():
     seen = [(box, label) for box, (_, label) in zip(boxes, cells, strict=True) if label is not None]
     seen += [([100.0 * k, 500, 100.0 * k + 50, 550], k // 2) for k in range(4)]
     count, scores = len(cells), np.linspace(0.9, 0.5, len(seen)).tolist()
-    return Labelled(
+    return LabelledSet(
         ("sailboat", "kayak"),
         ("all",),
         images(1, (9000, 900)),
@@ -48,31 +50,32 @@ def test_confusion_matrix_is_tables_5_4_and_5_5():
     got = figures_of(sailboats_and_kayaks())
     assert got.counts.tolist() == [[15, 1, 2], [4, 16, 2], [1, 3, 0]]
     table = [[0.75, 0.05], [0.2, 0.8], [0.05, 0.15]]
-    np.testing.assert_allclose(got.columns["confusion"].estimate, table)
-    assert got.columns["false labels"].estimate.tolist() == [0.5, 0.5]
+    np.testing.assert_allclose(got.confusion.estimate, table)
+    assert got.false_labels.estimate.tolist() == [0.5, 0.5]
     # "the false positives ... for class sailboat amount to 1 + 2 = 3", "false negatives ... 4 + 1 = 5"
-    np.testing.assert_allclose(got.columns["precision"].estimate[0], 15 / 18)
-    np.testing.assert_allclose(got.columns["FDR"].estimate[0], 3 / 18)
-    np.testing.assert_allclose(got.columns["FNR"].estimate[0], 5 / 20)
-    np.testing.assert_allclose(got.columns["any FNR"].estimate, 4 / 40)
-    np.testing.assert_allclose(got.columns["any FDR"].estimate, 4 / 40)
+    np.testing.assert_allclose(got.of_labels.precision.estimate[0], 15 / 18)
+    np.testing.assert_allclose(got.of_labels.false_discovery_rate.estimate[0], 3 / 18)
+    np.testing.assert_allclose(got.of_labels.false_negative_rate.estimate[0], 5 / 20)
+    np.testing.assert_allclose(got.any_label.false_negative_rate.estimate, 4 / 40)
+    np.testing.assert_allclose(got.any_label.false_discovery_rate.estimate, 4 / 40)
     precision, recall = 15 / 18, 15 / 20
-    np.testing.assert_allclose(got.columns["F1"].estimate[0], 2 * precision * recall / (precision + recall))
-    np.testing.assert_allclose(got.columns["F-beta"].estimate[0], 5 * precision * recall / (4 * precision + recall))
-    np.testing.assert_allclose(got.columns["mean recall"].estimate, (15 / 20 + 16 / 20) / 2)
+    np.testing.assert_allclose(got.of_labels.f1.estimate[0], 2 * precision * recall / (precision + recall))
+    np.testing.assert_allclose(got.of_labels.f_beta.estimate[0], 5 * precision * recall / (4 * precision + recall))
+    np.testing.assert_allclose(got.mean.recall.estimate, (15 / 20 + 16 / 20) / 2)
 
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_columns_of_confusion_sum_to_one_and_rates_complete_each_other(seed):
     got = figures_of(random_set(seed), replicates=5)
-    total = got.columns["confusion"].values.sum(axis=1)
+    total = got.confusion.values.sum(axis=1)
     assert np.all(np.isclose(total, 1) | np.isnan(total))
-    for one, other in (("precision", "FDR"), ("recall", "FNR")):
-        both = got.columns[one].values + got.columns[other].values
+    rates = got.of_labels
+    for one, other in ((rates.precision, rates.false_discovery_rate), (rates.recall, rates.false_negative_rate)):
+        both = one.values + other.values
         assert np.all(np.isclose(both, 1) | np.isnan(both))
-    for name in ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC"):
-        values = got.columns[name].values
+    for column in got.average_precision.columns:
+        values = column.values
         assert np.all(np.isnan(values) | ((values >= 0) & (values <= 1 + 1e-12)))
 
 
@@ -83,18 +86,19 @@ def test_error_moments_are_those_of_numpy():
     image = np.repeat(np.arange(60), 5)
     boxes[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
     moved[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
-    labelled = Labelled(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
+    labelled = LabelledSet(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
                         found(image, image * 0, moved, np.full(300, 0.9)))  # fmt: skip
     got = figures_of(labelled, 200)
     change = moved - boxes
     errors = np.concatenate([(change[:, :2] + change[:, 2:]) / 2, change[:, 2:] - change[:, :2]], axis=1)
-    np.testing.assert_allclose(got.columns["error mean"].estimate, errors.mean(axis=0))
-    np.testing.assert_allclose(got.covariance(), np.cov(errors.T), rtol=1e-9)
+    np.testing.assert_allclose(got.errors.mean.estimate, errors.mean(axis=0))
+    whole = covariance(got.errors.std.estimate, got.errors.correlation.estimate)
+    np.testing.assert_allclose(whole, np.cov(errors.T), rtol=1e-9)
     upper = np.triu_indices(4)
-    np.testing.assert_allclose(got.columns["error covariance"].estimate, np.cov(errors.T)[upper], rtol=1e-9)
-    np.testing.assert_allclose(got.columns["error mean of labels"].estimate, [errors.mean(axis=0)])
-    np.testing.assert_allclose(got.columns["error std of labels"].estimate, [errors.std(axis=0, ddof=1)])
-    low, high = got.columns["error mean"].interval(0.95, got.units)
+    np.testing.assert_allclose(got.error_covariance.estimate, np.cov(errors.T)[upper], rtol=1e-9)
+    np.testing.assert_allclose(got.errors_of_labels[0].mean.estimate, errors.mean(axis=0))
+    np.testing.assert_allclose(got.errors_of_labels[0].std.estimate, errors.std(axis=0, ddof=1))
+    low, high = got.errors.mean.interval(0.95, got.units)
     width = 1.96 * errors.std(axis=0) / np.sqrt(300)
     np.testing.assert_allclose(high - low, 2 * width, rtol=0.25)  # replicates: 5 %, images: 9 %
 
@@ -102,11 +106,11 @@ def test_error_moments_are_those_of_numpy():
 def test_cross_entropy_of_labels_where_probabilities_are_given():
     boxes = [[0, 0, 10, 10], [50, 0, 60, 10], [0, 50, 10, 60]]
     chances = np.array([[0.5, 0.5], [0.9, 0.1], [np.nan, np.nan]])
-    labelled = Labelled(("a", "b"), ("all",), images(1), truth([0] * 3, [0, 1, 0], boxes),
+    labelled = LabelledSet(("a", "b"), ("all",), images(1), truth([0] * 3, [0, 1, 0], boxes),
                         found([0] * 3, [0, 0, 0], boxes, [0.8, 0.7, 0.6], chances))  # fmt: skip
     got = figures_of(labelled)
-    assert got.columns["label cross-entropy"].estimate == pytest.approx(-(np.log(0.5) + np.log(0.1)) / 2)
-    assert got.columns["confidence cross-entropy"].estimate == pytest.approx(-np.log([0.8, 0.7, 0.6]).mean())
+    assert got.label_entropy.estimate == pytest.approx(-(np.log(0.5) + np.log(0.1)) / 2)
+    assert got.confidence_entropy.estimate == pytest.approx(-np.log([0.8, 0.7, 0.6]).mean())
 
 
 def test_intervals_of_shares_of_few_are_jeffreys_and_end_where_they_must():
@@ -165,10 +169,10 @@ def missed_by_size(seed, slope=-1.0, count=6000):
     place = np.arange(count) % 10 * 300.0
     boxes = np.stack([place, 0 * place, place + side, side], axis=1)
     image = np.arange(count) // 10
-    labelled = Labelled(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
+    labelled = LabelledSet(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
                         found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9)))  # fmt: skip
     state = np.zeros(count // 10, dtype=np.int64)
-    return Observed.of(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
+    return Observed(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
 
 
 def test_misses_follow_size_as_they_were_made_to():
@@ -188,7 +192,7 @@ def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
     products = np.tile(rng.normal(0.7, 1, pairs), runs) * np.linspace(0.99, 1.01, runs).repeat(pairs)
     resampling = resample(images(runs), 400, 0)
     plain = correlation_time(resampling, place, products, np.ones(len(place)), gaps)
-    column = correlation_column(resampling, place, products, np.ones(len(place)), gaps)
+    column = Consecutive(products, np.ones(len(place)), gaps, place).column(resampling)
     least = relative_error(products, np.ones(len(place)), gaps, plain[0])
     assert column.values[0] == pytest.approx(plain[0])
     assert np.log(plain[1:]).std() < 0.1 * least
@@ -221,7 +225,8 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     assert chain.counts.tolist() == [[1, 1], [1, 2]]  # to the row from the column
     np.testing.assert_allclose(chain.matrix, [[2 / 4, 2 / 5], [2 / 4, 3 / 5]])
     np.testing.assert_allclose(chain.matrix.sum(axis=0), 1)
-    low, high = chain.interval(0.9)
+    interval = chain.interval(0.9, ("a", "b"))
+    low, high = interval.low, interval.high
     assert np.all((low < chain.matrix) & (chain.matrix < high))
     nothing = count_transitions([], 2)
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
@@ -229,7 +234,8 @@ def test_transitions_are_counted_with_one_made_up_of_each():
 
 
 def test_a_state_that_is_the_only_one_surely_stays():
-    assert Transitions(np.zeros((1, 1))).interval(0.95) == (1, 1)
+    interval = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
+    assert interval.low == interval.high == 1
 
 
 def test_cameras_that_share_a_chain_count_once():
@@ -251,17 +257,18 @@ def test_error_shares_name_each_kind():
         (boxes[0], 0, 0.5),  # again
         ([9000, 0, 9100, 100], 0, 0.4),  # of nothing
     ]
-    labelled = Labelled(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
+    labelled = LabelledSet(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
                         found([0] * 6, [label for _, label, _ in seen], [box for box, _, _ in seen],
                               [score for _, _, score in seen]))  # fmt: skip
-    shares = error_shares(labelled, np.ones(1, dtype=bool))
-    assert shares.counts == dict.fromkeys(KINDS, 1) | {"missed": 3}
+    shares = error_shares(labelled, match(labelled, Rule(by_label=True)), np.ones(1, dtype=bool))
+    assert {each.kind: each.count for each in shares.shares} == dict.fromkeys(ErrorKind, 1) | {ErrorKind.MISSED: 3}
+    gains = {each.kind.value: each.gain_points for each in shares.shares}
     assert shares.average_precision == pytest.approx(1 / 6)
-    assert shares.gains["classification"] == pytest.approx(100 / 6)
+    assert gains["classification"] == pytest.approx(100 / 6)
     # mended, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
-    assert shares.gains["localisation"] == pytest.approx(100 / 6)
-    assert shares.gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
-    assert shares.gains["duplicate"] == shares.gains["background"] == shares.gains["both"] == 0
+    assert gains["localisation"] == pytest.approx(100 / 6)
+    assert gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
+    assert gains["duplicate"] == gains["background"] == gains["both"] == 0
 
 
 def test_transitions_are_between_frames_that_follow_each_other_and_have_their_interval():
@@ -291,25 +298,26 @@ def at_the_edge(inner, outer, seed=2):
     moved = boxes + rng.normal(0, 3, boxes.shape)
     moved[inner:, 0] = np.maximum(moved[inner:, 0], 0)
     image = np.arange(count)
-    return Labelled(("a",), ("all",), images(count), truth(image, image * 0, boxes),
+    return LabelledSet(("a",), ("all",), images(count), truth(image, image * 0, boxes),
                     found(image, image * 0, moved, np.full(count, 0.9)))  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("inner", "unit", "whose"),
-    [(30, "", None), (2, "pooled ", "that of all states; had 2 matches"),
-     (0, "pooled edge ", "that of all states, with boxes at the image's edge; had 0 matches")],
+    ("inner", "source", "whose"),
+    [(30, ErrorSource.OWN_STATE, None), (2, ErrorSource.ALL_STATES, "that of all states; had 2 matches"),
+     (0, ErrorSource.ALL_PAIRS, "that of all states, with boxes at the image's edge; had 0 matches")],
 )  # fmt: skip
-def test_box_errors_are_learned_from_boxes_that_the_edge_has_not_cut_as_far_as_there_are_any(inner, unit, whose):
+def test_box_errors_are_learned_from_boxes_that_the_edge_has_not_cut_as_far_as_there_are_any(inner, source, whose):
     labelled = at_the_edge(inner, 40)
     state = np.zeros(len(labelled.images), dtype=np.int64)
-    learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), Settings(replicates=20))
-    if unit == "pooled ":  # of another state there are enough
+    names = ("usual",)
+    if source is ErrorSource.ALL_STATES:  # the other state has enough
         labelled = joined([labelled, at_the_edge(30, 0, seed=3)])
-        state = np.repeat([0, 1], [42, 30])
-        learned = learn(labelled, ("usual", "other"), state, Transitions(np.zeros((2, 2))), Settings(replicates=20))
-    assert learned.form.units["usual"].rpartition(" ")[0] == unit.strip()
-    stated = [note for note in learned.form.notes if note.startswith("states.usual.box_error")]
+        state, names = np.repeat([0, 1], [42, 30]), ("usual", "other")
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), names, state, 0.2)
+    learned = learn(observed, Transitions(np.zeros((len(names), len(names)))), Settings(replicates=20))
+    assert learned.form.box_errors.states[0].source is source
+    stated = [note for note in learned.notes if note.startswith("states.usual.box_error")]
     assert len(stated) == (whose is not None) and all(whose in note for note in stated)
-    covariance = np.array(learned.detector()["states"]["usual"]["box_error"]["covariance"])
-    assert np.all(np.diag(covariance) > 0)
+    written = np.array(learned.detector()["states"]["usual"]["box_error"]["covariance"])
+    assert np.all(np.diag(written) > 0)

@@ -13,14 +13,16 @@ from modsim3d.detector import load_detector
 from modsim3d.detector.loader import parse_detector
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.coco import write_coco
+from modsim3d.learn.entries import entries_of
 from modsim3d.learn.gate_bias import bias_of, simulated
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.matching import Rule
+from modsim3d.learn.matching import Rule, match
+from modsim3d.learn.observed import Observed
 from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.states import each_its_own, transitions_of
 from modsim3d.learn.transitions import Transitions
-from modsim3d.learn_detector import Asked, learn_detector
+from modsim3d.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn_sets import labelled_run
 from modsim3d.stored_run import open_run
 from modsim3d.verify_run import verify_run
@@ -41,6 +43,10 @@ def exported(run):
     return folder
 
 
+def observe(labelled, names, state, rule=None):
+    return Observed(labelled, match(labelled, rule or Rule(), 0.2), names, state, 0.2)
+
+
 def command(*parts):
     return CliRunner().invoke(app, ["learn", *map(str, parts)], catch_exceptions=False, env={"COLUMNS": "300"})
 
@@ -51,8 +57,8 @@ def test_exported_coco_is_the_run(run, exported):
     assert again.conditions == ("clear", "haze") or again.conditions == ("haze", "clear")
     names = [again.conditions[k] for k in again.images.condition]
     assert names == [first.conditions[k] for k in first.images.condition]
-    np.testing.assert_array_equal(again.truth.identity >= 0, True)
-    for part in ("truth", "found"):
+    np.testing.assert_array_equal(again.annotations.identity >= 0, True)
+    for part in ("annotations", "results"):
         for column in ("image", "label", "boxes_px"):
             np.testing.assert_allclose(
                 getattr(getattr(again, part), column), getattr(getattr(first, part), column), atol=1e-6
@@ -68,7 +74,9 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(labelled, states.names, image_state, transitions, Settings(Rule(method), replicates=150))
+    learned = learn(
+        observe(labelled, states.names, image_state, Rule(method)), transitions, Settings(Rule(method), replicates=150)
+    )
     asked = asked_of()
     total = sum(value.size for value in asked.values())
     assert total == 90
@@ -76,11 +84,9 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     model = parse_detector(learned.detector())
     assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and model.dropout.anchored
     # And not because they are as wide as can be.
-    low, high = learned.intervals(0.95)["states.clear.box_error_std"]
-    assert np.all(high / low < 1.25)
-    for path, most in (("persistence.class_s", 1.7), ("persistence.box_s", 1.2)):
-        low, high = learned.intervals(0.95)[path]
-        assert high / low < most
+    intervals = {each.key.path: each for each in learned.intervals(0.95)}
+    for path, most in (("states.clear.box_error_std", 1.25), ("persistence.class_s", 1.7), ("persistence.box_s", 1.2)):
+        assert np.all(intervals[path].high / intervals[path].low < most)
 
 
 def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(tmp_path):
@@ -89,7 +95,7 @@ def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(
     states = each_its_own(("clear", "haze"))
     image_state = states.of_images(labelled.images, labelled.conditions)
     transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(labelled, states.names, image_state, transitions, Settings(replicates=100))
+    learned = learn(observe(labelled, states.names, image_state), transitions, Settings(replicates=100))
     asked = asked_of()
     assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
 
@@ -123,7 +129,7 @@ def test_the_same_data_give_the_same_bytes(exported, tmp_path):
 
 def false_of_states(run):
     labelled = labelled_run(run)[0]
-    false = labelled.found.image[(labelled.found.origin < 0) & (labelled.found.confidence >= 0.2)]
+    false = labelled.results.image[(labelled.results.origin < 0) & (labelled.results.confidence >= 0.2)]
     return np.bincount(labelled.images.condition[false], minlength=len(labelled.conditions))
 
 
@@ -149,7 +155,7 @@ def pairs_of_conditions(tmp_path, count):
         seen = rng.random(120) > 0.05 + 0.1 * number
         moved = boxes + rng.normal(0, 2, boxes.shape)
         sure = 0.5 + rng.random(sum(seen)) / 2
-        labelled = Labelled(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
+        labelled = LabelledSet(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
                             found(image[seen], image[seen] * 0, moved[seen], sure))  # fmt: skip
         gt, dt = write_coco(labelled, tmp_path / f"c{number}")
         arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
@@ -177,22 +183,22 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
 def test_conditions_that_no_image_has_make_no_state():
     labelled = replace(random_set(4), conditions=("all", "unseen"))
     settings = Settings(replicates=20)
-    assert dict(learn_detector(labelled, settings, Asked(clusters=1)).state_map.states) == {"usual": ("all",)}
+    assert dict(learn_detector(labelled, settings, LearnOptions(clusters=1)).state_map.states) == {"usual": ("all",)}
     with pytest.raises(InputError, match="there are only 1 conditions"):
-        learn_detector(labelled, settings, Asked(clusters=2))
+        learn_detector(labelled, settings, LearnOptions(clusters=2))
 
 
 def test_intervals_rest_on_the_images_of_their_own_state_whatever_its_name():
     labelled = random_set(4, image_count=40)
     states = np.repeat([0, 1], [30, 10])
     named = [
-        learn(labelled, names, states, Transitions(np.zeros((2, 2))), Settings(replicates=20)).intervals(0.95)
+        learn(observe(labelled, names, states), Transitions(np.zeros((2, 2))), Settings(replicates=20)).intervals(0.95)
         for names in (("day", "night"), ("all", "all.night"))
     ]
-    for first, second in (("day", "all"), ("night", "all.night")):
-        for number in ("box_error_mean", "false_discovery_rate"):
-            ends = named[0][f"states.{first}.{number}"], named[1][f"states.{second}.{number}"]
-            np.testing.assert_allclose(*ends)
+    for first, second in zip(*named, strict=True):
+        assert first.key.names == second.key.names
+        np.testing.assert_array_equal((first.low, first.high), (second.low, second.high))
+    assert {each.key.state for each in named[1]} == {"all", "all.night", None}
 
 
 def test_what_does_not_fit_together_is_refused(tmp_path):
@@ -225,7 +231,7 @@ def blank(count=1500, side=60.0):
     """Two boats in every image, and nothing detected."""
     image = np.repeat(np.arange(count), 2)
     boxes = np.tile([[200.0, 200, 200 + side, 200 + side], [500.0, 500, 500 + side, 500 + side]], (count, 1))
-    return Labelled(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
+    return LabelledSet(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
                     found([], [], [], []))  # fmt: skip
 
 
@@ -247,14 +253,23 @@ def one_state(std_px):
     }
 
 
+def learn_usual(labelled, settings):
+    state = np.zeros(len(labelled.images), dtype=np.int64)
+    return learn(observe(labelled, ("usual",), state, settings.rule), Transitions(np.zeros((1, 1))), settings)
+
+
+def estimates(learned):
+    return {entry.key.path: entry.estimate for entry in entries_of(learned.numbers)}
+
+
 def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
     state = np.zeros(1500, dtype=np.int64)
     settings = Settings(Rule(), replicates=20, clutter="calibrated")
     labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=3)
-    labelled = replace(labelled, found=replace(labelled.found, origin=None))
-    learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), settings)
-    bias = bias_of(learned, labelled, state, settings, repeats=5)
-    values, corrected = learned.values(), bias.corrected()
+    labelled = replace(labelled, results=replace(labelled.results, origin=None))
+    learned = learn_usual(labelled, settings)
+    bias = bias_of(learned, settings, repeats=5)
+    values, corrected = estimates(learned), estimates(bias.corrected())
     for path, asked in (
         ("states.usual.confusion", [[0.85], [0.15]]),
         ("states.usual.box_error_std", [8.0] * 4),
@@ -263,20 +278,23 @@ def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
         before = np.abs(values[path] - asked).mean()
         assert before > 0.02  # the gate cuts off errors, and makes a miss and a false detection of each
         assert np.abs(corrected[path] - asked).mean() < 0.75 * before
-    assert np.all(bias.significant("states.usual.confusion"))
+    (confusion,) = (shift for shift in bias.shifts if shift.entry.key.names == ("confusion",))
+    assert np.all(bias.significant(confusion))
 
 
 def test_without_a_gate_there_is_no_bias():
     state = np.zeros(1500, dtype=np.int64)
     settings = Settings(Rule("provenance"), replicates=20, clutter="calibrated")
     labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=4)
-    learned = learn(labelled, ("usual",), state, Transitions(np.zeros((1, 1))), settings)
-    bias = bias_of(learned, labelled, state, settings, repeats=5)
-    for path in ("confusion", "false_discovery_rate", "box_error_mean", "box_error_std"):
-        assert not np.any(bias.significant(f"states.usual.{path}"))
-        low, high = learned.intervals(0.9999)[f"states.usual.{path}"]
-        asked = {"confusion": [[0.85], [0.15]], "false_discovery_rate": 0.1, "box_error_mean": 0, "box_error_std": 8}
-        assert np.all((low <= asked[path]) & (asked[path] <= high))
+    learned = learn_usual(labelled, settings)
+    bias = bias_of(learned, settings, repeats=5)
+    asked = {"confusion": [[0.85], [0.15]], "false_discovery_rate": 0.1, "box_error_mean": 0, "box_error_std": 8}
+    shifts = {shift.entry.key.path: shift for shift in bias.shifts}
+    intervals = {each.key.path: each for each in learned.intervals(0.9999)}
+    for name, value in asked.items():
+        interval = intervals[f"states.usual.{name}"]
+        assert not np.any(bias.significant(shifts[f"states.usual.{name}"]))
+        assert np.all((interval.low <= value) & (value <= interval.high))
 
 
 def test_the_detector_of_the_round_trip_can_be_read():
@@ -341,7 +359,7 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
         boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (40, 1))
         image, label = np.repeat(np.arange(40), 2), np.tile([0, 1], 40)
         moved = boxes + rng.normal(0, [1, 1, 1, 1], boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
-        labelled = Labelled(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
+        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
                             found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
         gt, dt = write_coco(labelled, tmp_path / name)
         arguments += ["--condition", name, "--truth", gt, "--detections", dt]
@@ -361,15 +379,17 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
     def remarks(std_px, method="confidence", shift=0):
         labelled = simulated(blank(), state, parse_detector(one_state(std_px)), seed=3)
         labelled = replace(labelled, labels=("boat", "buoy"))
-        found = replace(labelled.found, label=labelled.found.label + shift)
-        return learn_detector(replace(labelled, found=found), replace(settings, rule=Rule(method)), Asked()).remarks
+        found = replace(labelled.results, label=labelled.results.label + shift)
+        return learn_detector(
+            replace(labelled, results=found), replace(settings, rule=Rule(method)), LearnOptions()
+        ).remarks
 
     assert remarks(2.0) == ()
     assert len(remarks(8.0)) == 1 and "of the matches have an IoU of less than 0.6" in remarks(8.0)[0]
     assert remarks(8.0, "provenance") == ()
     assert "100% of the matches have the label after" in remarks(2.0, shift=1)[0]
     assert "(--category-offset -1)" in remarks(2.0, shift=1)[0]
-    assert "nothing matches" in learn_detector(blank(20), settings, Asked()).remarks[0]
+    assert "nothing matches" in learn_detector(blank(20), settings, LearnOptions()).remarks[0]
 
 
 def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_all_are_near_the_gate():
@@ -377,14 +397,14 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     haze = np.arange(200) >= 188
     boxes = np.tile([[100.0, 100, 160, 160], [300.0, 300, 360, 360]], (200, 1))
     moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
-    labelled = Labelled(
+    labelled = LabelledSet(
         ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
         truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
     )  # fmt: skip
     settings = Settings(replicates=20, clutter="calibrated")
-    (remark,) = learn_detector(labelled, settings, Asked()).remarks
+    (remark,) = learn_detector(labelled, settings, LearnOptions()).remarks
     assert "of the matches in haze have an IoU of less than 0.6" in remark
-    assert learn_detector(labelled, settings, Asked(states=("all=clear,haze",))).remarks == ()
+    assert learn_detector(labelled, settings, LearnOptions(states=("all=clear,haze",))).remarks == ()
 
 
 def test_what_was_left_out_is_remarked_in_every_place(tmp_path):

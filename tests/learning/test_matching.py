@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.errors import ModsimError
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.matching import PAIRS_AT_ONCE, Rule, image_pairs, match
 from tests.learning.labelled_sets import found, images, random_boxes, random_set, truth
 
@@ -25,7 +25,7 @@ def slow_iou(a, b, crowd):
 
 def slow_match(labelled, rule, least_confidence):
     """One image, one detection, one truth after another."""
-    found, truth = labelled.found, labelled.truth
+    found, truth = labelled.results, labelled.annotations
     matches = [-1] * len(found)
     for image in range(len(labelled.images)):
         rows = [d for d in range(len(found)) if found.image[d] == image and found.confidence[d] >= least_confidence]
@@ -54,9 +54,9 @@ def test_matches_are_those_of_a_slow_walk_through_every_pair(seed, by_label, tie
     rule = Rule(by_label=by_label, least_iou=0.4)
     matched = match(labelled, rule, 0.15)
     slow = np.array(slow_match(labelled, rule, 0.15), dtype=int)
-    ignored = np.append(labelled.truth.ignored, False)[slow]
-    assert matched.truth.tolist() == np.where(ignored, -1, slow).tolist()
-    assert matched.counts.tolist() == ((labelled.found.confidence >= 0.15) & ~ignored).tolist()
+    ignored = np.append(labelled.annotations.ignored, False)[slow]
+    assert matched.annotation.tolist() == np.where(ignored, -1, slow).tolist()
+    assert matched.counts.tolist() == ((labelled.results.confidence >= 0.15) & ~ignored).tolist()
 
 
 @settings(max_examples=40, deadline=None)
@@ -65,7 +65,7 @@ def test_the_optimal_assignment_is_the_best_of_all(seed):
     rng = np.random.default_rng(seed)
     boxes = random_boxes(rng, 4, 60)
     moved = boxes[rng.permutation(4)] + rng.normal(0, 6, (4, 4))
-    labelled = Labelled(("a",), ("all",), images(1), truth([0] * 4, [0] * 4, boxes),
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0] * 4, [0] * 4, boxes),
                         found([0] * 4, [0] * 4, moved, rng.random(4)))  # fmt: skip
     matched = match(labelled, Rule("optimal", least_iou=0.3))
     value = [[slow_iou(a, b, False) for b in boxes] for a in moved]
@@ -82,31 +82,33 @@ def test_the_optimal_assignment_is_the_best_of_all(seed):
 
 def two_boats(seen):
     boats = [[0, 0, 100, 100], [20, 0, 120, 100]]
-    return Labelled(("a",), ("all",), images(1), truth([0, 0], [0, 0], boats), found([0, 0], [0, 0], seen, [0.9, 0.8]))
+    return LabelledSet(
+        ("a",), ("all",), images(1), truth([0, 0], [0, 0], boats), found([0, 0], [0, 0], seen, [0.9, 0.8])
+    )
 
 
 def test_the_optimal_assignment_finds_a_match_that_order_of_confidence_loses():
     labelled = two_boats([[15, 0, 115, 100], [35, 0, 135, 100]])  # the surer one is nearer to what the other needs
-    assert match(labelled, Rule(least_iou=0.6)).truth.tolist() == [1, -1]
-    assert match(labelled, Rule("optimal", least_iou=0.6)).truth.tolist() == [0, 1]
+    assert match(labelled, Rule(least_iou=0.6)).annotation.tolist() == [1, -1]
+    assert match(labelled, Rule("optimal", least_iou=0.6)).annotation.tolist() == [0, 1]
 
 
 def test_centres_match_where_boxes_do_not_overlap():
-    labelled = Labelled(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 10, 10]]),
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 10, 10]]),
                         found([0, 0], [0, 0], [[20, 0, 30, 10], [0, 30, 10, 40]], [0.9, 0.8]))  # fmt: skip
-    assert match(labelled, Rule()).truth.tolist() == [-1, -1]
-    assert match(labelled, Rule("centre", most_distance_px=20)).truth.tolist() == [0, -1]
-    assert match(labelled, Rule("centre", most_distance_px=19)).truth.tolist() == [-1, -1]
+    assert match(labelled, Rule()).annotation.tolist() == [-1, -1]
+    assert match(labelled, Rule("centre", most_distance_px=20)).annotation.tolist() == [0, -1]
+    assert match(labelled, Rule("centre", most_distance_px=19)).annotation.tolist() == [-1, -1]
 
 
 def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
     there = truth([0, 0], [0, 0], [[0, 0, 200, 200], [300, 300, 350, 350]], [True, False], [True, False])
     seen = [[10, 10, 40, 40], [60, 60, 90, 90], [400, 0, 450, 50]]
-    labelled = Labelled(("a",), ("all",), images(1), there, found([0] * 3, [0] * 3, seen, [0.9, 0.8, 0.7]))
+    labelled = LabelledSet(("a",), ("all",), images(1), there, found([0] * 3, [0] * 3, seen, [0.9, 0.8, 0.7]))
     for method in ("confidence", "optimal"):
         matched = match(labelled, Rule(method))
         assert matched.counts.tolist() == [False, False, True]  # a crowd takes as many as there are
-        assert matched.truth_counts.tolist() == [False, True]
+        assert matched.sought.tolist() == [False, True]
 
 
 def test_provenance_needs_a_run():
@@ -127,5 +129,5 @@ def test_pairs_of_images_are_all_there_however_they_are_split(at_once, monkeypat
 
 def test_of_equal_truths_the_later_is_taken_as_cocos_tools_do():
     same = [[0, 0, 50, 50]] * 3
-    labelled = Labelled(("a",), ("all",), images(1), truth([0] * 3, [0] * 3, same), found([0], [0], same[:1], [0.9]))
-    assert match(labelled, Rule()).truth.tolist() == [2]
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0] * 3, [0] * 3, same), found([0], [0], same[:1], [0.9]))
+    assert match(labelled, Rule()).annotation.tolist() == [2]

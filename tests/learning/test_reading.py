@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from modsim3d.errors import InputError
 from modsim3d.learn.labelled import joined
-from modsim3d.learn.reading.pair import Given, read_pair
+from modsim3d.learn.reading.pair import ReadOptions, read_pair
 from tests.learning.labelled_sets import random_set
 
 TRUTH = {
@@ -36,23 +36,23 @@ def written(tmp_path, truth=TRUTH, results=RESULTS):
 
 
 def read(tmp_path, truth=TRUTH, results=RESULTS, **given):
-    return read_pair("day", *written(tmp_path, truth, results), Given(**given))
+    return read_pair("day", *written(tmp_path, truth, results), ReadOptions(**given))
 
 
 def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
     labelled = read(tmp_path)
     assert labelled.labels == ("ferry", "kayak")
     assert labelled.images.names == ("7", "b.png")  # in the order of the IDs, as COCO's tools have it
-    assert labelled.truth.image.tolist() == [0, 1, 1]
-    assert labelled.truth.label.tolist() == [0, 1, 0]
-    assert labelled.truth.boxes_px[1].tolist() == [10, 20, 40, 60]
-    assert labelled.truth.crowd.tolist() == labelled.truth.ignored.tolist() == [False, False, True]
-    assert labelled.truth.identity.tolist() == [-1, -1, 0]
-    assert labelled.truth.visible_fraction[0] == 0.25 and labelled.truth.distance_m[0] == 80
-    assert labelled.found.label.tolist() == [1, 0]
-    assert labelled.found.confidence.tolist() == [1, 0.75]
-    assert labelled.found.probabilities[0].tolist() == [0.1, 0.9]
-    assert np.isnan(labelled.found.probabilities[1]).all()
+    assert labelled.annotations.image.tolist() == [0, 1, 1]
+    assert labelled.annotations.label.tolist() == [0, 1, 0]
+    assert labelled.annotations.boxes_px[1].tolist() == [10, 20, 40, 60]
+    assert labelled.annotations.crowd.tolist() == labelled.annotations.ignored.tolist() == [False, False, True]
+    assert labelled.annotations.identity.tolist() == [-1, -1, 0]
+    assert labelled.annotations.visible_fraction[0] == 0.25 and labelled.annotations.depth_m[0] == 80
+    assert labelled.results.label.tolist() == [1, 0]
+    assert labelled.results.confidence.tolist() == [1, 0.75]
+    assert labelled.results.probabilities[0].tolist() == [0.1, 0.9]
+    assert np.isnan(labelled.results.probabilities[1]).all()
 
 
 def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
@@ -62,7 +62,7 @@ def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
 
 def test_images_without_annotations_and_without_results_are_there(tmp_path):
     empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
-    assert len(empty.images) == 2 and len(empty.truth) == 0 and len(empty.found) == 0
+    assert len(empty.images) == 2 and len(empty.annotations) == 0 and len(empty.results) == 0
 
 
 def changed(where, **keys):
@@ -122,7 +122,7 @@ def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
         read(tmp_path, results=results)
     assert len(raised.value.problems) == 21 and "9 more" in raised.value.problems[-1]
     labelled = read(tmp_path, results=results, skip_bad=True)
-    assert len(labelled.found) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
+    assert len(labelled.results) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
 
 
 @pytest.mark.parametrize(("where", "keys"), [(("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})])
@@ -130,7 +130,9 @@ def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
     truth, results = changed(where, **keys)
     results = [entry for entry in results if entry["image_id"] == 30]
     labelled = read(tmp_path, truth, results, skip_bad=True)
-    assert len(labelled.truth) == 2 and labelled.truth.distance_m.tolist() == pytest.approx([np.nan] * 2, nan_ok=True)
+    assert len(labelled.annotations) == 2 and labelled.annotations.depth_m.tolist() == pytest.approx(
+        [np.nan] * 2, nan_ok=True
+    )
     assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
 
 
@@ -139,7 +141,7 @@ def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
 def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
     labelled = random_set(seed)
     box = lambda corners: [corners[0], corners[1], corners[2] - corners[0], corners[3] - corners[1]]  # noqa: E731
-    truth, found = labelled.truth, labelled.found
+    truth, found = labelled.annotations, labelled.results
     gt = {
         "images": [{"id": k, "width": 600, "height": 600} for k in range(len(labelled.images))],
         "categories": [{"id": k, "name": name} for k, name in enumerate(labelled.labels)],
@@ -155,7 +157,7 @@ def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
         for d in range(len(found))
     ]  # fmt: skip
     again = read(tmp_path_factory.mktemp("coco"), gt, dt)
-    for part in ("truth", "found"):
+    for part in ("annotations", "results"):
         for name, column in vars(getattr(labelled, part)).items():
             if isinstance(column, np.ndarray):
                 np.testing.assert_allclose(getattr(getattr(again, part), name), column, atol=1e-9)
@@ -167,35 +169,35 @@ def test_mot(tmp_path):
     (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=1920\nimHeight=1080\nseqLength=4\nframeRate=5\n")
     (folder / "gt.txt").write_text("1,3,10,20,30,40,1,1,0.5\n2,3,11,20,30,40,1,1,1\n2,4,0,0,9,9,0,1,1\n")
     (tmp_path / "det.txt").write_text("2,-1,12,20,30,40,0.9,-1,-1,-1\n1,-1,300,20,30,40,0.3\n")
-    labelled = read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given(labels=("boat",)))
+    labelled = read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions(labels=("boat",)))
     assert labelled.labels == ("boat",)
     assert labelled.images.time_s.tolist() == pytest.approx([0, 0.2, 0.4, 0.6])
     assert labelled.images.sizes_px[0].tolist() == [1920, 1080]
-    assert labelled.truth.identity.tolist() == [0, 0, 1]
-    assert labelled.truth.ignored.tolist() == [False, False, True]
-    assert labelled.truth.visible_fraction.tolist() == [0.5, 1, 1]
-    assert labelled.found.image.tolist() == [0, 1]
+    assert labelled.annotations.identity.tolist() == [0, 0, 1]
+    assert labelled.annotations.ignored.tolist() == [False, False, True]
+    assert labelled.annotations.visible_fraction.tolist() == [0.5, 1, 1]
+    assert labelled.results.image.tolist() == [0, 1]
     (tmp_path / "det.txt").write_text(
         "0,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
     )
     with pytest.raises(InputError) as raised:
-        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given())
+        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
     assert [line.partition(":")[0] for line in raised.value.problems] == [
         f"det.txt line {k}" for k in (3, 4, 1, 2, 5)
     ]  # fmt: skip
     (tmp_path / "seqinfo.ini").unlink()
     with pytest.raises(InputError, match="give --image-size"):
-        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", Given())
+        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
 
 
 def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
     (tmp_path / "gt.txt").write_text(truth)
     (tmp_path / "det.txt").write_text(detections)
-    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(labels, size))
+    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(labels, size))
 
 
 def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
-    assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").found) == 1
+    assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").results) == 1
     with pytest.raises(InputError, match=r"det.txt line 1: must be numbers \(got '1,-1,,12"):
         mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
 
@@ -217,9 +219,9 @@ def test_a_sequence_without_size_or_rate_is_refused(entry, tmp_path):
 def test_mot_with_classes(tmp_path):
     (tmp_path / "gt.txt").write_text("1,3,10,20,30,40,1,2,1\n1,4,100,20,30,40,1,5,1\n")
     (tmp_path / "det.txt").write_text("1,-1,12,20,30,40,0.9,5,-1,-1\n")
-    labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(("a", "b"), (640, 480)))
+    labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(("a", "b"), (640, 480)))
     assert labelled.labels == ("b", "class_5")
-    assert labelled.truth.label.tolist() == [0, 1] and labelled.found.label.tolist() == [1]
+    assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [1]
 
 
 def test_yolo(tmp_path):
@@ -231,17 +233,17 @@ def test_yolo(tmp_path):
     (truth / "labels" / "images.txt").write_text("images/d.png\n")
     (truth / "data.yaml").write_text("names: {0: sailboat, 1: ferry}\n")
     (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2 0.75\n")
-    given = Given(image_size_px=(800, 400))
+    given = ReadOptions(image_size_px=(800, 400))
     labelled = read_pair("day", truth, predictions, given)
     assert labelled.labels == ("sailboat", "ferry")
     assert labelled.images.names == ("a", "b", "c", "d")
-    assert labelled.truth.boxes_px[0].tolist() == [300, 100, 500, 300]
-    assert labelled.found.image.tolist() == [2] and labelled.found.confidence.tolist() == [0.75]
+    assert labelled.annotations.boxes_px[0].tolist() == [300, 100, 500, 300]
+    assert labelled.results.image.tolist() == [2] and labelled.results.confidence.tolist() == [0.75]
     (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2\n0.5 0.1 0.1 0.1 0.1 0.9\n0 400 300 20 20 0.9\n")
     with pytest.raises(InputError, match=r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares"):
         read_pair("day", truth, predictions, given)
     with pytest.raises(InputError, match="give --image-size"):
-        read_pair("day", truth, predictions, Given())
+        read_pair("day", truth, predictions, ReadOptions())
 
 
 def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=()):
@@ -250,7 +252,7 @@ def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=
     predictions.mkdir(exist_ok=True)
     (truth / "a.txt").write_text(line)
     (tmp_path / "data.yaml").write_text(data)
-    return read_pair("day", truth, predictions, Given(labels, (800, 400)))
+    return read_pair("day", truth, predictions, ReadOptions(labels, (800, 400)))
 
 
 def test_yolo_names_are_those_of_their_numbers(tmp_path):
@@ -274,7 +276,7 @@ def test_labels_of_the_same_name_are_refused(tmp_path):
 def test_what_is_not_there_is_not_taken_for_another_kind(tmp_path):
     yolo(tmp_path)
     with pytest.raises(InputError) as raised:
-        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", Given())
+        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", ReadOptions())
     assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
 
 
@@ -282,7 +284,7 @@ def test_two_kinds_of_files_do_not_go_together(tmp_path):
     gt, _ = written(tmp_path)
     (tmp_path / "det.txt").touch()
     with pytest.raises(InputError, match=r"looks like COCO and .* like MOT"):
-        read_pair("day", gt, tmp_path / "det.txt", Given())
+        read_pair("day", gt, tmp_path / "det.txt", ReadOptions())
 
 
 def test_joined_sets_keep_their_rows_apart():
@@ -290,6 +292,8 @@ def test_joined_sets_keep_their_rows_apart():
     both = joined([first, second])
     assert both.labels == ("a", "b", "c") and both.conditions == ("all",)
     assert len(both.images) == len(first.images) + len(second.images)
-    np.testing.assert_array_equal(both.truth.image[len(first.truth) :], second.truth.image + len(first.images))
+    np.testing.assert_array_equal(
+        both.annotations.image[len(first.annotations) :], second.annotations.image + len(first.images)
+    )
     assert set(both.images.source.tolist()) == {0, 1}
-    assert np.all(np.diff(both.found.image) >= 0)
+    assert np.all(np.diff(both.results.image) >= 0)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from modsim3d.errors import InputError
 from modsim3d.learn.reading.image_sizes import image_size_px
-from modsim3d.learn.reading.pair import Given, read_pair
+from modsim3d.learn.reading.pair import ReadOptions, read_pair
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 
@@ -44,15 +44,15 @@ def result(image_id, category_id=1, **more):
     ],
 )  # fmt: skip
 def test_an_image_is_named_by_its_id_or_by_its_file(names, given, tmp_path):
-    labelled = read_pair("day", *coco(tmp_path, [result(each) for each in given], names), Given())
-    assert labelled.found.image.tolist() == [0, 2] and labelled.found.confidence.tolist() == [0.87512] * 2
+    labelled = read_pair("day", *coco(tmp_path, [result(each) for each in given], names), ReadOptions())
+    assert labelled.results.image.tolist() == [0, 2] and labelled.results.confidence.tolist() == [0.87512] * 2
 
 
 def test_a_file_name_beside_a_number_that_is_another_images_id_decides(tmp_path):
     names = ("000012.jpg", "000013.jpg", "000011.jpg")
     results = [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")]
-    labelled = read_pair("day", *coco(tmp_path, results, names), Given())
-    assert labelled.found.image.tolist() == [0, 2]
+    labelled = read_pair("day", *coco(tmp_path, results, names), ReadOptions())
+    assert labelled.results.image.tolist() == [0, 2]
 
 
 @pytest.mark.parametrize(
@@ -65,15 +65,15 @@ def test_a_file_name_beside_a_number_that_is_another_images_id_decides(tmp_path)
     ],
 )
 def test_numbers_that_are_ids_and_names_of_other_files_are_told(results, rows, doubtful, tmp_path):
-    labelled = read_pair("day", *coco(tmp_path, results, ("000010.jpg", "000011.jpg", "000012.jpg")), Given())
-    assert labelled.found.image.tolist() == rows
+    labelled = read_pair("day", *coco(tmp_path, results, ("000010.jpg", "000011.jpg", "000012.jpg")), ReadOptions())
+    assert labelled.results.image.tolist() == rows
     assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
 def test_a_file_name_that_two_images_have_stands_for_neither(tmp_path):
     files = coco(tmp_path, [result("a"), result("b")], ("one/a.jpg", "two/a.jpg", "b.jpg"))
     with pytest.raises(InputError, match=r"\[0\]: unknown image_id 'a'"):
-        read_pair("day", *files, Given())
+        read_pair("day", *files, ReadOptions())
 
 
 def test_ids_of_images_may_be_text(tmp_path):
@@ -82,51 +82,53 @@ def test_ids_of_images_may_be_text(tmp_path):
     content["images"] = [{"id": name, "width": 640, "height": 480} for name in ("south", "north")]
     content["annotations"][0]["image_id"] = "south"
     truth.write_text(json.dumps(content))
-    labelled = read_pair("day", truth, detections, Given())
-    assert labelled.images.names == ("north", "south") and labelled.found.image.tolist() == [0]
+    labelled = read_pair("day", truth, detections, ReadOptions())
+    assert labelled.images.names == ("north", "south") and labelled.results.image.tolist() == [0]
 
 
 def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path):
     files = coco(tmp_path, [result(11, 0), result(12, 1)])
     with pytest.raises(InputError) as raised:
-        read_pair("day", *files, Given())
+        read_pair("day", *files, ReadOptions())
     assert raised.value.problems == (
         "[0]: unknown category_id 0 (known: 1, 2)",
         "category IDs are off by one: --category-offset 1 would set them right",
     )
-    assert read_pair("day", *files, Given(category_offset=1)).found.label.tolist() == [0, 1]
+    assert read_pair("day", *files, ReadOptions(category_offset=1)).results.label.tolist() == [0, 1]
     with pytest.raises(InputError, match=r"\[1\]: unknown category_id 7 .*\Z"):
-        read_pair("day", *coco(tmp_path, [result(11, 1), result(12, 7)]), Given())
+        read_pair("day", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())
 
 
 def test_what_was_meant_is_looked_for_only_in_what_is_shown(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("modsim3d.learn.reading.coco.nearest", lambda name, known: asked.append(name) or "a hint")
     with pytest.raises(InputError, match=r"480 more"):
-        read_pair("day", *coco(tmp_path, [result(f"shot_{k}") for k in range(500)]), Given())
+        read_pair("day", *coco(tmp_path, [result(f"shot_{k}") for k in range(500)]), ReadOptions())
     assert len(asked) == 20  # among thousands of images each takes a tenth of a second
 
 
 def test_frame_numbers_are_no_times_unless_the_rate_is_given(tmp_path):
     files = coco(tmp_path, [result(11)], images={"video_id": 3, "frame_id": 5})
-    plain = read_pair("day", *files, Given())
+    plain = read_pair("day", *files, ReadOptions())
     assert np.isnan(plain.images.time_s).all() and "--frame-rate" in plain.notes[0]
-    assert read_pair("day", *files, Given(frame_rate_hz=10)).images.time_s.tolist() == [0.5] * 3
+    assert read_pair("day", *files, ReadOptions(frame_rate_hz=10)).images.time_s.tolist() == [0.5] * 3
 
 
 def test_a_track_that_is_twice_in_an_image_is_refused(tmp_path):
     twice = [{"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], "track_id": 4}] * 2
     with pytest.raises(InputError, match=r"annotations\[1\]: identity 4 is in the image 11 already"):
-        read_pair("day", *coco(tmp_path, [], annotations=twice), Given())
+        read_pair("day", *coco(tmp_path, [], annotations=twice), ReadOptions())
     (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n1,4,60,20,30,40,1,1,1\n")
     (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
     with pytest.raises(InputError, match=r"gt.txt line 2: identity 4 is in frame 1 already"):
-        read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", Given(image_size_px=(640, 480)))
+        read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(image_size_px=(640, 480)))
 
 
 def test_a_track_below_zero_is_nobodys(tmp_path):
     boxes = [{"image_id": 11, "category_id": 1, "bbox": [x, 2, 30, 40], "track_id": -1} for x in (1, 50)]
-    assert read_pair("day", *coco(tmp_path, [result(11)], annotations=boxes), Given()).truth.identity.tolist() == [
+    assert read_pair(
+        "day", *coco(tmp_path, [result(11)], annotations=boxes), ReadOptions()
+    ).annotations.identity.tolist() == [
         -1,
         -1,
     ]
@@ -136,9 +138,9 @@ def test_mot_frames_have_times_where_the_rate_is_known(tmp_path):
     (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
     (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
     files = tmp_path / "gt.txt", tmp_path / "det.txt"
-    labelled = read_pair("day", *files, Given(image_size_px=(640, 480)))
+    labelled = read_pair("day", *files, ReadOptions(image_size_px=(640, 480)))
     assert np.isnan(labelled.images.time_s).all() and "--frame-rate" in labelled.notes[0]
-    labelled = read_pair("day", *files, Given(image_size_px=(640, 480), frame_rate_hz=4))
+    labelled = read_pair("day", *files, ReadOptions(image_size_px=(640, 480), frame_rate_hz=4))
     assert labelled.images.time_s.tolist() == [0, 0.25, 0.5] and labelled.notes == ()
 
 
@@ -158,12 +160,12 @@ def yolo(tmp_path):
 
 
 def test_yolos_images_say_how_large_and_how_many_they_are_and_its_data_what_they_show(yolo):
-    labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", Given())
+    labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", ReadOptions())
     assert labelled.images.names == ("a", "b", "empty")
     assert labelled.images.sizes_px.tolist() == [[200, 100], [400, 300], [640, 480]]
     assert labelled.labels == ("kayak", "ferry")
-    assert labelled.truth.boxes_px.tolist() == [[50, 25, 150, 75], [100, 75, 300, 225]]
-    assert labelled.found.boxes_px.tolist() == [[100, 75, 300, 225]]
+    assert labelled.annotations.boxes_px.tolist() == [[50, 25, 150, 75], [100, 75, 300, 225]]
+    assert labelled.results.boxes_px.tolist() == [[100, 75, 300, 225]]
 
 
 def test_a_photograph_that_is_to_be_turned_is_as_large_as_it_is_shown(yolo):
@@ -171,7 +173,7 @@ def test_a_photograph_that_is_to_be_turned_is_as_large_as_it_is_shown(yolo):
     turned = photo.getexif()
     turned[274] = 6
     photo.save(yolo / "set" / "images" / "val" / "a.jpg", exif=turned)
-    labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", Given())
+    labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", ReadOptions())
     assert labelled.images.sizes_px[0].tolist() == [100, 200]
 
 
@@ -189,18 +191,18 @@ def test_the_size_of_an_image_is_known_without_its_pixels_and_too_large_ones_are
 def test_yolo_folders_that_are_not_meant_are_refused(yolo):
     labels, predictions = yolo / "set" / "labels" / "val", yolo / "predict" / "labels"
     with pytest.raises(InputError, match=r"has no labels itself; those below it have: .*val"):
-        read_pair("day", yolo / "set", predictions, Given())
+        read_pair("day", yolo / "set", predictions, ReadOptions())
     (predictions / "c.txt").write_text("1 0.5 0.5 0.5 0.5 0.9\n")
     with pytest.raises(InputError, match=r"c.txt: there is no image of this name"):
-        read_pair("day", labels, predictions, Given())
+        read_pair("day", labels, predictions, ReadOptions())
     (predictions / "c.txt").unlink()
     (predictions / "b.txt").write_text("1 0.5 0.5 0.5 0.5\n")
     with pytest.raises(InputError, match=r"b.txt line 1: has 5 numbers, must have 6.*\n.*save_conf=True"):
-        read_pair("day", labels, predictions, Given())
+        read_pair("day", labels, predictions, ReadOptions())
     (predictions / "b.txt").unlink()
-    assert len(read_pair("day", labels, predictions, Given()).found) == 0  # nothing was detected
+    assert len(read_pair("day", labels, predictions, ReadOptions()).results) == 0  # nothing was detected
     (yolo / "set" / "images" / "val" / "a.jpg").write_bytes(b"no image")
     with pytest.raises(InputError, match=r"image .*a.jpg:\n.*cannot be read"):
-        read_pair("day", labels, predictions, Given())
+        read_pair("day", labels, predictions, ReadOptions())
     with pytest.raises(InputError, match=r"has no labels: no .txt file"):
-        read_pair("day", yolo / "set" / "images" / "val", predictions, Given())
+        read_pair("day", yolo / "set" / "images" / "val", predictions, ReadOptions())

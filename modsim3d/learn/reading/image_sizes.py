@@ -9,14 +9,14 @@ from modsim3d.errors import InputError
 
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
 _ORIENTATION, _LYING = 274, (5, 6, 7, 8)
-"""The tag of a photograph that says how it is to be turned, and those of its values that swap width and height."""
+"""The tag of a photograph that says how to rotate it, and the values of it that swap width and height."""
 
 
 def images_in(folder: Path) -> dict[str, Path]:
-    """Files of images by their names without ending.
+    """Image files of a folder, by name without ending.
 
     Raises:
-        InputError: Two have the same name.
+        InputError: Two images have the same name.
     """
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
@@ -29,10 +29,10 @@ def images_in(folder: Path) -> dict[str, Path]:
 
 
 def image_size_px(path: Path) -> tuple[float, float]:
-    """Width and height as the image is shown.
+    """Width and height of the image as it is shown.
 
     Raises:
-        InputError: It is no image, or too large a one.
+        InputError: The file is no image, or the image is too large.
     """
     from PIL import Image
 
@@ -42,7 +42,7 @@ def image_size_px(path: Path) -> tuple[float, float]:
             Image.open(path) as image,
         ):
             width, height = image.size
-            # Of a PNG the tag would be sought behind its pixels, and all of them be unpacked for it.
+            # PIL looks for the tag of a PNG behind its pixels, and would unpack all of them for it.
             lying = image.format != "PNG" and image.getexif().get(_ORIENTATION) in _LYING
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(f"image {path}", [f"cannot be read: {error}"]) from None

@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from modsim3d.errors import InputError
-from modsim3d.learn.labelled import Labelled
+from modsim3d.learn.labelled import LabelledSet
 from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.reading.mot import read_mot
 from modsim3d.learn.reading.yolo import read_yolo
 
 
 @dataclass(frozen=True)
-class Given:
+class ReadOptions:
     """What files do not say themselves.
 
     Attributes:
         labels: Names of the classes, for MOT and YOLO.
         image_size_px: Width and height, for MOT without `seqinfo.ini` and for YOLO without its images.
-        skip_bad: Leave out entries that something is wrong with.
+        skip_bad: Leave out wrong entries.
         frame_rate_hz: For MOT, and for COCO whose images have a `frame_id` alone.
-        category_offset: To be added to the category IDs of COCO results.
+        category_offset: Number to add to the category IDs of COCO results.
     """
 
     labels: tuple[str, ...] = ()
@@ -31,11 +31,11 @@ class Given:
     category_offset: int = 0
 
 
-def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> Labelled:
-    """One condition: folders are YOLO's, `.txt` is MOT, anything else COCO.
+def read_pair(condition: str, truth: Path, detections: Path, options: ReadOptions) -> LabelledSet:
+    """Read one condition: folders are YOLO's, `.txt` and `.csv` are MOT's, anything else is COCO's.
 
     Raises:
-        InputError: Something is wrong with the files, or they are of two kinds.
+        InputError: The files are wrong, or of two kinds.
     """
     missing = [(what, path) for what, path in (("truth", truth), ("detections", detections)) if not path.exists()]
     if missing:
@@ -45,12 +45,12 @@ def read_pair(condition: str, truth: Path, detections: Path, given: Given) -> La
         raise InputError(
             f"condition {condition}", [f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"]
         )
-    skip_bad, rate_hz, size = given.skip_bad, given.frame_rate_hz, given.image_size_px
+    skip_bad, rate_hz, size_px = options.skip_bad, options.frame_rate_hz, options.image_size_px
     if kinds[0] == "COCO":
-        return read_coco(condition, truth, detections, skip_bad, given.category_offset, rate_hz)
+        return read_coco(condition, truth, detections, skip_bad, options.category_offset, rate_hz)
     if kinds[0] == "MOT":
-        return read_mot(condition, truth, detections, given.labels, size, skip_bad, rate_hz)
-    return read_yolo(condition, truth, detections, given.labels, size, skip_bad)
+        return read_mot(condition, truth, detections, options.labels, size_px, skip_bad, rate_hz)
+    return read_yolo(condition, truth, detections, options.labels, size_px, skip_bad)
 
 
 def _kind(path: Path) -> str:

@@ -13,14 +13,14 @@ from modsim3d.text_files import read_text
 def number_lines(
     path: Path, what: str, separator: str | None, least: int, problems: Problems
 ) -> Iterator[tuple[str, list[float]]]:
-    """Lines of numbers, empty ones left out, each with where it is; a separator may end a line.
+    """Lines of numbers, each with its place in the file; skips empty lines.
 
     Args:
         path: The file.
-        what: What to call it.
-        separator: Between numbers; white space if None.
+        what: Name of the file in messages.
+        separator: Between numbers, and perhaps at the end of a line; white space if None.
         least: Numbers that a line must have.
-        problems: For lines that are not so.
+        problems: Collects the lines that are wrong.
     """
     for index, line in enumerate(read_text(path, what).splitlines()):
         if not line.strip():

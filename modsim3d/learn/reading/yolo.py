@@ -1,20 +1,28 @@
 """YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
 
-Lines of detections end with the confidence. The images are those of the folder that is called `images` where the
-labels' is called `labels`, as in `set/images/val` and `set/labels/val`, or that lie beside their labels; each is as
-large as its file says. Without such files the images are those that either folder has a file for, and `images.txt`
-beside the labels, a name a line, adds others. One with no file, or an empty one, is an image with nothing in it.
+Lines of detections end with the confidence. The images lie in the folder `images` beside `labels`, as in
+`set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes. Without such files, every
+file in either folder stands for an image, and `images.txt` beside the labels, a name on each line, adds others. An
+image without a file of labels, or with an empty one, has nothing in it.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from modsim3d.boxes import corner_form
 from modsim3d.errors import InputError
-from modsim3d.learn.labelled import Labelled
-from modsim3d.learn.reading.builder import Problems, Rows, corners, one_condition
+from modsim3d.learn.labelled import LabelledSet
+from modsim3d.learn.reading.builder import (
+    AnnotationRows,
+    ImageRows,
+    Place,
+    Problems,
+    ResultRows,
+    labelled_set,
+    valid_box,
+)
 from modsim3d.learn.reading.image_sizes import image_size_px as size_of_image
 from modsim3d.learn.reading.image_sizes import images_in
 from modsim3d.learn.reading.text_lines import number_lines
@@ -29,19 +37,19 @@ def read_yolo(
     labels: tuple[str, ...] = (),
     image_size_px: tuple[float, float] | None = None,
     skip_bad: bool = False,
-) -> Labelled:
-    """One condition.
+) -> LabelledSet:
+    """Read one condition.
 
     Args:
         condition: Its name.
         truth: The folder of the labels, or the one that has it as `labels`.
-        detections: The folder of the predictions, likewise.
+        detections: The folder of the predictions, or the one that has it as `labels`.
         labels: Names of the classes 0, 1, ...; from `classes.txt` or `data.yaml` if not given.
         image_size_px: Width and height of every image; from the images if not given.
-        skip_bad: Leave out lines that something is wrong with, and count them.
+        skip_bad: Leave out wrong lines and count them.
 
     Raises:
-        InputError: Something is wrong; each problem names its file and line.
+        InputError: The files are wrong; each problem names its file and line.
     """
     folder, predicted = _folder(truth, needed=True), _folder(detections)
     files = _images(folder, truth)
@@ -51,70 +59,78 @@ def read_yolo(
             ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
         )
     names = labels or _names(truth, folder)
-    stems = sorted(
-        files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
-    )
-    sizes = [image_size_px or size_of_image(files[stem]) for stem in stems]
-    place = {stem: row for row, stem in enumerate(stems)}
+    stems = files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
+    images = ImageRows()
+    for stem in sorted(stems):
+        images.add(stem, image_size_px or size_of_image(files[stem]))
     problems = Problems(f"ground truth {truth}", skip_bad)
     wrong = Problems(f"detections {detections}", skip_bad)
-    rows, found = Rows(), Rows()
-    for path in _placed(_files(folder), place, problems):
-        for where, numbers in number_lines(path, "labels", None, 5, problems):
-            if len(numbers) > 5:
-                problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
-            elif _row(where, numbers, place[path.stem], sizes[place[path.stem]], problems, rows):
-                rows.ignored.append(False)
-                rows.crowd.append(False)
-                rows.identity.append(None)
-                rows.visible_fraction.append(math.nan)
-                rows.distance_m.append(math.nan)
-    for path in _placed(_files(predicted), place, wrong):
-        for where, numbers in number_lines(path, "predictions", None, 5, wrong):
-            if len(numbers) != 6:
-                wrong.add(f"{where}: has {len(numbers)} numbers, must have 6: class, x, y, width, height, confidence")
-                wrong.hint = "predictions must come with their confidence (ultralytics: save_txt=True save_conf=True)"
-            elif not 0 <= numbers[5] <= 1:
-                wrong.add(f"{where}: confidence must be from 0 to 1 (got {numbers[5]:g})")
-            elif _row(where, numbers, place[path.stem], sizes[place[path.stem]], wrong, found):
-                found.confidence.append(numbers[5])
-                found.probabilities.append(None)
-    classes = max([*rows.label, *found.label, len(names) - 1], default=0) + 1
-    whole = [names[k] if k < len(names) else f"class_{k}" for k in range(classes)]
-    return one_condition(condition, whole, stems, sizes, rows, found, problems.settle() + wrong.settle())
+    annotations = _annotations(_files(folder), images, problems)
+    results = _results(_files(predicted), images, wrong)
+    largest = max([place.label for place in annotations.places + results.places] + [len(names) - 1])
+    whole = [names[k] if k < len(names) else f"class_{k}" for k in range(largest + 1)]
+    return labelled_set(condition, whole, images, annotations, results, problems.settle() + wrong.settle())
 
 
-def _row(
-    where: str, numbers: list[float], image: int, size_px: tuple[float, float], problems: Problems, rows: Rows
-) -> bool:
-    """Put down what truth and predictions have in common."""
+def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> AnnotationRows:
+    rows = AnnotationRows(corner_form)
+    for image, where, numbers in _lines(paths, images, "labels", problems):
+        if len(numbers) > 5:
+            problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
+        elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
+            rows.add(place)
+    return rows
+
+
+def _results(paths: list[Path], images: ImageRows, problems: Problems) -> ResultRows:
+    rows = ResultRows(corner_form)
+    for image, where, numbers in _lines(paths, images, "predictions", problems):
+        if len(numbers) != 6:
+            problems.add(f"{where}: has {len(numbers)} numbers, must have 6: class, x, y, width, height, confidence")
+            problems.hint = "predictions must come with their confidence (ultralytics: save_txt=True save_conf=True)"
+        elif not 0 <= numbers[5] <= 1:
+            problems.add(f"{where}: confidence must be from 0 to 1 (got {numbers[5]:g})")
+        elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
+            rows.add(place, numbers[5])
+    return rows
+
+
+def _lines(
+    paths: list[Path], images: ImageRows, what: str, problems: Problems
+) -> Iterator[tuple[int, str, list[float]]]:
+    """Row of the image, place in the file and numbers of each line of each file that belongs to an image."""
+    row_of = {stem: row for row, stem in enumerate(images.names)}
+    for path in paths:
+        if path.stem not in row_of:
+            problems.add(f"{path.name}: there is no image of this name")
+            continue
+        for where, numbers in number_lines(path, what, None, 5, problems):
+            yield row_of[path.stem], where, numbers
+
+
+def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float], problems: Problems) -> Place | None:
+    """Image, label and box of a line; None with a problem if it has none."""
     number, x, y, width, height = numbers[:5]
+    box_px = [x * size_px[0], y * size_px[1], width * size_px[0], height * size_px[1]]
     if not 0 <= number < _MOST_CLASSES or number != int(number):
         problems.add(f"{where}: class must be a whole number from 0 to {_MOST_CLASSES - 1} (got {number:g})")
-        return False
-    if max(abs(x), abs(y), width, height) > 2:
+    elif max(abs(x), abs(y), width, height) > 2:
         problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {numbers[1:5]})")
-        return False
-    left, top = (x - width / 2) * size_px[0], (y - height / 2) * size_px[1]
-    box = corners([left, top, width * size_px[0], height * size_px[1]], where, problems)
-    if box is None:
-        return False
-    rows.image.append(image)
-    rows.label.append(int(number))
-    rows.boxes.append(box)
-    return True
+    elif valid_box(box_px, where, problems):
+        return Place(image, int(number), box_px)
+    return None
 
 
 _MOST_CLASSES = 10_000
-"""More is no class but something else."""
+"""A larger number is no class but something else."""
 _NOT_LABELS = ("classes.txt", "images.txt")
 
 
 def _folder(path: Path, needed: bool = False) -> Path:
-    """Where the text files are.
+    """The folder that has the text files.
 
     Raises:
-        InputError: There are none, but in folders below it; or none at all, where they are needed.
+        InputError: Only folders below it have text files; or there are none at all, and they are needed.
     """
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
@@ -129,7 +145,7 @@ def _folder(path: Path, needed: bool = False) -> Path:
 
 
 def _images(folder: Path, truth: Path) -> dict[str, Path]:
-    """The images that labels in a folder are of; none where they are not to be found."""
+    """The images of the labels in a folder, by name without ending; none if they are not found."""
     parts = list(folder.parts)
     if "labels" in parts:
         last = len(parts) - 1 - parts[::-1].index("labels")
@@ -137,15 +153,6 @@ def _images(folder: Path, truth: Path) -> dict[str, Path]:
         if there.is_dir() and (found := images_in(there)):
             return found
     return images_in(folder) or images_in(truth)
-
-
-def _placed(paths: list[Path], place: dict[str, int], problems: Problems) -> Iterator[Path]:
-    """Those that are of an image."""
-    for path in paths:
-        if path.stem in place:
-            yield path
-        else:
-            problems.add(f"{path.name}: there is no image of this name")
 
 
 def _files(folder: Path) -> list[Path]:
@@ -160,7 +167,7 @@ def _listed(folder: Path) -> set[str]:
 
 
 def _names(truth: Path, folder: Path) -> tuple[str, ...]:
-    """Names of the classes, where a file beside the labels has them, or `data.yaml` up to three folders above."""
+    """Names of the classes from a file beside the labels, or from `data.yaml` up to three folders above."""
     for listed in (truth / "classes.txt", folder / "classes.txt"):
         if listed.is_file():
             return tuple(line.strip() for line in read_text(listed, "classes").splitlines() if line.strip())

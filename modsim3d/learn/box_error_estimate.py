@@ -1,0 +1,246 @@
+"""Box error: its unit and law in each state, and how long errors persist."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.learn.class_estimate import kept_share
+from modsim3d.learn.entries import Entry, Key, nested
+from modsim3d.learn.error_moments import PAIRS, ErrorMoments, covariance
+from modsim3d.learn.form import SIGNIFICANT, Note, Topic
+from modsim3d.learn.observed import ErrorSource, Observed
+from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, steps_between
+from modsim3d.learn.resampling import Column, Resampling, widened
+
+ERRORS_NEEDED = 20
+"""Pairs that the box error of a state needs."""
+_PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in PAIRS)
+
+
+@dataclass(frozen=True)
+class StateErrorForm:
+    """The model of the box error in one state.
+
+    Attributes:
+        unit: Whether errors are in pixels or in sides of the box.
+        source: Which pairs it is learned from.
+        law: Name in `LAWS` of the distribution.
+    """
+
+    unit: Literal["px", "relative"]
+    source: ErrorSource = ErrorSource.OWN_STATE
+    law: str = "normal"
+
+    @property
+    def relative(self) -> bool:
+        """Whether errors are in sides of the box."""
+        return self.unit == "relative"
+
+
+@dataclass(frozen=True)
+class BoxErrorForm:
+    """The model of the box error.
+
+    Attributes:
+        states: One for each state.
+        box_s: Rough correlation time of errors; 0 if they do not persist.
+        notes: Why the model is not a richer one.
+    """
+
+    states: tuple[StateErrorForm, ...]
+    box_s: float
+    notes: tuple[Note, ...]
+
+    @property
+    def relative(self) -> bool:
+        """Whether errors are in sides of the box in every state."""
+        return all(form.relative for form in self.states)
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
+        """The law of each state and the correlation time of errors."""
+        box_s = None
+        if self.box_s > 0:
+            box_s = Entry(Key(("persistence", "box_s")), consecutive_errors(observed, self.states).column(resampling))
+        kept, pairs, learned = kept_share(observed, box_s), observed.pairs, []
+        for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
+            chosen = pairs.of_source(form.source, form.relative, index)
+            errors = pairs.errors(chosen, form.relative)
+            learned.append(LAWS[form.law].estimate(resampling, pairs.image[chosen], errors, kept, name, form.unit))
+        return LearnedBoxErrors(self, tuple(learned), box_s)
+
+
+class LearnedLaw(Protocol):
+    """A distribution of box errors in one state; its fields hold `Entry` objects."""
+
+    def section(self) -> dict[str, Any]:
+        """What it writes into `box_error` of the detector file, but for the unit."""
+
+
+class ErrorLaw(Protocol):
+    """How the numbers of a distribution of box errors are estimated."""
+
+    def estimate(
+        self, resampling: Resampling, image: Indices, errors: Array, kept: float, state: str, unit: str
+    ) -> LearnedLaw:
+        """Estimate the numbers for one state.
+
+        Args:
+            resampling: Weights of images.
+            image: Image of each error, shape (n,).
+            errors: e_x, e_y, e_w, e_h in the unit, shape (n, 4).
+            kept: Correlation of an error with that of the frame before.
+            state: Name of the state.
+            unit: `px` or `relative`.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedNormal:
+    """A normal distribution of box errors: mean (4,), standard deviation (4,) and correlation of the `PAIRS` (6,)."""
+
+    mean: Entry
+    std: Entry
+    correlation: Entry
+
+    def section(self) -> dict[str, Any]:
+        """Mean and covariance."""
+        mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
+        return {"mean": nested(mean), "covariance": nested(_positive(covariance(std, correlation)))}
+
+
+class NormalErrors:
+    """Normal box errors."""
+
+    def estimate(
+        self, resampling: Resampling, image: Indices, errors: Array, kept: float, state: str, unit: str
+    ) -> LearnedNormal:
+        """Moments whose replicates spread at least as theory has it for errors that persist; see `ErrorLaw`."""
+        moments = ErrorMoments.of(resampling, image, errors)
+        mean, std, correlation = moments.mean, moments.std, moments.correlation
+        root = np.sqrt(np.maximum(mean.counts[0], 1.0))
+        of_sums, of_squares = np.sqrt((1 + kept) / (1 - kept)) / root, np.sqrt((1 + kept**2) / (1 - kept**2)) / root
+        least = (1 - correlation.estimate**2) * of_squares
+        return LearnedNormal(
+            Entry(Key(("box_error_mean",), state, (ERROR_COMPONENTS,), unit), _wide(mean, std.estimate * of_sums)),
+            Entry(
+                Key(("box_error_std",), state, (ERROR_COMPONENTS,), unit),
+                _wide(std, std.estimate * of_squares / np.sqrt(2)),
+            ),
+            Entry(Key(("box_error_correlation",), state, (_PAIR_NAMES,)), _wide(correlation, least)),
+        )
+
+
+LAWS: Mapping[str, ErrorLaw] = {"normal": NormalErrors()}
+"""Distributions of box errors that can be learned, by name."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedBoxErrors:
+    """Numbers of the box error.
+
+    Attributes:
+        form: The model.
+        states: The law of each state.
+        box_s: Correlation time of errors; None if they do not persist.
+    """
+
+    form: BoxErrorForm
+    states: tuple[LearnedLaw, ...]
+    box_s: Entry | None
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """The persistence of errors."""
+        if self.box_s is None or self.box_s.estimate <= 0:
+            return {}
+        return {"persistence": {"box_s": nested(self.box_s.estimate)}}
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """Unit and law of the box error."""
+        return {"box_error": {"unit": self.form.states[state].unit, **self.states[state].section()}}
+
+
+def choose_box_errors(observed: Observed) -> BoxErrorForm:
+    """Unit and source of the box error of each state, and whether errors persist."""
+    notes: list[Note] = []
+    states = tuple(_state_form(observed, index, notes) for index in range(len(observed.states)))
+    return BoxErrorForm(states, _persistence_s(observed, states, notes), tuple(notes))
+
+
+def _state_form(observed: Observed, state: int, notes: list[Note]) -> StateErrorForm:
+    """Pixels or sides of the box, whichever makes the errors likelier as normal ones."""
+    numbers = []
+    for source in ErrorSource:
+        in_px, in_sides = (observed.pairs.of_source(source, relative, state) for relative in (False, True))
+        numbers.append(max(int(in_px.sum()), int(in_sides.sum())))
+        if numbers[-1] >= ERRORS_NEEDED:
+            break
+    if source is not ErrorSource.OWN_STATE:
+        edge = ", with boxes at the image's edge" if source is ErrorSource.ALL_PAIRS else ""
+        text = (
+            f"states.{observed.states[state]}.box_error: that of all states{edge}; had {numbers[0]} matches away from "
+            f"the image's edge, needs {ERRORS_NEEDED}"
+        )
+        notes.append(Note(Topic.BOX_ERROR, text))
+    pairs = observed.pairs
+    relative = _likelihood(pairs.error_px[in_sides], pairs.sides_px[in_sides])
+    return StateErrorForm("relative" if relative > _likelihood(pairs.error_px[in_px], None) else "px", source)
+
+
+def _likelihood(errors_px: Array, sides_px: Array | None) -> float:
+    """Mean log-likelihood of errors (n, 4) as normal ones, in pixels or in sides (n, 4); −∞ from too few."""
+    if len(errors_px) < ERRORS_NEEDED:
+        return -np.inf
+    errors = errors_px if sides_px is None else errors_px / sides_px
+    sign, logarithm = np.linalg.slogdet(np.cov(errors.T) + 1e-12 * np.eye(4))
+    stretch = 0.0 if sides_px is None else float(np.log(sides_px).sum(axis=1).mean())
+    return float(-0.5 * logarithm - stretch) if sign > 0 else np.inf
+
+
+def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[Note]) -> float:
+    """Rough correlation time of errors; 0 with a note if they do not persist."""
+    if len(observed.steps) < PAIRS_NEEDED:
+        return 0.0  # which the note on misses says
+    if len(observed.pairs) < PAIRS_NEEDED:
+        text = f"persistence.box_s: 0; had {len(observed.pairs)} matches, needs {PAIRS_NEEDED}"
+    else:
+        consecutive = consecutive_errors(observed, states)
+        if len(consecutive) >= PAIRS_NEEDED and consecutive.correlated(SIGNIFICANT):
+            return consecutive.rough_time_s()
+        text = f"persistence.box_s: 0; errors of {len(consecutive)} consecutive pairs are not correlated"
+    notes.append(Note(Topic.PERSISTENCE, text))
+    return 0.0
+
+
+def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -> Consecutive:
+    """Whitened box errors in consecutive frames; products are means over the four components."""
+    pairs = observed.pairs
+    white = np.full((len(pairs), 4), np.nan)
+    for index, form in enumerate(states):
+        chosen = pairs.of_source(ErrorSource.OWN_STATE, form.relative, index)
+        if chosen.sum() < ERRORS_NEEDED:
+            continue
+        errors = pairs.errors(chosen, form.relative)
+        values, vectors = np.linalg.eigh(np.cov(errors.T))
+        root = (vectors / np.sqrt(np.maximum(values, 1e-9 * max(values[-1], 1e-12)))) @ vectors.T
+        white[chosen] = (errors - errors.mean(axis=0)) @ root
+    kept = np.flatnonzero(np.isfinite(white[:, 0]))
+    steps = steps_between(observed.labelled, pairs.rows[kept])
+    a, b = kept[steps.earlier], kept[steps.later]
+    products, expected = (white[a] * white[b]).mean(axis=1), (white[a] ** 2).mean(axis=1)
+    return Consecutive(products, expected, steps.apart_s, pairs.image[b])
+
+
+def _wide(column: Column, least: Array) -> Column:
+    return Column(widened(column.values, least), column.kind, column.counts)
+
+
+def _positive(matrix: Array) -> Array:
+    """A covariance (4, 4) without negative eigenvalues, which rounding or a correction may have left."""
+    values, vectors = np.linalg.eigh(matrix)
+    return matrix if values[0] >= 0 else (vectors * np.maximum(values, 0)) @ vectors.T

@@ -1,0 +1,264 @@
+"""Dropout and class: confusion matrices, what the odds of a miss follow, and how long misses persist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modsim3d.arrays import Array
+from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, attribute_values, fit_misses
+from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
+from modsim3d.learn.form import SIGNIFICANT, Note, Topic, ratio
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, frame_interval_s
+from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
+
+MISSES_NEEDED = 30
+"""Misses, before a correlation time of misses is looked for."""
+_TRIALS, _USUAL_RUNS = 200, 24
+
+
+@dataclass(frozen=True)
+class ClassForm:
+    """The model of dropout and class.
+
+    Attributes:
+        effects: Attributes that change the odds of a miss; none leaves the confusion matrix alone.
+        class_s: Rough correlation time of misses; 0 if they do not persist.
+        notes: Why the model is not a richer one.
+    """
+
+    effects: tuple[Effect, ...]
+    class_s: float
+    notes: tuple[Note, ...]
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
+        """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
+        fit = fit_misses(observed, self.effects, resampling) if self.effects else None
+        class_s, kept = None, 0.0
+        if self.class_s > 0:
+            chance = fit if self.effects else _plain_fit(observed)
+            class_s = Entry(Key(("persistence", "class_s")), consecutive_misses(observed, chance).column(resampling))
+            kept = kept_share(observed, class_s)
+        inflation = (1 + kept) / (1 - kept)
+        slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
+        return LearnedClasses(slopes, class_s, _confusion(observed, fit, resampling, inflation), inflation)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedEffect:
+    """An effect on the odds of a miss with its slope, in log-odds for each unit or doubling."""
+
+    effect: Effect
+    slope: Entry
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedClasses:
+    """Numbers of dropout and class.
+
+    Attributes:
+        effects: Those on the odds of a miss.
+        class_s: Correlation time of misses; None if they do not persist.
+        confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
+        inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
+            frames.
+    """
+
+    effects: tuple[LearnedEffect, ...]
+    class_s: Entry | None
+    confusion: tuple[Entry, ...]
+    inflation: float
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """Dropout and the persistence of misses."""
+        sections: dict[str, dict[str, Any]] = {}
+        if self.effects:
+            sections["dropout"] = {"model": "logistic", "anchor": "state_rate"}
+        for each in self.effects:
+            sections["dropout"][each.effect.attribute] = {
+                each.effect.slope_key: digits(each.slope.estimate),
+                "reference": digits(each.effect.reference),
+            }
+        if self.class_s is not None and self.class_s.estimate > 0:
+            sections["persistence"] = {"class_s": digits(self.class_s.estimate)}
+        return sections
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """The confusion matrix."""
+        return {"confusion": columns_of_one(_filled(self.confusion[state].estimate))}
+
+
+def choose_classes(observed: Observed) -> ClassForm:
+    """Which effects on misses, and whether their persistence, the data can carry."""
+    notes: list[Note] = []
+    effects, fit = _significant(observed, _candidates(observed, notes), notes)
+    class_s = _persistence_s(observed, effects, fit, notes)
+    return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)))
+
+
+def _candidates(observed: Observed, notes: list[Note]) -> tuple[Effect, ...]:
+    """Attributes that are given for every annotation and vary, if there are enough misses for them."""
+    chosen = []
+    for name, column in attribute_values(observed).items():
+        known = column[np.isfinite(column)]
+        if not len(known):
+            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; it is not given"))
+        elif len(known) < len(column):
+            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; not given everywhere"))
+        elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
+            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; constant"))
+        else:
+            reference = 1.0 if name == "visible_fraction" else float(f"{np.median(known):.3g}")
+            chosen.append(Effect(name, reference))
+    misses = int(observed.missed.sum())
+    rarer, needed = min(misses, len(observed.rows) - misses), MISSES_FOR_EACH * len(chosen)
+    if rarer >= needed:
+        return tuple(chosen)
+    rare = "misses" if misses == rarer else "finds"
+    text = f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}"
+    notes.append(Note(Topic.DROPOUT, text))
+    return ()
+
+
+def _significant(
+    observed: Observed, effects: tuple[Effect, ...], notes: list[Note]
+) -> tuple[tuple[Effect, ...], MissFit | None]:
+    """Effects after the least certain ones were left out one by one, and the fit with those that remain."""
+    runs = resample(observed.labelled.images, _TRIALS, 0, _usual_run_s(observed)) if effects else None
+    while effects and runs is not None:
+        fit = fit_misses(observed, effects, runs)
+        if fit is None:
+            text = f"dropout: as in the confusion matrix; {len(observed.rows)} truths do not determine the effects"
+            notes.append(Note(Topic.DROPOUT, text))
+            break
+        strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
+        weakest = int(strength.argmin())
+        if strength[weakest] >= SIGNIFICANT:
+            return effects, fit
+        text = (
+            f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
+            f"{len(observed.rows)} truths, needs {SIGNIFICANT}"
+        )
+        notes.append(Note(Topic.DROPOUT, text))
+        effects = effects[:weakest] + effects[weakest + 1 :]
+    return (), None
+
+
+def _usual_run_s(observed: Observed) -> float:
+    """Length of runs of frames in which misses that persist look independent; 0 where frames are not consecutive."""
+    times = observed.labelled.images.time_s
+    if len(observed.steps) < PAIRS_NEEDED:
+        return 0.0
+    return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
+
+
+def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[Note]) -> float:
+    """Rough correlation time of misses; 0 with a note if they do not persist."""
+    pairs, misses = len(observed.steps), int(observed.missed.sum())
+    if pairs < PAIRS_NEEDED:
+        text = (
+            f"persistence: none; had {pairs} sightings that follow one of the same vessel, needs {PAIRS_NEEDED} "
+            "(frames with times, truth with identities)"
+        )
+    elif misses < MISSES_NEEDED:
+        text = f"persistence.class_s: 0; had {misses} misses, needs {MISSES_NEEDED}"
+    else:
+        consecutive = consecutive_misses(observed, fit if effects else _plain_fit(observed))
+        if consecutive.correlated(SIGNIFICANT):
+            return consecutive.rough_time_s()
+        text = f"persistence.class_s: 0; misses of {pairs} consecutive pairs are not correlated"
+    notes.append(Note(Topic.PERSISTENCE, text))
+    return 0.0
+
+
+def _empty_columns(observed: Observed) -> list[Note]:
+    """Notes on labels that a state has not seen."""
+    notes, k = [], len(observed.labelled.labels)
+    counts = np.bincount(observed.state * k + observed.label, minlength=len(observed.states) * k).reshape(-1, k)
+    for state, label in np.argwhere(counts == 0):
+        if counts[:, label].any():
+            instead = "that of all states"
+        else:
+            instead = "found as often as the other labels, always by its name"
+        column = f"states.{observed.states[state]}.confusion, column {observed.labelled.labels[label]}"
+        notes.append(Note(Topic.CONFUSION, f"{column}: {instead}; had 0 of it"))
+    return notes
+
+
+def _plain_fit(observed: Observed) -> MissFit | None:
+    """Misses by state and label alone, without replicates."""
+    return fit_misses(observed, (), resample(observed.labelled.images, 0, 0))
+
+
+def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
+    """Residuals of misses in consecutive frames.
+
+    A pair's expected product is that of two misses read from the same draw, scaled by how large the earlier squared
+    residual was. Runs of frames with more misses than others then have larger products and larger expected products
+    alike, and do not change the correlation time.
+
+    Args:
+        observed: The data.
+        fit: Chances of a miss; None for one chance for all.
+    """
+    rate = np.full(len(observed.rows), observed.missed.mean()) if fit is None else fit.chance
+    residual = observed.missed - rate
+    a, b = observed.steps.earlier, observed.steps.later
+    size = residual[a] ** 2 / np.maximum(rate[a] * (1 - rate[a]), 1e-12)
+    expected = (np.minimum(rate[a], rate[b]) - rate[a] * rate[b]) * size
+    return Consecutive(residual[a] * residual[b], expected, observed.steps.apart_s, observed.image[b])
+
+
+def kept_share(observed: Observed, correlation_s: Entry | None) -> float:
+    """Share of noise with a correlation time that is kept from one frame to the next; 0 without one."""
+    if correlation_s is None or correlation_s.estimate <= 0:
+        return 0.0
+    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s.estimate))
+
+
+def _slopes(
+    observed: Observed, effects: tuple[Effect, ...], fit: MissFit, inflation: float
+) -> tuple[LearnedEffect, ...]:
+    learned = []
+    for place, effect in enumerate(effects):
+        slopes = widened(fit.slopes[:, place], fit.errors[place] * np.sqrt(inflation))
+        column = Column(slopes, "mean", np.array(float(len(observed.rows))))
+        learned.append(LearnedEffect(effect, Entry(Key(("dropout", effect.attribute, effect.slope_key)), column)))
+    return tuple(learned)
+
+
+def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: float) -> tuple[Entry, ...]:
+    """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave."""
+    labels = observed.labelled.labels
+    k, states = len(labels), len(observed.states)
+    cell = (observed.state * (k + 1) + observed.seen_as) * k + observed.label
+    counts = resampling.counts(observed.image, cell, (states, k + 1, k))
+    whole = counts.sum(axis=2, keepdims=True)
+    rates = ratio(counts, whole)
+    if fit is not None:
+        detected = np.maximum(1 - rates[:, :, k], 1e-12)
+        held = np.where(np.isfinite(fit.rates), fit.rates, rates[:, :, k])
+        rates[:, :, :k] *= ((1 - held) / detected)[:, :, None]
+        rates[:, :, k] = held
+    everywhere = ratio(counts.sum(axis=1), whole.sum(axis=1))
+    entries = []
+    for index, name in enumerate(observed.states):
+        table = np.where(np.isfinite(rates[:, index]), rates[:, index], everywhere)
+        key = Key(("confusion",), name, ((*labels, "missed"), labels), own_table=True)
+        entries.append(Entry(key, Column(table, "share", np.tile(whole[0, index], (k + 1, 1)), inflation)))
+    return tuple(entries)
+
+
+def _filled(confusion: Array) -> Array:
+    """A matrix in which labels that never occurred are found as often as the others on average, by their own name."""
+    table = confusion.copy()
+    k = table.shape[1]
+    unseen = ~np.isfinite(table).all(axis=0)
+    miss = float(table[k, ~unseen].mean()) if not unseen.all() else 0.0
+    for label in np.flatnonzero(unseen):
+        table[:, label] = 0.0
+        table[label, label], table[k, label] = 1 - miss, miss
+    return table
