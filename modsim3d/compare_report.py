@@ -8,7 +8,7 @@ import orjson
 
 from modsim3d.compare import RULE_OFF_PX, SourceComparison
 from modsim3d.compare_figures import BoxFigures, Figures
-from modsim3d.draw_run import describe_case, draw_case
+from modsim3d.compare_pictures import describe_case, draw_case
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
 from modsim3d.view import page

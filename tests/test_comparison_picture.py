@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d import draw_run
+from modsim3d import compare_pictures
 from modsim3d.scene_reader import load_scene
 from modsim3d.view import palette
 from modsim3d.view.comparison_picture import BOTH, KEY_PX, PIXELS, comparison_picture, differing_pixels
@@ -58,7 +58,7 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 )
 def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, name, vessel, region):
     """A mesh's silhouette is no exact visible region: what is missing of it may simply be hidden."""
-    monkeypatch.setattr(draw_run, "comparison_picture", lambda *arguments: arguments[-1])
+    monkeypatch.setattr(compare_pictures, "comparison_picture", lambda *arguments: arguments[-1])
     scene = load_scene(name)
     case = SimpleNamespace(camera=0, step=0, vessel=scene.vessel_names.index(vessel), boxes_px={})
-    assert draw_run.draw_case(scene, case, None) == region
+    assert compare_pictures.draw_case(scene, case, None) == region

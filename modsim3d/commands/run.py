@@ -77,7 +77,7 @@ def run_command(
     with _interruptible(kept), progress(loaded.name, total) as advance:
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
-        from modsim3d.draw_run import draw_contact_sheet
+        from modsim3d.draw_contact_sheet import draw_contact_sheet
         from modsim3d.stored_run import open_run
 
         draw_contact_sheet(open_run(folder))

@@ -13,7 +13,7 @@ from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
 from modsim3d.detector.scores import SCORES, NormalScores, QuantileScores, Scores
-from modsim3d.learn.clipped_normal import Clipped
+from modsim3d.learn.clipped_checks import Clipped
 from modsim3d.learn.evidence import Evidence
 from modsim3d.learn.law_measures import Law
 from modsim3d.learn.max_detections import max_detections_note

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.learn.clipped_normal import clipped_sums, fit_clipped
+from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.entries import Entry, Key, digits, nested
 from modsim3d.learn.form import Note, Topic
 from modsim3d.learn.observed import Observed

@@ -7,9 +7,10 @@ import pytest
 from scipy import stats
 
 from modsim3d.boxes import inside_image, move
+from modsim3d.detector.clipped_normal import clipped_score
 from modsim3d.detector.loader import parse_detector
 from modsim3d.detector.truncation import accepted_errors, ordered_root
-from modsim3d.learn.clipped_normal import Clipped, clipped_score
+from modsim3d.learn.clipped_checks import Clipped
 from modsim3d.learn.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
 from modsim3d.learn.error_likelihoods import directions
 from modsim3d.learn.error_parameters import ErrorParameters

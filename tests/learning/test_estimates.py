@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.learn.clipped_normal import clipped_sums, fit_clipped
+from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares

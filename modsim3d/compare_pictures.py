@@ -1,25 +1,16 @@
-"""Pictures of runs: contact sheets and cases of a comparison."""
+"""Pictures of vessels in which sources of truth differ."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from modsim3d.annotate.analytic import image_silhouettes, visible_regions
 from modsim3d.compare_findings import VesselDifference
-from modsim3d.film_renderer import open_drawer
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene import Scene
-from modsim3d.stored_run import StoredRun
 from modsim3d.view.comparison_picture import comparison_picture
-from modsim3d.view.contact_sheet import contact_sheet
-from modsim3d.view.frame_picture import CameraView
-from modsim3d.view.highlights import Highlight
 from modsim3d.view.solids import Solids
-
-SHEET_FILE = "contact_sheet.png"
 
 
 def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Image.Image:
@@ -40,20 +31,3 @@ def describe_case(scene: Scene, case: VesselDifference) -> str:
     """What a case shows, where and when."""
     (time,) = scene.timestamps(case.step, case.step + 1)
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"
-
-
-def draw_contact_sheet(run: StoredRun) -> Path:
-    """Draw the contact sheet of a finished run into its folder.
-
-    Returns:
-        The PNG's path.
-    """
-    scene, path = run.scene, run.folder / SHEET_FILE
-    title = f"{scene.name}: annotation mode {scene.annotation.mode}, {scene.annotation.source} truth, seed {scene.seed}"
-
-    def camera_view(highlight: Highlight) -> CameraView:
-        return CameraView.of(scene, run.frame(highlight.camera, highlight.step))
-
-    with open_drawer(scene) as drawer:
-        contact_sheet(run.folder, title, scene.annotation.mode, camera_view, drawer).save(path)
-    return path

@@ -1,0 +1,91 @@
+"""Normal numbers clipped to a range, with those outside moved to its ends (Tobin (1958)): law, scores and fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+from modsim3d.arrays import Array
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+_REACH = 9.0  # standard deviations that the integrals go to
+_MOST_ROUNDS, _SETTLED = 400, 1e-10
+
+
+def clipped_score(scores: Array, means: Array | float, std: float, threshold: float) -> Array:
+    """Derivatives of the log-likelihood by mean and standard deviation, shape (n, 2)."""
+    z = (scores - means) / std
+    low, high = (threshold - np.asarray(means)) / std, (1 - np.asarray(means)) / std
+    below, above = -_hazard(-low), _hazard(high)
+    first = np.where(scores <= threshold, below, np.where(scores >= 1, above, z))
+    second = np.where(scores <= threshold, below * low, np.where(scores >= 1, above * high, z**2 - 1))
+    return np.stack([first, second], axis=-1) / std
+
+
+def _hazard(z: Array) -> Array:
+    """Normal density over the tail above z."""
+    ratio: Array = np.exp(-(z**2) / 2 - special.log_ndtr(-z)) / np.sqrt(2 * np.pi)
+    return ratio
+
+
+def clipped_law(mean: float, std: float, threshold: float) -> tuple[Array, Array]:
+    """Quadrature nodes of the clipped law and their probabilities, shapes (nodes,)."""
+    low, high = max((threshold - mean) / std, -_REACH), min((1 - mean) / std, _REACH)
+    nodes, weights = np.zeros(0), np.zeros(0)
+    if high > low:
+        nodes = (low + high) / 2 + (high - low) / 2 * _NODES
+        weights = (high - low) / 2 * _WEIGHTS * np.exp(-(nodes**2) / 2) / np.sqrt(2 * np.pi)
+    inside = np.clip(mean + std * nodes, threshold + 1e-15, 1 - 1e-15)
+    ends = special.ndtr((threshold - mean) / std), special.ndtr(-(1 - mean) / std)
+    return np.concatenate([[threshold], inside, [1.0]]), np.concatenate([[ends[0]], weights, [ends[1]]])
+
+
+def clipped_sums(values: Array, low: float, high: float) -> Array:
+    """The sums that the fit needs, of each number of shape (n,), shape (n, 5).
+
+    Whether it is at the low end, at the high end and between, and there its value and square.
+    """
+    at_low, at_high = values <= low, values >= high
+    inside = ~(at_low | at_high)
+    return np.column_stack([at_low, at_high, inside, np.where(inside, values, 0), np.where(inside, values**2, 0)]) * 1.0
+
+
+def fit_clipped(sums: Array, low: float, high: float) -> tuple[Array, Array]:
+    """Mean and standard deviation of maximum likelihood, by expectation and maximisation (Dempster et al. (1977)).
+
+    Args:
+        sums: Of `clipped_sums`, shape (rows, 5).
+        low: Lower end of the range; smaller numbers were moved to it.
+        high: Upper end.
+
+    Returns:
+        Shapes (rows,); NaN where there is nothing.
+    """
+    below, above, inside, first, second = sums.T
+    number = below + above + inside
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (below * low + above * high + first) / number
+        std = np.sqrt(np.maximum((below * low**2 + above * high**2 + second) / number - mean**2, 1e-12))
+        for _ in range(_MOST_ROUNDS):
+            m_low, s_low = _tail((low - mean) / std, -1)
+            m_high, s_high = _tail((high - mean) / std, 1)
+            total = below * (mean + std * m_low) + above * (mean + std * m_high) + first
+            squares = (
+                below * (mean**2 + 2 * mean * std * m_low + std**2 * s_low)
+                + above * (mean**2 + 2 * mean * std * m_high + std**2 * s_high)
+                + second
+            )
+            new_mean = total / number
+            new_std = np.sqrt(np.maximum(squares / number - new_mean**2, 1e-12))
+            change = np.nanmax(np.abs(new_mean - mean) + np.abs(new_std - std), initial=0.0)
+            mean, std = new_mean, new_std
+            if change < _SETTLED:
+                break
+    return mean, std
+
+
+def _tail(edge: Array, side: int) -> tuple[Array, Array]:
+    """Mean and mean square of a standard normal number below (−1) or above (1) an edge, shapes of the edge."""
+    away = side * edge
+    hazard = _hazard(away)
+    return side * hazard, 1 + away * hazard
