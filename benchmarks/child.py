@@ -70,8 +70,8 @@ def run(scene: str, warm: bool = False, workers: int = 1, **given: Any) -> Answe
         workers: Processes.
         given: Steps, mode, source, in place of the scene's.
     """
-    from modsim3d.run import run_scene
-    from modsim3d.scene_reader import load_scene
+    from modsim3d.runs.run import run_scene
+    from modsim3d.scene.reading import load_scene
 
     drawn = count_drawing()
     if given.get("source", "rendered") == "rendered":
@@ -98,7 +98,7 @@ def import_renderer() -> None:
     backend = choose_backend()
     prepare_environment(backend)
     backend_module = {"osmesa": "OpenGL.osmesa", "egl": "OpenGL.EGL"}[backend]
-    for module in ("modsim3d.annotate.rendered", "OpenGL.GL.shaders", backend_module):
+    for module in ("modsim3d.truth.rendered", "OpenGL.GL.shaders", backend_module):
         importlib.import_module(module)
 
 
@@ -130,9 +130,9 @@ def shares(scene: str, looks: int = 25) -> Answer:
     Returns:
         The shares of vessels in images whose box overlaps another's; that are hidden in part or wholly; wholly.
     """
-    from modsim3d.annotate.overlaps import overlapping_pairs
-    from modsim3d.scene_reader import load_scene
-    from modsim3d.simulate import open_renderer, truth_block
+    from modsim3d.runs.pipeline import open_renderer, truth_block
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.truth.overlaps import overlapping_pairs
 
     loaded = load_scene(scene)
     rows = overlapping = hidden = wholly = 0
@@ -195,8 +195,8 @@ class OurPass:
     def __init__(self, scene: str) -> None:
         from modsim3d.render.context import open_context
         from modsim3d.render.id_pass import IdRenderer
-        from modsim3d.scene_reader import load_scene
-        from modsim3d.simulate import block_steps
+        from modsim3d.runs.pipeline import block_steps
+        from modsim3d.scene.reading import load_scene
 
         self._drawn = count_drawing()
         self._scene = load_scene(scene, mode=2)
@@ -238,7 +238,7 @@ class OurPass:
         return self._scene.sight(self._scene.cameras[0], np.arange(first, stop))
 
     def _boxes(self, sight: Any) -> tuple[Any, Any]:
-        from modsim3d.simulate import occlusion_by
+        from modsim3d.runs.pipeline import occlusion_by
 
         scene, intrinsics = self._scene, self._scene.cameras[0].intrinsics
         outlines = sight.outlines()
@@ -260,7 +260,7 @@ class PyrenderPass:
         self._pyrender = pyrender = import_pyrender()
         import trimesh
 
-        from modsim3d.scene_reader import load_scene
+        from modsim3d.scene.reading import load_scene
 
         self._loaded = loaded = load_scene(scene)
         intrinsics = loaded.cameras[0].intrinsics
@@ -304,7 +304,7 @@ class PyrenderPass:
 
     def _matrices(self, frame: int) -> list[np.ndarray]:
         """Of the camera and the vessels."""
-        from modsim3d.rotations import world_R_vehicle
+        from modsim3d.geometry.rotations import world_R_vehicle
 
         loaded = self._loaded
         sight = loaded.sight(loaded.cameras[0], np.array([frame]))

@@ -22,13 +22,13 @@ from pathlib import Path
 from PIL import Image
 
 from benchmarks import scenes
-from modsim3d.film_plan import FilmPlan
-from modsim3d.film_renderer import FilmRenderer, open_drawer, open_shaded_picture_renderer
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.selection import StepFrames, select, select_cameras
-from modsim3d.stored_run import open_run
-from modsim3d.view.film_files import EncodedFrame, write_film
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.selection import StepFrames, select, select_cameras
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view.films.files import EncodedFrame, write_film
+from modsim3d.view.films.plan import FilmPlan
+from modsim3d.view.films.renderer import FilmRenderer, open_drawer, open_shaded_picture_renderer
 from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
 
 HERE = Path(__file__).resolve().parent

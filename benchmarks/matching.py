@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import orjson
 
-from modsim3d.learn.matching import Rule, match
-from modsim3d.learn.reading.coco import read_coco
+from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.reading.coco import read_coco
 
 BOXES, IMAGES = 200_000, 40_000
 

@@ -12,24 +12,27 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from modsim3d.errors import ModsimError
-    from modsim3d.run import run_scene
-    from modsim3d.scene import Scene
-    from modsim3d.scene_reader import load_scene
-    from modsim3d.simulate import simulate_frames
+    from modsim3d.runs.pipeline import simulate_frames
+    from modsim3d.runs.run import run_scene
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.scene import Scene
 
 __all__ = ["ModsimError", "Scene", "load_scene", "run_scene", "simulate_frames"]
 
 _HOMES = {
     "ModsimError": "modsim3d.errors",
-    "Scene": "modsim3d.scene",
-    "load_scene": "modsim3d.scene_reader",
-    "run_scene": "modsim3d.run",
-    "simulate_frames": "modsim3d.simulate",
+    "Scene": "modsim3d.scene.scene",
+    "load_scene": "modsim3d.scene.reading",
+    "run_scene": "modsim3d.runs.run",
+    "simulate_frames": "modsim3d.runs.pipeline",
 }
+
+__path__.append(str(Path(__file__).with_name("old_paths")))  # where documented modules are found that have moved
 
 
 def __getattr__(name: str) -> Any:

@@ -46,13 +46,17 @@ class Purpose(Enum):
     BOX_ERROR = "detector.box_error", 4, "error of a box (camera, vessel)"
     BOX_ERROR_REDRAW = "detector.box_error_redraw", None, "errors in place of a rejected one (camera, vessel)"
     BOX_ERROR_SHAPE = "detector.box_error_shape", 1, "scale of a heavy-tailed error of a box (camera, vessel)"
-    BOX_ERROR_REDRAW_SHAPE = "detector.box_error_redraw_shape", None, "the same in place of a rejected one"
+    BOX_ERROR_REDRAW_SHAPE = "detector.box_error_redraw_shape", None, "scale of an error in place of a rejected one"
     MERGE = "detector.merge", 1, "whether two overlapping vessels share a box (camera, both vessels)"
     DOUBLE = "detector.double", 2, "whether a vessel gets a second box or is split, and where (camera, vessel)"
     DUPLICATE = "detector.duplicate", 4, "error of a second box (camera, vessel)"
     DUPLICATE_REDRAW = "detector.duplicate_redraw", None, "second box's errors in place of a rejected one"
     DUPLICATE_SHAPE = "detector.duplicate_shape", 1, "scale of a heavy-tailed error of a second box (camera, vessel)"
-    DUPLICATE_REDRAW_SHAPE = "detector.duplicate_redraw_shape", None, "the same in place of a rejected one"
+    DUPLICATE_REDRAW_SHAPE = (
+        "detector.duplicate_redraw_shape",
+        None,
+        "scale of a second box's error in place of a rejected one",
+    )
     CLUTTER_TRIAL = "detector.clutter_trial", 1, "success of each of the thesis's trials (camera, ordinal)"
     CLUTTER_COUNT = "detector.clutter_count", 1, "number of transient false positives (camera)"
     CLUTTER = "detector.clutter", 5, "place, size and label of a transient false positive (camera, ordinal)"

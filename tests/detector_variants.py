@@ -6,8 +6,8 @@ import copy
 from collections.abc import Callable
 from typing import Any
 
-from modsim3d.scene_reader import data_folder
-from modsim3d.strict_yaml import load_yaml
+from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.scene.reading import data_folder
 
 Data = dict[str, Any]
 

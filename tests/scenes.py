@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.outlines import Outlines, outline
-from modsim3d.bodies import vessel_bodies
-from modsim3d.camera import Intrinsics
-from modsim3d.camera_poses import Mount, poses_ashore
-from modsim3d.rotations import world_R_vehicle
-from modsim3d.scene_reader import data_folder
-from modsim3d.vessels import Vessel
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import Mount, poses_ashore
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.scene.reading import data_folder
+from modsim3d.truth.outlines import Outlines, outline
+from modsim3d.vessels.bodies import vessel_bodies
+from modsim3d.vessels.vessel import Vessel
 
 CAMERA_HEIGHT_M = 10.0
 INTRINSICS = Intrinsics((1000.0, 1000.0), (400.0, 300.0), (800, 600))

@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import truth_block
+from modsim3d.runs.pipeline import truth_block
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.analytic import analytic_occlusion
 from tests.scenes import INTRINSICS, crossing, outlines_of, vessel
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.compare import compare_sources
 from modsim3d.errors import InputError
-from modsim3d.poses.agents import Basin, drive_agents
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.vessels import Vessel
+from modsim3d.motion.poses.agents import Basin, drive_agents
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.verify.compare_sources import compare_sources
+from modsim3d.vessels.vessel import Vessel
 
 ROOT = Path(__file__).resolve().parents[1]
 BASIN = data_folder("scenes") / "basin"

@@ -13,8 +13,8 @@ from benchmarks import bench, child, scenes
 from benchmarks.figures import differing_files
 from benchmarks.growth import COUNTS
 from benchmarks.measured import Bench, significant
-from modsim3d.rotations import world_R_vehicle
-from modsim3d.scene_reader import load_scene
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.scene.reading import load_scene
 
 HERE = scenes.HERE
 FILES = {"small": scenes.small, "dense": scenes.dense}

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from modsim3d.annotate.truth_record import COLUMNS, concatenate
-from modsim3d.camera import Intrinsics
 from modsim3d.detector import TargetCensus
-from modsim3d.rotations import camera_R_parent
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import Simulation, block_ranges, truth_block
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.rotations import camera_R_parent
+from modsim3d.runs.pipeline import Simulation, block_ranges, truth_block
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.truth_record import COLUMNS, concatenate
 from tests.scenes import outlines_of, vessel
 
 STEPS = 24

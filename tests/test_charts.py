@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from modsim3d.view.charts import Axes, error_scatter, precision_recall
+from modsim3d.view.pages.charts import Axes, error_scatter, precision_recall
 
 
 def test_an_ellipse_stays_inside_the_axes():
@@ -23,7 +23,7 @@ def test_an_ellipse_stays_inside_the_axes():
 
 
 def test_a_drawing_is_the_same_in_each_process():
-    script = "from modsim3d.view.charts import Axes\nprint(Axes((0, 1), (0, 1)).drawing('', 'a title', 'x', 'y'))"
+    script = "from modsim3d.view.pages.charts import Axes\nprint(Axes((0, 1), (0, 1)).drawing('', 'a title', 'x', 'y'))"
     drawn = {
         subprocess.run(
             [sys.executable, "-c", script], env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, check=True

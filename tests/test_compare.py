@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d import cli, compare
-from modsim3d.annotate import full_frame, rendered
-from modsim3d.annotate.comparison import EXPLANATIONS, Agreement
-from modsim3d.annotate.occlusion import HiddenPixels
+from modsim3d import cli
+from modsim3d.truth import full_frame, rendered
+from modsim3d.truth.occlusion import HiddenPixels
+from modsim3d.verify import compare_sources as compare
+from modsim3d.verify.comparison import EXPLANATIONS, Agreement
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Agreement, compare_with_analytic
-from modsim3d.annotate.full_frame import pixel_masks
-from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.full_frame import pixel_masks
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.verify.comparison import Agreement, compare_with_analytic
 from tests.scenes import mirrored, moved, outlines_at, outlines_of, random_scene
 
 SEEDS = st.integers(0, 2**32 - 1)

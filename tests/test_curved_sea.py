@@ -6,12 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-from modsim3d import cli, simulate
-from modsim3d.compare import compare_sources
-from modsim3d.curved_sea import RADIUS_M, drop_m, shift_px
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import simulate_frames
+from modsim3d import cli
+from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, shift_px
+from modsim3d.runs import pipeline as simulate
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.compare_sources import compare_sources
 from tests.scenes import write_scene
 
 LONG_LENS = {

@@ -8,11 +8,11 @@ import pytest
 import yaml
 
 from modsim3d import cli
-from modsim3d.detect_run import detect_run
 from modsim3d.errors import InputError, RunDirectoryError
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs.detect_run import detect_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import data_folder, load_scene
 
 DETECTORS = data_folder("scenes") / "detectors"
 ORIGINAL, EXPERIMENT = DETECTORS / "thesis_original.yaml", DETECTORS / "experiment_1.yaml"

@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from modsim3d import cli
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.view import ids_picture, palette
-from modsim3d.view.film_layout import FilmLayout
+from modsim3d.view.films.layout import FilmLayout
 from tests.scenes import crossing
 
 STEPS = 12
@@ -202,9 +202,9 @@ def test_titles_of_several_panels_stand_above_them_and_cover_nothing():
 
 
 def test_crop_to_vessels_keeps_every_box_in_sight(run):
-    from modsim3d.film_plan import crop_to_vessels
-    from modsim3d.selection import select
-    from modsim3d.stored_run import open_run
+    from modsim3d.runs.selection import select
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.films.plan import crop_to_vessels
 
     chosen = select(open_run(run), (0,))
     ((x0, y0, x1, y1),) = crop_to_vessels(chosen)

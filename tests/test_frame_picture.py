@@ -8,9 +8,9 @@ from PIL import Image
 
 from modsim3d.errors import ModsimError
 from modsim3d.render.plain_ids import PlainIds
-from modsim3d.scene import Scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import simulate_frames
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.frame_picture import CameraView, frame_picture
 from modsim3d.view.hatching import silhouette_mask

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from modsim3d.errors import ModsimError
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import simulate_frames
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.plain import below_horizon
 

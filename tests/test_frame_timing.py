@@ -12,17 +12,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d import simulate
 from modsim3d.errors import InputError
-from modsim3d.film_plan import FilmPlan
-from modsim3d.film_renderer import FilmRenderer, open_drawer
-from modsim3d.frame_timing import takes_frame
-from modsim3d.run import run_scene
-from modsim3d.run_report import write_report
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.selection import select
-from modsim3d.simulate import detector_inputs, simulate_frames, truth_block
-from modsim3d.stored_run import open_run
+from modsim3d.runs import pipeline as simulate
+from modsim3d.runs.pipeline import detector_inputs, simulate_frames, truth_block
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.selection import select
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.frame_timing import takes_frame
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.view.films.plan import FilmPlan
+from modsim3d.view.films.renderer import FilmRenderer, open_drawer
+from modsim3d.view.report.report import write_report
 from tests.scenes import CAMERA_HEIGHT_M, write_scene
 
 STEP_S, STEPS = 0.1, 60
@@ -190,7 +190,7 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
 
 
 def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path, monkeypatch):
-    from modsim3d import run_report
+    from modsim3d.view.report import report as run_report
 
     kept = []
     monkeypatch.setattr(run_report, "report_page", lambda page: kept.append(page) or "")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.rotations import world_R_vehicle
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.simulate import truth_block
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.runs.pipeline import truth_block
+from modsim3d.scene.reading import data_folder, load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -81,8 +81,8 @@ def test_region_around_a_box_holds_every_pixel_it_touches_inside_the_image(sides
 
 
 def test_depth_orders_boxes_a_metre_apart_at_five_kilometres_beside_a_boat_at_five_metres(renderer):
-    from modsim3d.annotate.rendered import rendered_occlusion
-    from modsim3d.camera import Intrinsics
+    from modsim3d.geometry.camera import Intrinsics
+    from modsim3d.truth.rendered import rendered_occlusion
 
     lens = Intrinsics((20000.0, 20000.0), (400.0, 300.0), (800, 600))
     front, back = vessel("front", 10, 30, 20), vessel("back", 10, 30, 20)
@@ -100,7 +100,7 @@ def id_images(backend: str) -> bytes:
     script = (
         "import sys, numpy as np\n"
         "from tests.scenes import *\n"
-        "from modsim3d.annotate.triangles import triangles_of\n"
+        "from modsim3d.truth.triangles import triangles_of\n"
         "from modsim3d.render.context import open_context\n"
         "from modsim3d.render.id_pass import IdRenderer, Region\n"
         "with open_context() as context:\n"
@@ -151,7 +151,7 @@ def test_importing_the_package_loads_no_opengl_plotting_or_parquet():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
-    from modsim3d.annotate.triangles import triangles_of
+    from modsim3d.truth.triangles import triangles_of
 
     outlines = outlines_of(random_places(np.random.default_rng(seed), 10))
     triangles = triangles_of(outlines, INTRINSICS)

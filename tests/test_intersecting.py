@@ -6,7 +6,7 @@ import pytest
 
 from modsim3d import cli
 from modsim3d.errors import InputError
-from modsim3d.scene_reader import data_folder
+from modsim3d.scene.reading import data_folder
 
 SCENE = """
 steps: 4

@@ -8,17 +8,17 @@ import shapely
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Agreement, compare_with_analytic
-from modsim3d.annotate.full_frame import pixel_masks
-from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.annotate.silhouettes import silhouette_polygons
-from modsim3d.annotate.subdivision import subdivided
-from modsim3d.camera import Intrinsics
 from modsim3d.errors import InputError
-from modsim3d.lens import Distortion
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import simulate_frames
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.lens import Distortion
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.full_frame import pixel_masks
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.truth.silhouettes import silhouette_polygons
+from modsim3d.truth.subdivision import subdivided
+from modsim3d.verify.comparison import Agreement, compare_with_analytic
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel, write_scene
 
 BARREL = Distortion(k1=-0.21, k2=0.07, p1=0.0013, p2=-0.0021, k3=-0.011)

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d import cli
-from modsim3d.camera import Camera
-from modsim3d.camera_poses import Mount
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import Mount
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.birds_eye import BirdsEye, footprint, hull_m, ring_step, view_of
 from modsim3d.view.map_picture import RINGS, map_figure, map_height_px, map_picture

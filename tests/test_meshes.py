@@ -18,12 +18,12 @@ import trimesh
 import yaml
 
 from modsim3d.errors import InputError
-from modsim3d.meshes import MAX_FACES, MAX_VERTICES, load_mesh, shipped_meshes
-from modsim3d.meshes.glb import read_glb
-from modsim3d.meshes.headers import read_obj
-from modsim3d.meshes.limits import Refused, leads_outside
-from modsim3d.meshes.shape import AXES, axis, is_closed, signed_volume, vehicle_R_file
-from modsim3d.vessels import Solid, shoebox
+from modsim3d.vessels.meshes import MAX_FACES, MAX_VERTICES, load_mesh, shipped_meshes
+from modsim3d.vessels.meshes.glb import read_glb
+from modsim3d.vessels.meshes.headers import read_obj
+from modsim3d.vessels.meshes.limits import Refused, leads_outside
+from modsim3d.vessels.meshes.shape import AXES, axis, is_closed, signed_volume, vehicle_R_file
+from modsim3d.vessels.vessel import Solid, shoebox
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("container_ship", "ferry", "fishing_vessel", "kayak", "motorboat", "sailboat")
@@ -542,5 +542,5 @@ def test_any_damaged_file_is_refused_or_a_solid(tmp_path: Path) -> None:
 
 
 def test_importing_modsim3d_and_its_meshes_loads_no_trimesh() -> None:
-    code = "import modsim3d, modsim3d.meshes, sys; sys.exit('trimesh' in sys.modules)"
+    code = "import modsim3d, modsim3d.vessels.meshes, sys; sys.exit('trimesh' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

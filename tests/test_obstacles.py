@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.camera_inside import first_body_around
-from modsim3d.annotate.comparison import Agreement, compare_with_analytic
-from modsim3d.annotate.full_frame import full_frame_occlusion, pixel_masks
-from modsim3d.annotate.occlusion_order import order_of
-from modsim3d.annotate.outlines import outline
-from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.annotate.truth_record import COLUMNS, concatenate
-from modsim3d.bodies import vessel_bodies
-from modsim3d.camera import Intrinsics
-from modsim3d.camera_poses import Mount, poses_ashore
 from modsim3d.errors import InputError
-from modsim3d.obstacles import Obstacle, extruded, obstacle_bodies
-from modsim3d.rotations import world_R_vehicle
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import open_renderer, simulate_frames, truth_block
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import Mount, poses_ashore
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.camera_inside import first_body_around
+from modsim3d.truth.full_frame import full_frame_occlusion, pixel_masks
+from modsim3d.truth.occlusion_order import order_of
+from modsim3d.truth.outlines import outline
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.truth.truth_record import COLUMNS, concatenate
+from modsim3d.verify.comparison import Agreement, compare_with_analytic
+from modsim3d.vessels.bodies import vessel_bodies
+from modsim3d.vessels.obstacles import Obstacle, extruded, obstacle_bodies
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, random_scene, vessel, write_scene
 
 SQUARE = [[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]]

@@ -7,13 +7,13 @@ import pytest
 import shapely
 from scipy.optimize import linprog
 
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import compare_with_analytic
-from modsim3d.annotate.full_frame import pixel_masks
-from modsim3d.annotate.occlusion_order import order_of
-from modsim3d.annotate.rectangle_rule import rectangle_occlusion
-from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.rotations import rotation, world_R_vehicle
+from modsim3d.geometry.rotations import rotation, world_R_vehicle
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.full_frame import pixel_masks
+from modsim3d.truth.occlusion_order import order_of
+from modsim3d.truth.rectangle_rule import rectangle_occlusion
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.verify.comparison import compare_with_analytic
 from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
 
 SHIP, BOAT = 0, 1

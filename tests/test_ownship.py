@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
-from modsim3d.imu import Imu
-from modsim3d.ownship import own_ships_at
-from modsim3d.poses.base import generated_timestamps
-from modsim3d.poses.circular import CircularMotion
-from modsim3d.rotations import rotation_vector, world_R_vehicle
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.vessel_motion import Waves
-from modsim3d.waves import GRAVITY_M_S2, Motion
+from modsim3d.geometry.rotations import rotation_vector, world_R_vehicle
+from modsim3d.motion.imu import Imu
+from modsim3d.motion.poses.base import generated_timestamps
+from modsim3d.motion.poses.circular import CircularMotion
+from modsim3d.motion.vessel_motion import Waves
+from modsim3d.motion.waves import GRAVITY_M_S2, Motion
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.own_ships import own_ships_at
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 STEPS, STEP_S = 120, 0.05
@@ -210,7 +210,7 @@ def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monke
     rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01, rate_bias_rad_s=0.1))
     written = []
     for steps in (1, 7, STEPS):
-        monkeypatch.setattr("modsim3d.simulate.block_steps", lambda scene, steps=steps: steps)
+        monkeypatch.setattr("modsim3d.runs.pipeline.block_steps", lambda scene, steps=steps: steps)
         run_scene(rough, tmp_path / str(steps))
         written.append((tmp_path / str(steps) / "ownship.parquet").read_bytes())
     assert written[0] == written[1] == written[2]

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.plugins import POSE_SOURCES, SHAPES, WAVE_LEVELS, load_plugin, plugin_names
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.shape_plugins import find_shape, shape_problem
-from modsim3d.simulate import simulate_frames
-from modsim3d.stored_run import open_run
-from modsim3d.vessels import shoebox
-from modsim3d.wave_levels import find_level
-from modsim3d.waves import LEVELS, Axis, level_axes
+from modsim3d.inputs.plugins import POSE_SOURCES, SHAPES, WAVE_LEVELS, load_plugin, plugin_names
+from modsim3d.motion.waves import LEVELS, Axis, level_axes
+from modsim3d.motion.waves.levels import find_level
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.vessels.shapes import find_shape, shape_problem
+from modsim3d.vessels.vessel import shoebox
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -174,13 +174,13 @@ def test_two_packages_with_one_name_are_an_error_that_names_both(site, tmp_path)
     assert problem.startswith("poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'")
 
 
-HEAD = "from modsim3d.poses import PosesByTime, SourceKeys\nfrom modsim3d.validation import Strict\n"
+HEAD = "from modsim3d.motion.poses import PosesByTime, SourceKeys\nfrom modsim3d.inputs.validation import Strict\n"
 BROKEN = {
     "missing_import": ("import no_such_module_here", "ModuleNotFoundError: No module named 'no_such_module_here'"),
     "syntax": ("class Drift(:\n", "SyntaxError"),
     "nothing_there": ("Other = 1", "has no attribute 'Drift'"),
-    "a_number": ("Drift = 3", "must be a class made from modsim3d.poses.PosesByTime"),
-    "another_class": ("class Drift: ...", "must be a class made from modsim3d.poses.PosesByTime"),
+    "a_number": ("Drift = 3", "must be a class made from modsim3d.motion.poses.PosesByTime"),
+    "another_class": ("class Drift: ...", "must be a class made from modsim3d.motion.poses.PosesByTime"),
     "a_model": ("from pydantic import BaseModel\nclass Drift(BaseModel): ...", "must be a class made from"),
     "no_build": (HEAD + "class Drift(SourceKeys, Strict): ...", "failed: NotImplementedError"),
     "bad_validator": (
@@ -210,8 +210,8 @@ BROKEN = {
         "positions_m must be finite",
     ),
     "wrong_shape": (
-        HEAD
-        + "import numpy as np\nfrom modsim3d.poses import Poses\nclass P:\n  timestamps = ['0', '1', '2', '3', '4']\n"
+        HEAD + "import numpy as np\nfrom modsim3d.motion.poses import Poses\n"
+        "class P:\n  timestamps = ['0', '1', '2', '3', '4']\n"
         "  def poses(self, f, s):\n    n = s - f\n"
         "    return Poses(np.ones((n, 1), bool), np.zeros((n, 1, 3)), np.zeros((n, 1)))\n"
         "class Drift(SourceKeys, Strict):\n  def build(self, request): return P()",
@@ -251,7 +251,7 @@ def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
     assert scene.plugins == (plugin,)
     assert np.ptp(scene.waves.motion.angles("a", np.arange(5.0), np.arange(5))[:, 1]) > 0
     (problem,) = problems_of(scene_with(tmp_path, waves={"level": "wrong"}))
-    assert "must be three modsim3d.waves.Axis, for roll, pitch, yaw" in problem
+    assert "must be three modsim3d.motion.waves.Axis, for roll, pitch, yaw" in problem
 
 
 @pytest.mark.parametrize("level", LEVELS)

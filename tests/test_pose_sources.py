@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from modsim3d.errors import InputError
-from modsim3d.poses.agents import AgentsKeys, Basin, drive_agents
-from modsim3d.poses.registry import SOURCES
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import simulate_frames
+from modsim3d.motion.poses.agents import AgentsKeys, Basin, drive_agents
+from modsim3d.motion.poses.registry import SOURCES
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 

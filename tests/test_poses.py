@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.errors import InputError
-from modsim3d.poses import circular_motion, generated_timestamps
-from modsim3d.poses.circular import swept_ring
-from modsim3d.poses.replay import parse_poses
-from modsim3d.vessels import Vessel
+from modsim3d.motion.poses import circular_motion, generated_timestamps
+from modsim3d.motion.poses.circular import swept_ring
+from modsim3d.motion.poses.replay import parse_poses
+from modsim3d.vessels.vessel import Vessel
 
 SHIPS = tuple(Vessel(f"vessel{i}", "Vessel", *size) for i, size in enumerate([(14, 4, 20)] * 2 + [(7, 3, 4)] * 3))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modsim3d.scene_file import SceneKeys
+from modsim3d.scene.keys import SceneKeys
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.modes import Annotation, annotated_rows, annotation_boxes
-from modsim3d.annotate.rectangle_rule import rectangle_occlusion
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
+from modsim3d.truth.rectangle_rule import rectangle_occlusion
 from tests.scenes import INTRINSICS, outlines_of, vessel
 
 B = (100.0, 100.0, 200.0, 200.0)  # the box that is looked at; everything else is before it unless its depth says not

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.camera_poses import Mount
+from modsim3d.geometry.camera_poses import Mount
+from modsim3d.truth.rendered import rendered_occlusion
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 

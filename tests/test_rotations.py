@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.rotations import BASE_R_WORLD, attitude, camera_R_parent, heading_of, rotation, world_R_vehicle
+from modsim3d.geometry.rotations import BASE_R_WORLD, attitude, camera_R_parent, heading_of, rotation, world_R_vehicle
 
 angles = st.floats(-10, 10)
 

@@ -12,9 +12,9 @@ import pytest
 import modsim3d
 from modsim3d.detector import TargetCensus
 from modsim3d.errors import RunDirectoryError
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.simulate import Simulation, block_ranges, simulate_frames, truth_block
+from modsim3d.runs.pipeline import Simulation, block_ranges, simulate_frames, truth_block
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import data_folder, load_scene
 
 STEPS = 600
 FILES = {

@@ -13,10 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d import cli, simulate
+from modsim3d import cli
 from modsim3d.detector import KINDS
-from modsim3d.scene import Scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs import pipeline as simulate
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.scene import Scene
 
 DETECTORS = Path(__file__).resolve().parents[1] / "scenes" / "detectors"
 SCENE = """

@@ -11,9 +11,9 @@ import pytest
 from rerun.chunk import RrdReader
 
 from modsim3d import cli
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing
 
 STEPS, EVERY = 14, 2

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from modsim3d.errors import InputError
-from modsim3d.rotations import vehicle_R_nominal, world_R_vehicle
-from modsim3d.scene_reader import load_scene
-from modsim3d.waves import GRAVITY_M_S2, FloatingVessels, Hull, Passage, Sea, jonswap_sea
-from modsim3d.waves.hull import ROLL_DAMPING, response
-from modsim3d.waves.jonswap import jonswap_shape
+from modsim3d.geometry.rotations import vehicle_R_nominal, world_R_vehicle
+from modsim3d.motion.waves import GRAVITY_M_S2, FloatingVessels, Hull, Passage, Sea, jonswap_sea
+from modsim3d.motion.waves.hull import ROLL_DAMPING, response
+from modsim3d.motion.waves.jonswap import jonswap_shape
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 BOAT = Hull(12.0, 4.0)

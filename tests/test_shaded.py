@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.annotate.pixel_masks import ROUNDING_PX
 from modsim3d.errors import ModsimError
 from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
-from modsim3d.scene_reader import load_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.pixel_masks import ROUNDING_PX
 from modsim3d.view import palette, shaded_picture
 from modsim3d.view.navigation_lights import GREEN, RED, WHITE, lights
 from modsim3d.view.render_style import RenderStyle

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.annotate.truth_record import COLUMNS
 from modsim3d.errors import ModsimError, RunDirectoryError
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import open_renderer, simulate_frames, truth_block
-from modsim3d.stored_run import open_run
+from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.truth.truth_record import COLUMNS
 from tests.scenes import write_scene
 
 STEPS = 300

@@ -17,13 +17,13 @@ import yaml
 
 from modsim3d import cli
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.formats import tables
-from modsim3d.poses import LivePoses, Poses
-from modsim3d.poses.stream import follow, read_steps
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
-from modsim3d.simulate import simulate_frames
-from modsim3d.stored_run import open_run
+from modsim3d.motion.poses import LivePoses, Poses
+from modsim3d.motion.poses.stream import follow, read_steps
+from modsim3d.runs.files import tables
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from modsim3d.annotate import buffer_drawing
-from modsim3d.annotate.analytic import analytic_occlusion
-from modsim3d.annotate.comparison import Agreement, compare_with_analytic
-from modsim3d.annotate.full_frame import pixel_masks
-from modsim3d.annotate.rendered import rendered_occlusion
-from modsim3d.camera import Intrinsics
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.truth import buffer_drawing
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.full_frame import pixel_masks
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.verify.comparison import Agreement, compare_with_analytic
 from tests.scenes import INTRINSICS, outlines_of, random_places, random_scene, vessel
 
 SMALL = Intrinsics((500.0, 500.0), (200.0, 150.0), (400, 300))

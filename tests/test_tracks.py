@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from modsim3d.errors import InputError
-from modsim3d.poses.tracks import waypoint_tracks
-from modsim3d.scene_reader import load_scene
+from modsim3d.motion.poses.tracks import waypoint_tracks
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 CORNER = {"a": [(2.0, 0.0, 0.0), (6.0, 8.0, 0.0), (8.0, 8.0, -6.0)]}

@@ -1,7 +1,7 @@
 import numpy as np
 import trimesh
 
-from modsim3d.vessels import shoebox
+from modsim3d.vessels.vessel import shoebox
 
 
 def test_shoebox_is_the_closed_box_of_trimesh():

@@ -8,8 +8,8 @@ import warnings
 import pytest
 
 from modsim3d import cli
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import load_scene
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing, write_scene
 from tests.test_film import view
 

@@ -7,17 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.camera_poses import Mount, poses_on_board
-from modsim3d.rotations import camera_R_parent, vehicle_R_nominal
-from modsim3d.scene_reader import load_scene
-from modsim3d.waves import (
-    LEVELS,
-    SMALL_SIGMA_RAD,
-    Axis,
-    SecondOrderWaves,
-    level_axes,
-    second_order,
-)
+from modsim3d.geometry.camera_poses import Mount, poses_on_board
+from modsim3d.geometry.rotations import camera_R_parent, vehicle_R_nominal
+from modsim3d.motion.waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes, second_order
+from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
 FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modsim3d.formats.ownship_table import OWN_SHIP
-from modsim3d.scene_file import ImuKeys, WavesKeys
+from modsim3d.runs.files.own_ships_table import OWN_SHIP
+from modsim3d.scene.keys import ImuKeys, WavesKeys
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "waves.md").read_text(encoding="utf-8")
 KEYS = {"waves": WavesKeys, "imu": ImuKeys}

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 import shapely
 
-from modsim3d.annotate.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
-from modsim3d.annotate.full_frame import pixel_masks
-from modsim3d.annotate.occlusion import Occlusion
-from modsim3d.annotate.rendered import rendered_occlusion
+from modsim3d.truth.full_frame import pixel_masks
+from modsim3d.truth.occlusion import Occlusion
+from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.verify.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
 from tests.scenes import outlines_of, random_scene
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

@@ -22,20 +22,20 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detect_many import ManyDetections
-from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
-from modsim3d.learn.box_error_checks import box_error_checks
-from modsim3d.learn.class_checks import class_checks
-from modsim3d.learn.clutter_checks import clutter_checks
-from modsim3d.learn.confidence_checks import confidence_checks
-from modsim3d.learn.error_fit import MomentTable
-from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.parameters import Parameter, judge
-from modsim3d.learn.state_checks import state_checks
-from modsim3d.learn.verification import verify
-from modsim3d.scene import Scene
-from modsim3d.scene_reader import load_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.verify.box_error_checks import box_error_checks
+from modsim3d.verify.class_checks import class_checks
+from modsim3d.verify.clutter_checks import clutter_checks
+from modsim3d.verify.confidence_checks import confidence_checks
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.parameters import Parameter, judge
+from modsim3d.verify.state_checks import state_checks
+from modsim3d.verify.verification import verify
 from tests.detector_changes import Change, single_changes
 from tests.detector_variants import variant
 

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detect_many import ManyDetections
-from modsim3d.detector.loader import load_detector, parse_detector
-from modsim3d.learn.error_fit import MomentTable
-from modsim3d.learn.verification import verify
-from modsim3d.scene_reader import data_folder, load_scene
+from modsim3d.detector.file.reading import load_detector, parse_detector
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.verification import verify
 from tests.detector_variants import CHANGES, variant
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

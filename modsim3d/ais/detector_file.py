@@ -8,8 +8,8 @@ from typing import Any
 
 import yaml
 
-from modsim3d.strict_yaml import load_yaml
-from modsim3d.text_files import read_text
+from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.inputs.text_files import read_text
 
 NOTE = """\
 # The detector of {name}, spread over several labels: the same chance to miss a vessel whatever it is, none to take

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from modsim3d.ais.region import Region
 from modsim3d.ais.ship_types import ship_types
 from modsim3d.errors import InputError
-from modsim3d.validation import nearest
+from modsim3d.inputs.validation import nearest
 
 COMMAND_LINE = "command line"
 

@@ -17,7 +17,7 @@ from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, sou
 from modsim3d.ais.reports import Chunk, Particulars, Positions
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
-from modsim3d.validation import shown
+from modsim3d.inputs.validation import shown
 
 BLOCK_BYTES = 1 << 24
 SHOWN_PROBLEMS = 5

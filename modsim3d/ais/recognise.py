@@ -14,7 +14,7 @@ from typing import IO
 
 from modsim3d.ais.layouts import Layout, layout_of
 from modsim3d.errors import InputError
-from modsim3d.validation import shown
+from modsim3d.inputs.validation import shown
 
 GZIP, ZIP, ZSTANDARD = b"\x1f\x8b", b"PK\x03\x04", b"\x28\xb5\x2f\xfd"
 SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")

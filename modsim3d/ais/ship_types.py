@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from modsim3d.strict_yaml import load_yaml
+from modsim3d.inputs.strict_yaml import load_yaml
 
 TABLE = Path(__file__).with_name("ship_types.yaml")
 UNKNOWN = "unknown"

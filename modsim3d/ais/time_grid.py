@@ -11,7 +11,7 @@ from modsim3d.ais.reports import Positions
 from modsim3d.ais.resampling import ROUNDING_S
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import ModsimError
-from modsim3d.poses.base import generated_timestamps
+from modsim3d.motion.poses.base import generated_timestamps
 
 MAX_STEPS = 1_000_000
 

@@ -75,7 +75,7 @@ def ais_command(
     from modsim3d.ais import options as given
     from modsim3d.ais.conversion import read_traffic
     from modsim3d.ais.scene_folder import check_free, write_scene
-    from modsim3d.shipped import data_folder
+    from modsim3d.inputs.shipped import data_folder
 
     options = given.Options(
         origin=given.parse_origin(origin) if origin else None,

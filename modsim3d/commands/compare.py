@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.commands.progress import progress_bar
 from modsim3d.commands.shared import SceneArgument, print_rows
 from modsim3d.errors import ModsimError
-from modsim3d.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modsim3d.compare_figures import Figures
+    from modsim3d.verify.compare_figures import Figures
 
 
 def compare_command(
@@ -34,10 +34,10 @@ def compare_command(
     """
     from rich.console import Console
 
-    from modsim3d import compare_report
-    from modsim3d.compare import compare_sources
-    from modsim3d.scene_reader import load_scene
-    from modsim3d.simulate import open_renderer
+    from modsim3d.runs.pipeline import open_renderer
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.verify import compare_report
+    from modsim3d.verify.compare_sources import compare_sources
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
     if out is not None:
@@ -63,7 +63,7 @@ def compare_command(
 
 def _print_figures(console: Console, figures: Figures) -> None:
     """Print the tables that have rows."""
-    from modsim3d import compare_report
+    from modsim3d.verify import compare_report
 
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),

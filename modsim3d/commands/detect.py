@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from modsim3d.commands.progress import progress
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import FinishedRunArgument, OverwriteOption, WorkersOption
-from modsim3d.progress import progress
 
 
 def detect_command(
@@ -24,8 +24,8 @@ def detect_command(
 
     Example: modsim3d detect runs/first --detector my/detector.yaml --seed 7 --out runs/second
     """
-    from modsim3d.detect_run import detect_run
-    from modsim3d.stored_run import open_run
+    from modsim3d.runs.detect_run import detect_run
+    from modsim3d.runs.stored_run import open_run
 
     stored = open_run(run)
     with progress(stored.scene.name, stored.scene.steps) as advance:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from modsim3d.learn.labelled import LabelledSet
-    from modsim3d.learn.reading.pair import ReadOptions
-    from modsim3d.learn_report import Report
+    from modsim3d.formats.labelled import LabelledSet
+    from modsim3d.formats.reading.pair import ReadOptions
+    from modsim3d.learn.report import Report
 
 
 class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -74,10 +74,10 @@ def learn_command(
 
     Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
     """
+    from modsim3d.formats.matching import Rule
+    from modsim3d.inputs.text_files import read_text
+    from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import Settings
-    from modsim3d.learn.matching import Rule
-    from modsim3d.learn_detector import LearnOptions, learn_detector
-    from modsim3d.text_files import read_text
 
     page = out.with_suffix(".html") if page is None else page
     if page == out:
@@ -96,7 +96,7 @@ def learn_command(
 def _read_options(
     labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int
 ) -> ReadOptions:
-    from modsim3d.learn.reading.pair import ReadOptions
+    from modsim3d.formats.reading.pair import ReadOptions
 
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
     if frame_rate is not None and not 0 < frame_rate < math.inf:
@@ -124,8 +124,8 @@ def _labelled_set(
     options: ReadOptions,
 ) -> tuple[LabelledSet, float | None]:
     """All files and runs as one set, and the time between transitions where runs name one."""
-    from modsim3d.learn.labelled import joined
-    from modsim3d.learn.reading.pair import read_pair
+    from modsim3d.formats.labelled import joined
+    from modsim3d.formats.reading.pair import read_pair
 
     if len(truth) != len(detections):
         raise ModsimError(
@@ -142,7 +142,7 @@ def _labelled_set(
     parts = [read_pair(*pair, options) for pair in zip(names, truth, detections, strict=True)]
     interval_s = None
     for folder in runs:
-        from modsim3d.learn_sets import labelled_run
+        from modsim3d.formats.labelled_run import labelled_run
 
         labelled, opened = labelled_run(folder)
         parts.append(labelled)
@@ -152,9 +152,9 @@ def _labelled_set(
 
 def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
     """Write the detector file, its numbers corrected for the bias if asked for, and the page."""
-    from modsim3d.formats.detector_yaml import detector_text
-    from modsim3d.learn_page import write_page
-    from modsim3d.learn_report import lead
+    from modsim3d.detector.file.writing import detector_text
+    from modsim3d.learn.page import write_page
+    from modsim3d.learn.report import lead
 
     learned = report.bias.corrected() if correct and report.bias else report.learned
     comments = [f"Learned by modsim3d learn. {lead(report)}"]
@@ -172,7 +172,7 @@ def _show(report: Report, out: Path, page: Path) -> None:
     """Print the tables."""
     from rich.console import Console
 
-    from modsim3d.learn_report import NEVER_LEARNED, lead, tables
+    from modsim3d.learn.report import NEVER_LEARNED, lead, tables
 
     console = Console()
     console.print(lead(report), highlight=False, markup=False)
@@ -230,7 +230,7 @@ def export_command(
     Example: modsim3d export runs/first --coco exported
     """
     from modsim3d.formats.coco import write_coco
-    from modsim3d.learn_sets import labelled_run
+    from modsim3d.formats.labelled_run import labelled_run
 
     labelled, _ = labelled_run(run)
     written = write_coco(labelled, coco)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from modsim3d.progress import progress_bar
+from modsim3d.commands.progress import progress_bar
 
 
 def report_command(
@@ -19,8 +19,8 @@ def report_command(
 
     Example: modsim3d report runs/first
     """
-    from modsim3d.run_report import write_report
-    from modsim3d.stored_run import open_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.report.report import write_report
 
     opened = open_run(run)
     with progress_bar() as bar:
@@ -40,8 +40,8 @@ def rerun_command(
 
     Example: modsim3d rerun runs/first --out first.rrd
     """
-    from modsim3d.run_rerun import write_recording
-    from modsim3d.stored_run import open_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.rerun_recording import write_recording
 
     opened = open_run(run)
     out = run / "run.rrd" if out is None else out

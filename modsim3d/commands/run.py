@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from modsim3d.commands.progress import progress
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import (
     INTERRUPTED,
@@ -19,7 +20,6 @@ from modsim3d.commands.shared import (
     StepsOption,
     WorkersOption,
 )
-from modsim3d.progress import progress
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -58,8 +58,8 @@ def run_command(
 
     Example: modsim3d run simulation_1 --mode 2 --out runs/first
     """
-    from modsim3d.run import run_scene
-    from modsim3d.scene_reader import load_scene
+    from modsim3d.runs.run import run_scene
+    from modsim3d.scene.reading import load_scene
 
     loaded = load_scene(
         scene,
@@ -77,8 +77,8 @@ def run_command(
     with _interruptible(kept), progress(loaded.name, total) as advance:
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
-        from modsim3d.draw_contact_sheet import draw_contact_sheet
-        from modsim3d.stored_run import open_run
+        from modsim3d.runs.stored_run import open_run
+        from modsim3d.view.draw_contact_sheet import draw_contact_sheet
 
         draw_contact_sheet(open_run(folder))
     print_summary(loaded, result, sheet)

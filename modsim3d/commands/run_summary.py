@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from modsim3d.commands.shared import print_line
 
 if TYPE_CHECKING:
-    from modsim3d.counts import Counts
-    from modsim3d.run import RunResult
-    from modsim3d.scene import Scene
+    from modsim3d.runs.counts import Counts
+    from modsim3d.runs.run import RunResult
+    from modsim3d.scene.scene import Scene
 
 Row = tuple[str, str, str]
 """Name, value and meaning."""

@@ -12,7 +12,7 @@ def check_command(scene: SceneArgument) -> None:
 
     Example: modsim3d check my/scene.yaml
     """
-    from modsim3d.scene_reader import load_scene
+    from modsim3d.scene.reading import load_scene
 
     loaded = load_scene(scene)
     steps = "as they come" if loaded.live else loaded.steps
@@ -27,7 +27,7 @@ def scenes_command() -> None:
 
     Example: modsim3d scenes
     """
-    from modsim3d.scene_reader import shipped_scenes
+    from modsim3d.scene.reading import shipped_scenes
 
     for name, path in shipped_scenes().items():
         first = path.read_text(encoding="utf-8").partition("\n")[0]

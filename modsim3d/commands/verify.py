@@ -13,7 +13,7 @@ from modsim3d.commands.shared import FinishedRunArgument, print_line
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modsim3d.learn.parameters import Verdict
+    from modsim3d.verify.parameters import Verdict
 
 
 WIDE = 150
@@ -37,9 +37,9 @@ def verify_command(
     """
     from rich.console import Console
 
-    from modsim3d import verify_report
-    from modsim3d.stored_run import open_run
-    from modsim3d.verify_run import verify_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.verify import report as verify_report
+    from modsim3d.verify.verify_run import verify_run
 
     verified = verify_run(open_run(run), detector)
     folder = run if out is None else out
@@ -63,7 +63,7 @@ def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -
     from rich.markup import escape
     from rich.table import Table
 
-    from modsim3d.verify_report import HEADER, row_of
+    from modsim3d.verify.report import HEADER, row_of
 
     left_out = {name for name, least in (("interval", 120), ("noticed from", 100)) if console.width < least}
     shown = [i for i, name in enumerate(HEADER) if name not in left_out]

@@ -13,9 +13,9 @@ from modsim3d.commands.view_output import check_free, check_free_folder, film_fo
 from modsim3d.errors import ModsimError, RendererError
 
 if TYPE_CHECKING:
-    from modsim3d.film_plan import FilmPlan
-    from modsim3d.selection import Selection
-    from modsim3d.stored_run import StoredRun
+    from modsim3d.runs.selection import Selection
+    from modsim3d.runs.stored_run import StoredRun
+    from modsim3d.view.films.plan import FilmPlan
     from modsim3d.view.render_style import RenderStyle
 
 INTERRUPTED = 130
@@ -49,8 +49,8 @@ def view_command(
 
     Example: modsim3d view runs/simulation_1 --film detections --crop vessels
     """
-    from modsim3d.selection import select_cameras
-    from modsim3d.stored_run import open_run
+    from modsim3d.runs.selection import select_cameras
+    from modsim3d.runs.stored_run import open_run
 
     _check_task(film, frame, map_, at, sheet)
     style, boxes_on_scene = _style(film, look, visibility, night)
@@ -92,7 +92,7 @@ def _select(
     only_with_vessels: bool,
 ) -> Selection:
     """The step of `--frame`, or else those of the options of a film."""
-    from modsim3d.selection import find_step, select, times_of
+    from modsim3d.runs.selection import find_step, select, times_of
 
     if frame is None:
         return select(run, cameras, from_s=from_s, to_s=to_s, every=every, only_with_vessels=only_with_vessels)
@@ -103,7 +103,7 @@ def _select(
 def _say_what_there_is(run: StoredRun) -> None:
     """Tell which steps of an interrupted run are drawn."""
     if not run.finished:
-        from modsim3d.selection import span
+        from modsim3d.runs.selection import span
 
         typer.echo(f"modsim3d: {span(run)}", err=True)
 
@@ -135,9 +135,9 @@ def _style(film: Film | None, look: Style | None, visibility: float | None, nigh
 def _draw_map(
     run: StoredRun, cameras: tuple[int, ...], at: str | None, width: int | None, out: Path | None, overwrite: bool
 ) -> None:
-    from modsim3d.film_plan import WIDTH_PX
-    from modsim3d.selection import find_step, times_of
+    from modsim3d.runs.selection import find_step, times_of
     from modsim3d.view.birds_eye import BirdsEye
+    from modsim3d.view.films.plan import WIDTH_PX
     from modsim3d.view.map_picture import FORMATS, check_matplotlib, save_map
 
     step = len(times_of(run)) - 1 if at is None else find_step(run, at)
@@ -159,7 +159,7 @@ def _plan(
     style: RenderStyle,
     boxes_on_scene: bool,
 ) -> FilmPlan:
-    from modsim3d.film_plan import ALL, SEVERAL_WIDTH_PX, WIDTH_PX, FilmPlan, crop_to_vessels, parse_crop
+    from modsim3d.view.films.plan import ALL, SEVERAL_WIDTH_PX, WIDTH_PX, FilmPlan, crop_to_vessels, parse_crop
     from modsim3d.view.layers import Layers
 
     kinds = ALL if film is Film.all else (film.value,)
@@ -177,7 +177,7 @@ def _plan(
 
 
 def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
-    from modsim3d.draw_contact_sheet import SHEET_FILE, draw_contact_sheet
+    from modsim3d.view.draw_contact_sheet import SHEET_FILE, draw_contact_sheet
 
     if not run.finished:
         raise ModsimError(
@@ -189,7 +189,7 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
 
 
 def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | None, overwrite: bool) -> None:
-    from modsim3d.draw_film import draw_picture
+    from modsim3d.view.films.film import draw_picture
 
     path = out or selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png"
     if path.suffix.lower() != ".png":
@@ -208,9 +208,9 @@ def _draw_film(
     out: Path | None,
     overwrite: bool,
 ) -> None:
-    from modsim3d.draw_film import draw_film
-    from modsim3d.progress import progress_bar
-    from modsim3d.view.film_files import check_encoder
+    from modsim3d.commands.progress import progress_bar
+    from modsim3d.view.films.files import check_encoder
+    from modsim3d.view.films.film import draw_film
 
     if not 0 < speed < float("inf"):
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")

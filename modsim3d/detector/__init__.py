@@ -2,7 +2,7 @@
 
 from modsim3d.detector.census import TargetCensus, take_census
 from modsim3d.detector.chain import Detector
-from modsim3d.detector.loader import load_detector, parse_detector
+from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, TRUE, CameraFrames, Detections, Targets
 

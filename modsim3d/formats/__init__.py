@@ -1,1 +1,1 @@
-"""Files of a run, written and read back, and files of other programs."""
+"""Files of other programs, in and out, through one labelled set."""

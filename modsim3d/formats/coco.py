@@ -12,7 +12,7 @@ from typing import Any
 
 import orjson
 
-from modsim3d.learn.labelled import LabelledSet
+from modsim3d.formats.labelled import LabelledSet
 
 
 def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:

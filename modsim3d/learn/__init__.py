@@ -1,1 +1,1 @@
-"""What a detector's output says about the detector: a detector file out of it, and whether a run obeys one."""
+"""Learning: a detector file out of a detector's results on a labelled set."""

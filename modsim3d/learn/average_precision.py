@@ -12,8 +12,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.learn.labelled import LabelledSet
-from modsim3d.learn.matching import Matched
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched
 
 COCO_POINTS, FEW_POINTS = 101, 11
 

@@ -14,9 +14,9 @@ from enum import Enum
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.formats.labelled import NOBODY, LabelledSet
+from modsim3d.formats.matching import Matched, image_pairs, overlap
 from modsim3d.learn.average_precision import Curve
-from modsim3d.learn.labelled import NOBODY, LabelledSet
-from modsim3d.learn.matching import Matched, image_pairs, overlap
 
 
 class ErrorKind(Enum):

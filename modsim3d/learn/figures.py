@@ -8,11 +8,11 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import errors_between
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched
 from modsim3d.learn.average_precision import Ranking, average_precisions
 from modsim3d.learn.error_moments import ErrorMoments
 from modsim3d.learn.form import ratio
-from modsim3d.learn.labelled import LabelledSet
-from modsim3d.learn.matching import Matched
 from modsim3d.learn.resampling import Column, Resampling
 
 CURVE_REPLICATES = 200

@@ -14,15 +14,15 @@ from scipy import stats
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector import Detector, take_census
-from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
 from modsim3d.errors import ModsimError
+from modsim3d.formats.labelled import NOBODY, LabelledSet, Results
+from modsim3d.formats.matching import match
 from modsim3d.learn.entries import Entry, entries_of, with_entries
-from modsim3d.learn.labelled import NOBODY, LabelledSet, Results
 from modsim3d.learn.learned import Learned, Settings, learn_again
-from modsim3d.learn.matching import match
 from modsim3d.learn.resampling import Column, Kind, from_scale, spread, to_scale
 
 SURE = 0.05

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.formats.matching import Rule
 from modsim3d.learn.box_error_estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
 from modsim3d.learn.class_estimate import ClassForm, LearnedClasses, choose_classes
 from modsim3d.learn.confidence_estimate import ConfidenceForm, LearnedConfidence, choose_confidence
 from modsim3d.learn.entries import Interval, entries_of
 from modsim3d.learn.false_positive_estimate import FalsePositiveForm, LearnedFalsePositives, choose_false_positives
 from modsim3d.learn.form import LearnedPart, PartForm
-from modsim3d.learn.matching import Rule
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Resampling, resample
 from modsim3d.learn.transitions import Transitions

@@ -10,8 +10,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import errors_between, sizes
-from modsim3d.learn.labelled import LabelledSet
-from modsim3d.learn.matching import Matched
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched
 from modsim3d.learn.persistence_fit import Steps, steps_between
 
 _LEAST_SPREADS = 4.5

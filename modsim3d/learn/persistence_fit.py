@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.learn.labelled import LabelledSet
+from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.resampling import Column, Resampling, widened
 
 PAIRS_NEEDED = 200

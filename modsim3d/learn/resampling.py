@@ -15,7 +15,7 @@ from scipy import special, stats
 from scipy.sparse import csr_array
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.learn.labelled import Images
+from modsim3d.formats.labelled import Images
 
 _LEAST_SPREAD = 1e-12
 

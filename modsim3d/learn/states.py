@@ -9,9 +9,9 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
-from modsim3d.learn.labelled import Images
+from modsim3d.formats.labelled import Images
+from modsim3d.inputs.validation import nearest
 from modsim3d.learn.transitions import Transitions, count_transitions
-from modsim3d.validation import nearest
 
 NAMES = {
     1: ("usual",),

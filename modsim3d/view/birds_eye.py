@@ -10,11 +10,11 @@ import numpy as np
 import shapely
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.camera import Camera
-from modsim3d.obstacles import Obstacle
-from modsim3d.poses.circular import CircularMotion
-from modsim3d.scene import Scene
-from modsim3d.vessels import Vessel
+from modsim3d.geometry.camera import Camera
+from modsim3d.motion.poses.circular import CircularMotion
+from modsim3d.scene.scene import Scene
+from modsim3d.vessels.obstacles import Obstacle
+from modsim3d.vessels.vessel import Vessel
 
 MOST_TRACK_POINTS = 1500
 MARGIN = 0.06

@@ -8,9 +8,9 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.block import Frame
 from modsim3d.render.plain_ids import IdDrawer
-from modsim3d.scene import Scene
+from modsim3d.runs.blocks import Frame
+from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.canvas import Canvas
 from modsim3d.view.hatching import hatch_hidden

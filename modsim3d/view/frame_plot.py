@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.block import Frame
 from modsim3d.errors import ModsimError
+from modsim3d.runs.blocks import Frame
 from modsim3d.view import palette
 from modsim3d.view.plain import below_horizon
 

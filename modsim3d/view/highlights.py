@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import SIDES
-from modsim3d.formats.columns import flags, numbers
+from modsim3d.runs.files.columns import flags, numbers
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array
-from modsim3d.sight import Sight
-from modsim3d.vessels import Vessel
+from modsim3d.scene.sight import Sight
+from modsim3d.vessels.vessel import Vessel
 
 SIDELIGHT_RAD = math.radians(112.5)
 """Sidelights shine from right ahead to this far abaft, each to its own side."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.camera import Intrinsics
+from modsim3d.geometry.camera import Intrinsics
 from modsim3d.view.render_style import RenderStyle
 from modsim3d.view.window import Window
 

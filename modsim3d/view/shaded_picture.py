@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from modsim3d.arrays import Array
-from modsim3d.camera import Intrinsics
-from modsim3d.camera_poses import CameraPoses
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
-from modsim3d.vessels import Vessel
+from modsim3d.vessels.vessel import Vessel
 from modsim3d.view import palette
 from modsim3d.view.canvas import Canvas, font, text_size
 from modsim3d.view.navigation_lights import glow, lights

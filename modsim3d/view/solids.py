@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.outlines import Outlines
-from modsim3d.annotate.triangles import Triangles, triangles_of
 from modsim3d.arrays import Array, Indices
-from modsim3d.camera import Camera, Intrinsics
+from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.render.plain_ids import IdDrawer
-from modsim3d.scene import Scene
-from modsim3d.sight import Sight
-from modsim3d.vessels import shoebox
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.sight import Sight
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.triangles import Triangles, triangles_of
+from modsim3d.vessels.vessel import shoebox
 from modsim3d.view.window import Window
 
 SUN = np.array([-0.35, 0.55, 0.76])

@@ -20,9 +20,9 @@ from modsim3d.ais.reports import Particulars
 from modsim3d.ais.scene_folder import write_scene
 from modsim3d.ais.ship_types import TABLE, group_of, ship_types
 from modsim3d.ais.viewpoint import CLEARANCE_M, viewpoint
-from modsim3d.detector.loader import load_detector
-from modsim3d.rotations import camera_R_parent
-from modsim3d.scene_reader import data_folder, load_scene
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.geometry.rotations import camera_R_parent
+from modsim3d.scene.reading import data_folder, load_scene
 from tests.ais.ais_builders import SAMPLE_NAMES, SAMPLES, old_file, only, row, traffic_of
 
 THESIS = data_folder("scenes") / "detectors" / "thesis.yaml"
@@ -296,7 +296,7 @@ def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path
 
 
 def test_folder_is_self_contained_and_runs(tmp_path):
-    from modsim3d.run import run_scene
+    from modsim3d.runs.run import run_scene
 
     write_scene(traffic_of(SAMPLES / "receiver.nmea", duration_s=20), tmp_path / "made", THESIS)
     (tmp_path / "made").rename(tmp_path / "moved")

@@ -16,7 +16,7 @@ from modsim3d.ais.jumps import reachable
 from modsim3d.ais.projection import heading_rad, local_metres, median_place
 from modsim3d.ais.region import Region
 from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
-from modsim3d.rotations import world_R_vehicle
+from modsim3d.geometry.rotations import world_R_vehicle
 
 NAN = math.nan
 metres = st.floats(-5000, 5000)

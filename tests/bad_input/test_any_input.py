@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modsim3d.errors import InputError
-from modsim3d.scene_reader import load_scene
+from modsim3d.scene.reading import load_scene
 from tests.bad_input.builders import CIRCULAR, DELETED, FILES, GOOD, Inputs
 
 

@@ -126,7 +126,7 @@ def test_a_run_that_is_replaced_stays_until_the_new_one_is_finished(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("modsim3d.formats.run_directory.RunDirectory.write", interrupt)
+        patched.setattr("modsim3d.runs.files.run_directory.RunDirectory.write", interrupt)
         assert call("run", inputs.write(), "--out", finished, "--overwrite")[0] == 130
     assert content(finished).items() >= before.items()
     assert call("run", inputs.write(), "--out", finished, "--resume", "--no-sheet")[0] == 0

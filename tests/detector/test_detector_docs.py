@@ -13,7 +13,7 @@ from detector_builders import detector_data
 from pydantic import BaseModel
 
 from modsim3d.detector import KINDS, parse_detector
-from modsim3d.detector.schema import DetectorFile
+from modsim3d.detector.file.schema import DetectorFile
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "detector.md").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from test_detector_chain import scattered_targets
 from modsim3d.detector import parse_detector
 from modsim3d.detector.scores import NormalScores
 from modsim3d.errors import InputError
-from modsim3d.strict_yaml import load_yaml
+from modsim3d.inputs.strict_yaml import load_yaml
 
 OFF = {
     "dropout": {"model": "confusion", "anchor": "state_rate"},

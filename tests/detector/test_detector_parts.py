@@ -10,12 +10,12 @@ import pytest
 from detector_builders import make_frames, make_targets, one_state_data, same_boxes
 
 from modsim3d.arrays import Array
-from modsim3d.detector import Detector, parse_detector
+from modsim3d.detector import Detector, TargetCensus, parse_detector
 from modsim3d.detector.clutter_models import CLUTTER_MODELS, ClutterRates, FrameCounts, PerImage
 from modsim3d.detector.parts import MODELS, Part, model_name, used_models
-from modsim3d.learn.evidence import CameraEvidence, Evidence
-from modsim3d.learn.parameters import UNCHECKED
-from modsim3d.learn.verification import CHECKED, unchecked, verify
+from modsim3d.verify.evidence import CameraEvidence, Evidence
+from modsim3d.verify.parameters import UNCHECKED
+from modsim3d.verify.verification import CHECKED, unchecked, verify
 from tests.detector_variants import CHANGES, variant
 
 DRAWING = {
@@ -60,7 +60,7 @@ class EverySecondFrame(PerImage):
 
 def seen(model: Any) -> Evidence:
     frames, targets = make_frames(200), make_targets(same_boxes(200, 2, [100, 100, 300, 200]))
-    return Evidence.of([CameraEvidence(frames, targets, Detector(model, 1).detect(frames, targets))])
+    return Evidence.of([CameraEvidence(frames, targets, Detector(model, 1, TargetCensus()).detect(frames, targets))])
 
 
 def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:

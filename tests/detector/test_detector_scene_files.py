@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from modsim3d.detector import DetectorModel, load_detector
-from modsim3d.detector.checks import covariance_problems
+from modsim3d.detector.file.checks import covariance_problems
 from modsim3d.detector.scores import NormalScores
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -24,16 +24,16 @@ from detector_builders import (
 from scipy import special, stats
 
 from modsim3d.boxes import inside_image, move
-from modsim3d.detect_many import ManyDetections
-from modsim3d.detector import TRUE, Detections, Detector, parse_detector
+from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, parse_detector
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.error_distributions import StudentT
 from modsim3d.detector.truncation import truncated_errors
 from modsim3d.errors import InputError
-from modsim3d.learn.error_fit import ErrorSample, MomentTable, fit_step
-from modsim3d.learn.error_parameters import ErrorParameters
-from modsim3d.learn.verification import verify
-from modsim3d.scene_reader import load_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step
+from modsim3d.verify.error_parameters import ErrorParameters
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.verification import verify
 from tests.detector_variants import variant
 
 NU = 6.0
@@ -49,7 +49,7 @@ def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
 
 def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
     model = parse_detector(one_state_data(**SEEN, box_error=error) | sections)
-    detector = Detector(model, 1, lambda first, stop: np.arange(first, stop) * 0.1)
+    detector = Detector(model, 1, TargetCensus(), lambda first, stop: np.arange(first, stop) * 0.1)
     return detector.detect(make_frames(frames), make_targets(same_boxes(frames, 20, box_px)))
 
 
@@ -135,8 +135,8 @@ def test_chunk_borders_change_nothing(borders: list[int]) -> None:
     data["states"]["fog"]["box_error"] = t_error()
     clock = lambda first, stop: np.arange(first, stop) * 0.1  # noqa: E731
     targets, frames = make_targets(same_boxes(900, 3, centred(60, 40))), make_frames(900)
-    whole = Detector(parse_detector(data), 1, clock).detect(frames, targets)
-    split = detect_in_chunks(Detector(parse_detector(data), 1, clock), frames, targets, borders)
+    whole = Detector(parse_detector(data), 1, TargetCensus(), clock).detect(frames, targets)
+    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock), frames, targets, borders)
     assert all_bytes(split) == all_bytes(whole)
 
 

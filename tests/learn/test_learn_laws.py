@@ -8,16 +8,16 @@ from scipy import stats
 
 from modsim3d.boxes import inside_image, move
 from modsim3d.detector.clipped_normal import clipped_score
-from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.truncation import accepted_errors, ordered_root
-from modsim3d.learn.clipped_checks import Clipped
-from modsim3d.learn.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
-from modsim3d.learn.error_likelihoods import directions
-from modsim3d.learn.error_parameters import ErrorParameters
-from modsim3d.learn.error_replay import latent_paths, replayed_errors
-from modsim3d.learn.pairs import inflation, lag_pairs
-from modsim3d.learn.run_lengths import expected_run_lengths
-from modsim3d.learn.state_checks import occupancy_law
+from modsim3d.verify.clipped_checks import Clipped
+from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
+from modsim3d.verify.error_likelihoods import directions
+from modsim3d.verify.error_parameters import ErrorParameters
+from modsim3d.verify.error_replay import latent_paths, replayed_errors
+from modsim3d.verify.pairs import inflation, lag_pairs
+from modsim3d.verify.run_lengths import expected_run_lengths
+from modsim3d.verify.state_checks import occupancy_law
 from tests.detector_variants import thesis_data
 
 IMAGE_PX = (3600, 2400)

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from modsim3d.learn.law_measures import Law
-from modsim3d.learn.measures import Estimate, Exact
-from modsim3d.learn.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Parameter, judge
-from modsim3d.learn.rate_measures import DiscoveryRate, ImageRate, Rate
-from modsim3d.learn.tails import binomial_interval, poisson_interval, skewed_quantile, skewed_tails
+from modsim3d.verify.law_measures import Law
+from modsim3d.verify.measures import Estimate, Exact
+from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Parameter, judge
+from modsim3d.verify.rate_measures import DiscoveryRate, ImageRate, Rate
+from modsim3d.verify.tails import binomial_interval, poisson_interval, skewed_quantile, skewed_tails
 
 
 def test_binomial_interval_is_clopper_and_pearsons():

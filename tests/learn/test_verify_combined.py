@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from modsim3d.boxes import sizes
-from modsim3d.detect_many import ManyDetections
-from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
-from modsim3d.learn.box_error_checks import LEAST_DETECTIONS, box_error_checks, with_known_errors
-from modsim3d.learn.class_checks import class_checks
-from modsim3d.learn.clutter_checks import clutter_checks
-from modsim3d.learn.error_fit import MomentTable
-from modsim3d.learn.evidence import Evidence
-from modsim3d.learn.measures import Estimate, Exact
-from modsim3d.learn.parameters import Parameter, judge
-from modsim3d.learn.run_lengths import run_lengths
-from modsim3d.learn.state_checks import state_checks
-from modsim3d.scene_reader import load_scene
-from modsim3d.verify_report import conclusion, row_of
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.box_error_checks import LEAST_DETECTIONS, box_error_checks, with_known_errors
+from modsim3d.verify.class_checks import class_checks
+from modsim3d.verify.clutter_checks import clutter_checks
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.measures import Estimate, Exact
+from modsim3d.verify.parameters import Parameter, judge
+from modsim3d.verify.report import conclusion, row_of
+from modsim3d.verify.run_lengths import run_lengths
+from modsim3d.verify.state_checks import state_checks
 from tests.detector_variants import Data, thesis_data, variant
 
 

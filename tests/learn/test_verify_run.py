@@ -9,18 +9,18 @@ import pytest
 import yaml
 
 from modsim3d import cli
-from modsim3d.detect_many import ManyDetections
-from modsim3d.detect_run import detect_run
-from modsim3d.detector.loader import load_detector, parse_detector
+from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.errors import RunDirectoryError
-from modsim3d.learn.error_fit import MomentTable
-from modsim3d.learn.parameters import FALLS_SHORT
-from modsim3d.learn.verification import verify
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.stored_run import open_run
-from modsim3d.verify_report import write_report
-from modsim3d.verify_run import verify_run
+from modsim3d.runs.detect_run import detect_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.parameters import FALLS_SHORT
+from modsim3d.verify.report import write_report
+from modsim3d.verify.verification import verify
+from modsim3d.verify.verify_run import verify_run
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
 

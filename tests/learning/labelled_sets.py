@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from modsim3d.learn.labelled import Annotations, Images, LabelledSet, Results
+from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 
 
 def random_boxes(rng, count, extent=400.0):

@@ -9,8 +9,8 @@ import numpy as np
 import yaml
 
 from modsim3d.learn.error_moments import PAIRS
-from modsim3d.run import run_scene
-from modsim3d.scene_reader import data_folder, load_scene
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import data_folder, load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTOR = ROOT / "tests" / "data" / "learn" / "round_trip.yaml"

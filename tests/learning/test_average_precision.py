@@ -8,8 +8,8 @@ import pytest
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
+from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.average_precision import Curve, Ranking
-from modsim3d.learn.matching import Rule, match
 from tests.learning.labelled_sets import random_set
 
 

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
+from modsim3d.formats.labelled import LabelledSet, joined
+from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.dropout_fit import Effect, fit_misses
 from modsim3d.learn.error_moments import covariance
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
-from modsim3d.learn.labelled import LabelledSet, joined
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.matching import Rule, match
 from modsim3d.learn.observed import ErrorSource, Observed
 from modsim3d.learn.persistence_fit import Consecutive, correlation_time, relative_error
 from modsim3d.learn.resampling import Column, from_scale, resample, to_scale

@@ -10,22 +10,22 @@ from typer.testing import CliRunner
 
 from modsim3d.cli import app
 from modsim3d.detector import load_detector
-from modsim3d.detector.loader import parse_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.coco import write_coco
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.reading.coco import read_coco
 from modsim3d.learn.entries import entries_of
 from modsim3d.learn.gate_bias import bias_of, simulated
-from modsim3d.learn.labelled import LabelledSet
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings, learn
-from modsim3d.learn.matching import Rule, match
 from modsim3d.learn.observed import Observed
-from modsim3d.learn.reading.coco import read_coco
 from modsim3d.learn.states import each_its_own, transitions_of
 from modsim3d.learn.transitions import Transitions
-from modsim3d.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn_sets import labelled_run
-from modsim3d.stored_run import open_run
-from modsim3d.verify_run import verify_run
+from modsim3d.runs.stored_run import open_run
+from modsim3d.verify.verify_run import verify_run
 from tests.learning.labelled_sets import found, images, random_set, truth
 from tests.learning.round_trip import DETECTOR, asked_of, outside, simulate
 

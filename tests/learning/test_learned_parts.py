@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from modsim3d.detector.clutter import CLUTTER_MODELS
-from modsim3d.detector.schema_models import DropoutSection
-from modsim3d.learn.labelled import LabelledSet
+from modsim3d.detector.file.schema_models import DropoutSection
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.parts import BOX_ERROR, CLASS, CONFIDENCE, FALSE_POSITIVES, LEARNERS, STATE
-from modsim3d.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn_report import tables
+from modsim3d.learn.report import tables
 from tests.learning.labelled_sets import found, images, truth
 
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.errors import ModsimError
-from modsim3d.learn.labelled import LabelledSet
-from modsim3d.learn.matching import PAIRS_AT_ONCE, Rule, image_pairs, match
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import PAIRS_AT_ONCE, Rule, image_pairs, match
 from tests.learning.labelled_sets import found, images, random_boxes, random_set, truth
 
 
@@ -119,7 +119,7 @@ def test_provenance_needs_a_run():
 
 @pytest.mark.parametrize("at_once", [1, 7, PAIRS_AT_ONCE])
 def test_pairs_of_images_are_all_there_however_they_are_split(at_once, monkeypatch):
-    monkeypatch.setattr("modsim3d.learn.matching.PAIRS_AT_ONCE", at_once)
+    monkeypatch.setattr("modsim3d.formats.matching.PAIRS_AT_ONCE", at_once)
     rng = np.random.default_rng(1)
     first, second = np.sort(rng.integers(0, 9, 20)), np.sort(rng.integers(0, 9, 15))
     pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]

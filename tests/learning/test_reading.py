@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.errors import InputError
-from modsim3d.learn.labelled import joined
-from modsim3d.learn.reading.pair import ReadOptions, read_pair
+from modsim3d.formats.labelled import joined
+from modsim3d.formats.reading.pair import ReadOptions, read_pair
 from tests.learning.labelled_sets import random_set
 
 TRUTH = {

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from modsim3d.errors import InputError
-from modsim3d.learn.reading.image_sizes import image_size_px
-from modsim3d.learn.reading.pair import ReadOptions, read_pair
+from modsim3d.formats.reading.image_sizes import image_size_px
+from modsim3d.formats.reading.pair import ReadOptions, read_pair
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 
@@ -101,7 +101,7 @@ def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path
 
 def test_what_was_meant_is_looked_for_only_in_what_is_shown(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr("modsim3d.learn.reading.coco.nearest", lambda name, known: asked.append(name) or "a hint")
+    monkeypatch.setattr("modsim3d.formats.reading.coco.nearest", lambda name, known: asked.append(name) or "a hint")
     with pytest.raises(InputError, match=r"480 more"):
         read_pair("day", *coco(tmp_path, [result(f"shot_{k}") for k in range(500)]), ReadOptions())
     assert len(asked) == 20  # among thousands of images each takes a tenth of a second

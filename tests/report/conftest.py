@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.run import run_scene
-from modsim3d.run_report import write_report
-from modsim3d.scene_reader import load_scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view.report.report import write_report
 from tests.report.browser import Browser, open_browser
 from tests.scenes import write_scene
 

@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.run import run_scene
-from modsim3d.run_report import write_report
-from modsim3d.scene_reader import load_scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
+from modsim3d.view.report.report import write_report
 from tests.report.browser import Browser
 from tests.report.conftest import HOSTILE, STEPS
 from tests.scenes import crossing

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from modsim3d.film_renderer import open_drawer
-from modsim3d.run import run_scene
-from modsim3d.run_report import REPORT_FILE, write_report
-from modsim3d.scene import Scene
-from modsim3d.scene_reader import data_folder, load_scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.films.renderer import open_drawer
+from modsim3d.view.report.report import REPORT_FILE, write_report
 from modsim3d.view.solids import Solids
 from modsim3d.view.window import Window
 from tests.report.browser import Browser

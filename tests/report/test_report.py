@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 
 from modsim3d import cli
 from modsim3d.errors import RunDirectoryError
-from modsim3d.run import run_scene
-from modsim3d.run_report import write_report
-from modsim3d.scene_reader import load_scene
-from modsim3d.stored_run import open_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
 from modsim3d.view.report.recording import NONE, UNKNOWN_FRACTION, WHOLE, in_250ths, in_quanta, quantum_px
+from modsim3d.view.report.report import write_report
 from tests.report.conftest import STEPS
 
 

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.annotate.outlines import outline
-from modsim3d.bodies import vessel_bodies
-from modsim3d.camera_poses import Mount, poses_ashore
-from modsim3d.rotations import world_R_vehicle
+from modsim3d.geometry.camera_poses import Mount, poses_ashore
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.truth.outlines import outline
+from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.view.report.contours import contours
 from modsim3d.view.report.silhouettes import in_front, painting_order, shapes
 from tests.scenes import INTRINSICS, outlines_of, vessel

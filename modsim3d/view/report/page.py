@@ -13,7 +13,7 @@ from typing import Any
 
 import orjson
 
-from modsim3d.view.page import heading, table
+from modsim3d.view.pages.page import heading, table
 from modsim3d.view.report.count_tables import STATE_HEADER, VESSEL_HEADER, Rows
 from modsim3d.view.report.recording import Recording
 

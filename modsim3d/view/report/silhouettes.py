@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from modsim3d.annotate.occlusion_order import order_of_pairs
-from modsim3d.annotate.outlines import Outlines, Part
-from modsim3d.annotate.overlaps import overlapping_pairs
-from modsim3d.annotate.triangles import triangles_of
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.camera import Intrinsics
-from modsim3d.vessels import shoebox
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.truth.occlusion_order import order_of_pairs
+from modsim3d.truth.outlines import Outlines, Part
+from modsim3d.truth.overlaps import overlapping_pairs
+from modsim3d.truth.triangles import triangles_of
+from modsim3d.vessels.vessel import shoebox
 from modsim3d.view.report.contours import contours
 from modsim3d.view.report.recording import NONE
 

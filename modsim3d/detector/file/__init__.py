@@ -1,0 +1,1 @@
+"""Detector files: their keys, what must hold between them, reading and writing."""

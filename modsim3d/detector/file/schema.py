@@ -1,0 +1,179 @@
+"""The form of a detector file. The names in it are known through the validation context, see `loader`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+
+from modsim3d.detector.clutter_models import CLUTTER_MODELS
+from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
+from modsim3d.detector.file import checks
+from modsim3d.detector.file.schema_models import (
+    ClutterKeys,
+    ConfidenceSection,
+    DropoutSection,
+    GatesSection,
+    NotNegative,
+    PerformanceSection,
+    PersistenceSection,
+)
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.inputs.validation import Number, Positive, Probability, Strict, nearest
+
+
+def _raise(problems: list[str]) -> None:
+    if problems:
+        raise ValueError("; ".join(problems))
+
+
+def _against(names_of: str, find: Callable[[Any, Sequence[str]], list[str]]) -> AfterValidator:
+    """A check that needs the file's labels or states; left out where those are broken themselves."""
+
+    def check(value: Any, info: ValidationInfo) -> Any:
+        names = (info.context or {}).get(names_of)
+        if names:
+            _raise(find(value, names))
+        return value
+
+    return AfterValidator(check)
+
+
+def _covariance(value: list[list[float]]) -> list[list[float]]:
+    _raise(checks.covariance_problems(value))
+    return value
+
+
+def _mean(value: list[float]) -> list[float]:
+    if len(value) != len(ERROR_COMPONENTS):
+        raise ValueError(f"has {len(value)} entries, must have 4: {', '.join(ERROR_COMPONENTS)}")
+    return value
+
+
+def _labels(value: list[str]) -> list[str]:
+    if not value:
+        raise ValueError("is empty, must name at least one label")
+    _raise([f"label '{name}' appears twice" for name in dict.fromkeys(value) if value.count(name) > 1])
+    return value
+
+
+GREATEST_FALSE_DISCOVERY_RATE = 0.99
+
+
+def _false_discovery_rate(value: float) -> float:
+    if value == 1:
+        raise ValueError(
+            "is 1, must be below 1: it is the share of false positives among all detections, "
+            "and 1 would take infinitely many of them for each true one"
+        )
+    if not 0 <= value <= GREATEST_FALSE_DISCOVERY_RATE:
+        raise ValueError(
+            f"is {value:g}, must be from 0 to {GREATEST_FALSE_DISCOVERY_RATE}, which already makes 99 false positives "
+            "for each true detection"
+        )
+    return value
+
+
+def _known_clutter(value: str) -> str:
+    if value not in CLUTTER_MODELS:
+        raise ValueError(f"unknown model '{value}' ({nearest(value, CLUTTER_MODELS)})")
+    return value
+
+
+def _known_error_law(value: str) -> str:
+    if value not in ERROR_DISTRIBUTIONS:
+        raise ValueError(f"unknown law '{value}' ({nearest(value, ERROR_DISTRIBUTIONS)})")
+    return value
+
+
+def _degrees_of_freedom(value: float) -> float:
+    if value <= 2:
+        raise ValueError(f"is {value:g}, must be above 2: with 2 or fewer Student's t has no covariance")
+    return value
+
+
+def _unknown_state(value: str, states: Sequence[str]) -> list[str]:
+    return [] if value in states else [f"unknown state '{value}' ({nearest(value, states)})"]
+
+
+def _some_states(value: dict[str, StateSection]) -> dict[str, StateSection]:
+    if not value:
+        raise ValueError("is empty, must describe at least one state")
+    return value
+
+
+Name = Annotated[str, Field(strict=True, min_length=1)]
+Labels = Annotated[list[Name], AfterValidator(_labels)]
+Mean = Annotated[list[Number], AfterValidator(_mean)]
+Covariance = Annotated[list[list[Number]], AfterValidator(_covariance)]
+Transition = Annotated[list[list[Probability]], _against("states", checks.transition_problems)]
+Confusion = Annotated[list[list[Probability]], _against("labels", checks.confusion_problems)]
+LabelDistribution = Annotated[list[Probability], _against("labels", checks.distribution_problems)]
+StateName = Annotated[Name, _against("states", _unknown_state)]
+ClutterName = Annotated[Name, AfterValidator(_known_clutter)]
+ErrorLawName = Annotated[Name, AfterValidator(_known_error_law)]
+DegreesOfFreedom = Annotated[Number, AfterValidator(_degrees_of_freedom)]
+FalseDiscoveryRate = Annotated[Number, AfterValidator(_false_discovery_rate)]
+
+
+class BoxErrorSection(Strict):
+    """Box error: mean and covariance of (e_x, e_y, e_w, e_h), their distribution, and how the spread grows."""
+
+    law: ErrorLawName = "normal"
+    degrees_of_freedom: DegreesOfFreedom | None = None
+    unit: Literal["px", "relative", "mixed"]
+    mean: Mean
+    covariance: Covariance
+    growth: Annotated[list[NotNegative], AfterValidator(_mean)] | None = None
+
+    @model_validator(mode="after")
+    def _growth_fits(self) -> BoxErrorSection:
+        if (self.growth is None) != (self.unit != "mixed"):
+            raise ValueError("growth goes with unit mixed, and only there")
+        for i, (growth, name) in enumerate(zip(self.growth or [], ERROR_COMPONENTS, strict=False)):
+            if growth > 0 and self.covariance[i][i] == 0:
+                raise ValueError(f"{name} can only grow from a variance above 0 in covariance")
+        return self
+
+    @model_validator(mode="after")
+    def _law_fits(self) -> BoxErrorSection:
+        keys = {key for kind in ERROR_DISTRIBUTIONS.values() for key in kind.keys}
+        own = ERROR_DISTRIBUTIONS[self.law].keys
+        for key in sorted(keys):
+            if (getattr(self, key) is not None) != (key in own):
+                raise ValueError(f"{key} {'goes with' if key in own else 'does not go with'} law {self.law}")
+        return self
+
+
+class StateSection(Strict):
+    """One performance state."""
+
+    confusion: Confusion
+    false_positive_labels: LabelDistribution
+    false_discovery_rate: FalseDiscoveryRate
+    box_error: BoxErrorSection
+    confidence: ConfidenceSection
+    false_positives_per_image: NotNegative | None = None
+
+
+class FalsePositivesSection(ClutterKeys):
+    """Which model makes false positives, and what they are like."""
+
+    model: ClutterName = "calibrated"
+
+
+class DetectorFile(Strict):
+    """A whole detector file."""
+
+    labels: Labels
+    confidence_threshold: Probability
+    initial_state: StateName
+    transition_matrix: Transition
+    transition_interval_s: Positive | None = None
+    false_positives: FalsePositivesSection = FalsePositivesSection(model="calibrated")
+    dropout: DropoutSection = DropoutSection()
+    gates: GatesSection = GatesSection()
+    persistence: PersistenceSection = PersistenceSection()
+    performance: PerformanceSection = PerformanceSection()
+    states: Annotated[dict[Name, StateSection], AfterValidator(_some_states)]

@@ -1,0 +1,69 @@
+"""A run directory as a labelled set: its truth, its detections, and which vessel each detection came from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.arrays import Indices
+from modsim3d.detector.records import FALSE_KINDS, KINDS
+from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
+from modsim3d.runs.files.columns import NOBODY, indices, numbers, positions
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun, open_run
+
+
+def labelled_run(folder: Path) -> tuple[LabelledSet, StoredRun]:
+    """Read a run as a labelled set, with an image for each frame and a condition for each performance state."""
+    run = open_run(folder)
+    rows, detector = RunRows.of(run), run.scene.detector
+    cameras = len(run.scene.cameras)
+    frames = rows.frames[np.lexsort((rows.frames // cameras, rows.frames % cameras))]  # in order of camera and step
+    truth, states = _truth(rows, frames), tuple(state.name for state in detector.states)
+    labelled = LabelledSet(detector.labels, states, _images(rows, frames), truth, _results(rows, frames, truth))
+    return labelled, run
+
+
+def _images(rows: RunRows, frames: Indices) -> Images:
+    cameras = rows.scene.cameras
+    step, camera = frames // len(cameras), frames % len(cameras)
+    sizes_px = np.array([camera.intrinsics.image_size_px for camera in cameras], dtype=np.float64)
+    return Images(
+        names=tuple(f"{cameras[c].name} {s}" for c, s in zip(camera.tolist(), step.tolist(), strict=True)),
+        sizes_px=sizes_px[camera],
+        condition=rows.states_of(frames),
+        source=np.zeros(len(frames), dtype=np.int64),
+        sequence=camera,
+        time_s=np.asarray(rows.scene.times_s(0, rows.scene.steps))[step],
+    )
+
+
+def _truth(rows: RunRows, frames: Indices) -> Annotations:
+    """The annotated vessels of all images."""
+    annotated, scene = np.flatnonzero(rows.annotated), rows.scene
+    return Annotations(
+        image=positions(frames, rows.truth_frame[annotated]),
+        label=indices(rows.truth, "label", scene.detector.labels)[annotated],
+        boxes_px=rows.boxes_px("visible" if scene.annotation.mode == 2 else "full")[annotated],
+        ignored=np.zeros(len(annotated), dtype=bool),
+        crowd=np.zeros(len(annotated), dtype=bool),
+        identity=rows.truth_vessel[annotated],
+        visible_fraction=rows.numbers("visible_fraction")[annotated],
+        depth_m=rows.numbers("depth_m")[annotated],
+    ).by_image()
+
+
+def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
+    """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
+    image, vessels = positions(frames, rows.drawn_frame), len(rows.scene.vessels)
+    own = ~np.isin(indices(rows.drawn, "kind", KINDS), FALSE_KINDS) & (rows.drawn_vessel >= 0)
+    return Results(
+        image=image,
+        label=indices(rows.drawn, "label", rows.scene.detector.labels),
+        boxes_px=rows.drawn_boxes_px(),
+        confidence=numbers(rows.drawn, "confidence"),
+        origin=positions(
+            truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.drawn_vessel, NOBODY)
+        ),
+    ).by_image()

@@ -1,0 +1,243 @@
+"""Which detection is of which annotation.
+
+All images are matched at once: pairs that could match are found by arithmetic over all pairs within images, and only
+those few are walked through. A detection matches at most one annotation, and an annotation at most one detection.
+What COCO ignores (crowds, `ignore`) is matched only by detections that match nothing else, and then neither counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import areas, centres, intersections, iou
+from modsim3d.errors import ModsimError
+from modsim3d.formats.labelled import NOBODY, LabelledSet
+
+PAIRS_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How boxes are matched.
+
+    Attributes:
+        method: `confidence`: the most confident detection chooses first, the annotation with the largest IoU;
+            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: like `confidence`,
+            but the nearest centre; `provenance`: what a simulated run says itself.
+        least_iou: A pair with less is no match.
+        most_distance_px: Largest distance between the centres of a match, for `centre`.
+        by_label: Whether only boxes of the same label match.
+    """
+
+    method: str = "confidence"
+    least_iou: float = 0.5
+    most_distance_px: float = 50.0
+    by_label: bool = False
+
+    def __str__(self) -> str:
+        """The rule in words, for a report."""
+        if self.method == "provenance":
+            return "provenance"
+        if self.method == "centre":
+            return f"centres at most {self.most_distance_px:g} px apart, in order of confidence"
+        order = "optimal assignment" if self.method == "optimal" else "in order of confidence"
+        return f"IoU at least {self.least_iou:g}, {order}"
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """Matches of the detections that take part.
+
+    Attributes:
+        annotation: Row of the annotation that each detection matches, −1 for none, shape (D,).
+        counts: Whether a detection counts: it took part, and does not match something ignored, shape (D,).
+        sought: Whether an annotation is to be detected, shape (T,).
+    """
+
+    annotation: Indices
+    counts: Mask
+    sought: Mask
+
+    @cached_property
+    def pairs(self) -> tuple[Indices, Indices]:
+        """Rows of detections and of their annotations where both count, shapes (m,)."""
+        rows = np.flatnonzero(self.counts & (self.annotation >= 0))
+        return rows, self.annotation[rows]
+
+    @cached_property
+    def false(self) -> Indices:
+        """Rows of false detections, shape (f,)."""
+        return np.flatnonzero(self.counts & (self.annotation < 0))
+
+    @cached_property
+    def detection(self) -> Indices:
+        """Row of the detection that matches each annotation, −1 for none, shape (T,)."""
+        found = np.full(len(self.sought), NOBODY)
+        rows, annotation = self.pairs
+        found[annotation] = rows
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Pairs that could match, n rows.
+
+    Attributes:
+        detection: Rows of the results, shape (n,).
+        annotation: Rows of the annotations, shape (n,).
+        quality: Of the match, the greater the better, shape (n,).
+    """
+
+    detection: Indices
+    annotation: Indices
+    quality: Array
+
+    def where(self, chosen: Mask) -> Candidates:
+        """Some of the pairs."""
+        return Candidates(self.detection[chosen], self.annotation[chosen], self.quality[chosen])
+
+
+def overlap(boxes_px: Array, annotated_px: Array, crowd: Mask) -> Array:
+    """IoU of boxes (n, 4), pair by pair; for crowds the share of the detection inside, as COCO has it; shape (n,)."""
+    inside: Array = intersections(boxes_px, annotated_px) / np.maximum(areas(boxes_px), 1e-300)
+    return np.where(crowd, inside, iou(boxes_px, annotated_px))
+
+
+def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[Indices, Indices]]:
+    """All pairs of rows in the same image, about `PAIRS_AT_ONCE` at a time.
+
+    Args:
+        first: Image of each row of one table, non-decreasing, shape (n,).
+        second: Image of each row of the other table, non-decreasing, shape (m,).
+        images: Number of images.
+
+    Yields:
+        Rows of the first and of the second table, shapes (pairs,).
+    """
+    starts = np.searchsorted(second, np.arange(images + 1))
+    others = np.diff(starts)[first]  # pairs that each of the first has
+    ends = np.cumsum(others)
+    begin = 0
+    while begin < len(first):
+        before = int(ends[begin - 1]) if begin else 0
+        stop = max(int(np.searchsorted(ends, before + PAIRS_AT_ONCE, side="right")), begin + 1)
+        rows = np.repeat(np.arange(begin, stop), others[begin:stop])
+        offset = np.arange(len(rows)) - np.repeat(ends[begin:stop] - others[begin:stop] - before, others[begin:stop])
+        yield rows, starts[first[rows]] + offset
+        begin = stop
+
+
+def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matched:
+    """Match the detections that are confident enough.
+
+    Raises:
+        ModsimError: The rule is `provenance`, and the set does not say where detections come from.
+    """
+    takes_part = labelled.results.confidence >= least_confidence
+    if rule.method == "provenance":
+        matches = _by_provenance(labelled, takes_part)
+    else:
+        assign = _optimal if rule.method == "optimal" else _greedy
+        matches = assign(labelled, _candidates(labelled, takes_part, rule))
+    ignored = np.append(labelled.annotations.ignored, False)[matches]
+    return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored)
+
+
+def _by_provenance(labelled: LabelledSet, takes_part: Mask) -> Indices:
+    if labelled.results.origin is None:
+        raise ModsimError("matching by provenance needs simulated runs (--run): files do not say whose a detection is")
+    return np.where(takes_part, labelled.results.origin, NOBODY)
+
+
+def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
+    """Pairs of detections that take part and annotations that the rule lets match."""
+    rows, images = np.flatnonzero(takes_part), len(labelled.images)
+    kept = [Candidates(rows[:0], rows[:0], np.empty(0))]
+    for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):
+        good, quality = _quality(labelled, rows[first], second, rule)
+        kept.append(Candidates(rows[first], second, quality).where(good))
+    return Candidates(
+        np.concatenate([part.detection for part in kept]),
+        np.concatenate([part.annotation for part in kept]),
+        np.concatenate([part.quality for part in kept]),
+    )
+
+
+def _quality(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> tuple[Mask, Array]:
+    """Whether pairs of rows may match, and how well they do, shapes (n,)."""
+    results, annotations = labelled.results, labelled.annotations
+    a_px, b_px = results.boxes_px[detection], annotations.boxes_px[annotation]
+    if rule.method == "centre":
+        quality = -np.hypot(*(centres(a_px) - centres(b_px)).T)
+        good = quality >= -rule.most_distance_px
+    else:
+        quality = overlap(a_px, b_px, annotations.crowd[annotation])
+        good = quality >= min(rule.least_iou, 1 - 1e-10)
+    if rule.by_label:
+        good = good & (results.label[detection] == annotations.label[annotation])
+    return good, quality
+
+
+def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
+    """Most confident detection first.
+
+    Ties are broken as COCO's own tools do: the later of equal annotations, the earlier of equal detections.
+    """
+    annotations, results = labelled.annotations, labelled.results
+    target, detection = pairs.annotation, pairs.detection
+    matches = np.full(len(results), NOBODY)
+    order = np.lexsort(
+        (-target, -pairs.quality, annotations.ignored[target], detection, -results.confidence[detection])
+    )
+    taken: set[int] = set()
+    done: set[int] = set()
+    crowd = annotations.crowd[target[order]].tolist()
+    for row, box, many in zip(detection[order].tolist(), target[order].tolist(), crowd, strict=True):
+        if row in done or (box in taken and not many):
+            continue
+        matches[row] = box
+        done.add(row)
+        taken.add(box)
+    return matches
+
+
+def _optimal(labelled: LabelledSet, pairs: Candidates) -> Indices:
+    """As many matches as possible, of those the largest sum; ignored annotations take detections that are left."""
+    matches = np.full(len(labelled.results), NOBODY)
+    sought = ~labelled.annotations.ignored[pairs.annotation]
+    _assign(pairs.where(sought), matches)
+    rest = _greedy(labelled, pairs.where(~sought & (matches[pairs.detection] < 0)))
+    return np.where(matches >= 0, matches, rest)
+
+
+def _assign(pairs: Candidates, matches: Indices) -> None:
+    """Solve an assignment problem for each cluster of boxes that can match each other; writes to the matches."""
+    if not len(pairs.detection):
+        return
+    quality = pairs.quality
+    rows, row = np.unique(pairs.detection, return_inverse=True)
+    columns, column = np.unique(pairs.annotation, return_inverse=True)
+    size = len(rows) + len(columns)
+    graph = coo_array((np.ones(len(row)), (row, len(rows) + column)), shape=(size, size))
+    _, cluster = connected_components(graph, directed=False)
+    order = np.argsort(cluster[row], kind="stable")
+    edges = np.flatnonzero(np.diff(cluster[row][order])) + 1
+    for part in np.split(order, edges):
+        if len(part) == 1:
+            matches[rows[row[part[0]]]] = columns[column[part[0]]]
+            continue
+        ours, i = np.unique(row[part], return_inverse=True)
+        theirs, j = np.unique(column[part], return_inverse=True)
+        gain = np.zeros((len(ours), len(theirs)))
+        gain[i, j] = quality[part] - quality.min() + 1 + min(gain.shape) * (1 + np.ptp(quality))
+        for a, b in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
+            if gain[a, b] > 0:
+                matches[rows[ours[a]]] = columns[theirs[b]]

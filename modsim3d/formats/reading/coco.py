@@ -1,0 +1,349 @@
+"""COCO ground truth and COCO results, as most detection libraries write them.
+
+Beyond COCO's own keys these are read where they are given: of an image `condition`, `sequence` (or `video_id`) and
+`time_s` or `frame_id`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`;
+of a result `probabilities`, one for each category in their order. Boxes come from `bbox`; masks are ignored.
+
+`image_id` names the image of a result, or a `file_name` beside it does. Programs that know no IDs, such as
+ultralytics, write the name of the image's file without its ending as `image_id`, as a number if it is one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import orjson
+
+from modsim3d.errors import InputError
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.reading.builder import (
+    MOST_PROBLEMS,
+    MOST_PX,
+    AnnotationRows,
+    ImageRows,
+    Place,
+    Problems,
+    ResultRows,
+    labelled_set,
+    valid_box,
+)
+from modsim3d.inputs.strict_json import load_json
+from modsim3d.inputs.validation import nearest
+
+ID = int | str
+
+
+def read_coco(
+    condition: str,
+    truth: Path,
+    detections: Path,
+    skip_bad: bool = False,
+    category_offset: int = 0,
+    frame_rate_hz: float | None = None,
+) -> LabelledSet:
+    """Read one condition.
+
+    Args:
+        condition: Its name.
+        truth: A COCO ground truth.
+        detections: COCO results.
+        skip_bad: Leave out wrong entries and count them.
+        category_offset: Number to add to the category IDs of the results.
+        frame_rate_hz: Turns `frame_id` into times.
+
+    Raises:
+        InputError: The files are wrong; each problem names the index of its entry.
+    """
+    problems = Problems(f"ground truth {truth}", skip_bad)
+    content = _object(truth, "ground truth", problems.source)
+    categories = _categories(content, problems)
+    rows_of, images = _images(content, frame_rate_hz, problems)
+    annotations, results = AnnotationRows(), ResultRows()
+    known = _Known(rows_of, {}, categories)
+    for index, entry in enumerate(_list(content, "annotations", problems)):
+        _annotation(entry, f"annotations[{index}]", known, annotations, problems)
+    notes = problems.settle()
+    wrong = Problems(f"detections {detections}", skip_bad)
+    entries = _results(detections)
+    known, doubt = _known_to_results(entries, known, images.names, category_offset, wrong)
+    for index, entry in enumerate(entries):
+        _result(entry, f"[{index}]", known, results, wrong)
+    notes += doubt + wrong.settle()
+    if frame_rate_hz is None and any(map(math.isnan, images.time_s)) and _numbered(content):
+        notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
+    labels = [name for name, _ in sorted(categories.values(), key=lambda pair: pair[1])]
+    return labelled_set(condition, labels, images, annotations, results, notes)
+
+
+def _numbered(content: Mapping[str, Any]) -> bool:
+    return any(isinstance(entry, dict) and "frame_id" in entry for entry in content["images"])
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What an entry may name.
+
+    Attributes:
+        images: Row of each image, by what stands for `image_id`.
+        files: Row of each image by the name of its file.
+        categories: Name and label, by ID.
+    """
+
+    images: Mapping[Any, int]
+    files: Mapping[Any, int]
+    categories: Mapping[Any, tuple[str, int]]
+
+
+def _known_to_results(
+    entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
+) -> tuple[_Known, list[str]]:
+    """What results may name: an `image_id` may be the name of a file, and category IDs may start at another number.
+
+    Returns:
+        What they may name, and a remark if every `image_id` can be read in both ways and some mean different images.
+    """
+    rows = [entry for entry in entries if isinstance(entry, dict)]
+    given = {image for entry in rows if isinstance(image := entry.get("image_id"), ID)}
+    files, stems = _by_file(names)
+    images, doubt = known.images, []
+    if len(given & stems.keys()) > len(given & images.keys()):
+        images = stems
+    elif any("file_name" in entry for entry in rows):
+        pass  # file names decide
+    elif given <= stems.keys() & images.keys() and any(stems[image] != images[image] for image in given):
+        doubt = ["each image_id of the results is an image's id, and the name of another's file too: taken for the id"]
+    categories = {number - category_offset: category for number, category in known.categories.items()}
+    classes = {number for entry in rows if isinstance(number := entry.get("category_id"), int)}
+    if classes - categories.keys():
+        for step in (1, -1):
+            if {number + step for number in classes} <= categories.keys():
+                whole = category_offset + step
+                problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
+    return _Known(images, files, categories), doubt
+
+
+def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
+    """Rows of images by file name, and by name without folder and ending; names of several images are left out."""
+    files: dict[ID, list[int]] = {}
+    stems: dict[ID, list[int]] = {}
+    for row, name in enumerate(names):
+        path = PurePosixPath(name.replace("\\", "/"))
+        names_of: set[ID] = {name, path.name}
+        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() else set()
+        for key in names_of:
+            files.setdefault(key, []).append(row)
+        for key in names_of | {path.stem} | number:
+            stems.setdefault(key, []).append(row)
+    return _unambiguous(files), _unambiguous(stems)
+
+
+def _unambiguous(rows_of: dict[ID, list[int]]) -> dict[ID, int]:
+    return {key: rows[0] for key, rows in rows_of.items() if len(rows) == 1}
+
+
+def _parse(path: Path, what: str) -> Any:
+    """Read JSON; if it is broken, read it again with a slower reader that names the place."""
+    try:
+        return orjson.loads(path.read_bytes())
+    except (OSError, orjson.JSONDecodeError):
+        return load_json(path, what)
+
+
+def _object(path: Path, what: str, source: str) -> Mapping[str, Any]:
+    content = _parse(path, what)
+    if not isinstance(content, dict):
+        kind = "a list: is it the results file?" if isinstance(content, list) else f"{str(content)[:40]!r}"
+        raise InputError(source, [f"must be a mapping with images, annotations and categories (got {kind})"])
+    missing = [key for key in ("images", "annotations", "categories") if key not in content]
+    if missing:
+        raise InputError(source, [f"{key}: missing" for key in missing])
+    return content
+
+
+def _results(path: Path) -> list[Any]:
+    content = _parse(path, "detections")
+    if isinstance(content, list):
+        return content
+    got = ", ".join(list(content)[:5]) if isinstance(content, dict) else str(content)[:40]
+    raise InputError(
+        f"detections {path}",
+        [f"must be a list of results with image_id, category_id, bbox and score (got a mapping with {got})"],
+    )
+
+
+def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]:
+    if not isinstance(content[key], list):
+        raise InputError(problems.source, [f"{key}: must be a list"])
+    found: list[Any] = content[key]
+    return found
+
+
+def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
+    """Name and label of each category's ID, in the order of the file."""
+    known: dict[Any, tuple[str, int]] = {}
+    for index, entry in enumerate(_list(content, "categories", problems)):
+        where = f"categories[{index}]"
+        if (
+            not isinstance(entry, dict)
+            or not isinstance(entry.get("id"), int)
+            or not isinstance(entry.get("name"), str)
+            or not entry["name"]
+        ):
+            raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
+        if entry["id"] in known or entry["name"] in (name for name, _ in known.values()):
+            raise InputError(problems.source, [f"{where}: id {entry['id']} or name '{entry['name']}' appears twice"])
+        known[entry["id"]] = (entry["name"], len(known))
+    if not known:
+        raise InputError(problems.source, ["categories: is empty, must name at least one"])
+    return known
+
+
+def _images(
+    content: Mapping[str, Any], frame_rate_hz: float | None, problems: Problems
+) -> tuple[dict[Any, int], ImageRows]:
+    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text."""
+    entries: dict[Any, tuple[str, dict[str, Any]]] = {}
+    for index, entry in enumerate(_list(content, "images", problems)):
+        where = f"images[{index}]"
+        if not isinstance(entry, dict) or not isinstance(entry.get("id"), ID):
+            problems.add(f"{where}: must have an id, a whole number or text")
+        elif entry["id"] in entries:
+            problems.add(f"{where}: id {entry['id']} appears twice")
+        else:
+            entries[entry["id"]] = where, entry
+    rows_of: dict[Any, int] = {}
+    images, sequences = ImageRows(), dict[Any, int]()
+    for identity in sorted(entries, key=lambda identity: (isinstance(identity, str), identity)):
+        if _image(*entries[identity], frame_rate_hz, images, sequences, problems):
+            rows_of[identity] = len(rows_of)
+    return rows_of, images
+
+
+def _image(
+    where: str,
+    entry: Mapping[str, Any],
+    frame_rate_hz: float | None,
+    images: ImageRows,
+    sequences: dict[Any, int],
+    problems: Problems,
+) -> bool:
+    """Append an image, whose sequence is numbered; False with a problem if it cannot be used."""
+    known, given = len(problems.lines), [entry.get("width"), entry.get("height")]
+    size_px = [float(side) for side in given if isinstance(side, int | float) and 0 < side <= MOST_PX]
+    if len(size_px) < 2:
+        problems.add(f"{where}: width and height must be pixels, above 0 (got {given[0]!r} and {given[1]!r})")
+    sequence = entry.get("sequence", entry.get("video_id"))
+    if not isinstance(sequence, ID | None):
+        problems.add(f"{where}: sequence must be a whole number or text (got {str(sequence)[:40]})")
+    time_s = _time_s(entry, frame_rate_hz)
+    if time_s is None:
+        problems.add(
+            f"{where}: time_s and frame_id must be numbers (got {entry.get('time_s', entry.get('frame_id'))!r})"
+        )
+    if time_s is None or len(problems.lines) > known:
+        return False
+    number, condition = sequences.setdefault(sequence, len(sequences)), entry.get("condition")
+    own = None if condition is None else str(condition)
+    images.add(str(entry.get("file_name", entry["id"])), size_px, number, time_s, own)
+    return True
+
+
+def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | None:
+    """Time of an image, NaN where it is not known, None where it is no number."""
+    time = entry.get("time_s")
+    if time is None and frame_rate_hz is not None:
+        frame = entry.get("frame_id")
+        time = frame / frame_rate_hz if isinstance(frame, int | float) else frame
+    if time is None:
+        return math.nan
+    return float(time) if isinstance(time, int | float) and math.isfinite(time) else None
+
+
+def _place(entry: Any, where: str, known: _Known, problems: Problems) -> Place | None:
+    """Image, label and box of an entry; None with a problem if it has none."""
+    if not isinstance(entry, dict):
+        problems.add(f"{where}: must be a mapping (got {str(entry)[:40]!r})")
+        return None
+    file = entry.get("file_name")
+    row = known.files.get(file) if isinstance(file, str) else None
+    row = _named(entry, "image_id", known.images, where, problems) if row is None else row
+    category = None if row is None else _named(entry, "category_id", known.categories, where, problems)
+    if row is None or category is None or not valid_box(entry.get("bbox"), where, problems):
+        return None
+    return Place(row, category[1], entry["bbox"])
+
+
+def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
+    """The value that an entry refers to by a key; None with a problem if there is no such value."""
+    value = entry.get(key)
+    if isinstance(value, int | float | str) and value in known:
+        return known[value]
+    # The search for similar names takes long: not for problems that will not be shown.
+    hint = f" ({nearest(str(value), map(str, known))})" if len(problems.lines) < MOST_PROBLEMS else ""
+    problems.add(f"{where}: unknown {key} {value!r}{hint}" if key in entry else f"{where}: {key} is missing")
+    return None
+
+
+_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": math.inf}
+
+
+def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
+    """A number within the range of its key, NaN where it is not given; adds a problem if it is out of range."""
+    value = entry.get(key)
+    if value is None:
+        return math.nan
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        problems.add(f"{where}: {key} must be a number (got {value!r})")
+    elif not 0 <= value <= _MOST[key]:
+        problems.add(f"{where}: {key} must be {'from 0 to 1' if _MOST[key] < math.inf else '0 or more'} (got {value})")
+    else:
+        return float(value)
+    return math.nan
+
+
+def _identity(entry: Mapping[str, Any]) -> ID | None:
+    """Identity of an annotation; None where it is not given or a number below 0, as in MOT."""
+    identity = entry.get("track_id", entry.get("instance_id"))
+    known = isinstance(identity, str) or (isinstance(identity, int) and identity >= 0)
+    return identity if known else None
+
+
+def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, problems: Problems) -> None:
+    place = _place(entry, where, known, problems)
+    if place is None:
+        return
+    before = len(problems.lines)
+    visible_fraction, depth_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
+    identity = _identity(entry)
+    if rows.has(place.image, identity):
+        problems.add(f"{where}: identity {identity!r} is in the image {entry['image_id']!r} already")
+    if len(problems.lines) == before:
+        crowd = bool(entry.get("iscrowd", 0))
+        rows.add(place, crowd or bool(entry.get("ignore", 0)), crowd, identity, visible_fraction, depth_m)
+
+
+def _result(entry: Any, where: str, known: _Known, rows: ResultRows, problems: Problems) -> None:
+    place = _place(entry, where, known, problems)
+    if place is None:
+        return
+    score, given = entry.get("score"), entry.get("probabilities")
+    if not isinstance(score, int | float) or isinstance(score, bool) or not 0 <= score <= 1:
+        problems.add(f"{where}: score must be from 0 to 1 (got {score!r})")
+    elif given is not None and not _distribution(given, len(known.categories)):
+        problems.add(
+            f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {str(given)[:60]})"
+        )
+    else:
+        rows.add(place, float(score), given)
+
+
+def _distribution(values: Any, count: int) -> bool:
+    return (
+        isinstance(values, list)
+        and len(values) == count
+        and all(isinstance(value, int | float) and 0 <= value <= 1 for value in values)
+    )

@@ -1,0 +1,185 @@
+"""YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
+
+Lines of detections end with the confidence. The images lie in the folder `images` beside `labels`, as in
+`set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes. Without such files, every
+file in either folder stands for an image, and `images.txt` beside the labels, a name on each line, adds others. An
+image without a file of labels, or with an empty one, has nothing in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from modsim3d.boxes import corner_form
+from modsim3d.errors import InputError
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.reading.builder import (
+    AnnotationRows,
+    ImageRows,
+    Place,
+    Problems,
+    ResultRows,
+    labelled_set,
+    valid_box,
+)
+from modsim3d.formats.reading.image_sizes import image_size_px as size_of_image
+from modsim3d.formats.reading.image_sizes import images_in
+from modsim3d.formats.reading.text_lines import number_lines
+from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.inputs.text_files import read_text
+
+
+def read_yolo(
+    condition: str,
+    truth: Path,
+    detections: Path,
+    labels: tuple[str, ...] = (),
+    image_size_px: tuple[float, float] | None = None,
+    skip_bad: bool = False,
+) -> LabelledSet:
+    """Read one condition.
+
+    Args:
+        condition: Its name.
+        truth: The folder of the labels, or the one that has it as `labels`.
+        detections: The folder of the predictions, or the one that has it as `labels`.
+        labels: Names of the classes 0, 1, ...; from `classes.txt` or `data.yaml` if not given.
+        image_size_px: Width and height of every image; from the images if not given.
+        skip_bad: Leave out wrong lines and count them.
+
+    Raises:
+        InputError: The files are wrong; each problem names its file and line.
+    """
+    folder, predicted = _folder(truth, needed=True), _folder(detections)
+    files = _images(folder, truth)
+    if image_size_px is None and not files:
+        raise InputError(
+            f"ground truth {truth}",
+            ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
+        )
+    names = labels or _names(truth, folder)
+    stems = files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
+    images = ImageRows()
+    for stem in sorted(stems):
+        images.add(stem, image_size_px or size_of_image(files[stem]))
+    problems = Problems(f"ground truth {truth}", skip_bad)
+    wrong = Problems(f"detections {detections}", skip_bad)
+    annotations = _annotations(_files(folder), images, problems)
+    results = _results(_files(predicted), images, wrong)
+    largest = max([place.label for place in annotations.places + results.places] + [len(names) - 1])
+    whole = [names[k] if k < len(names) else f"class_{k}" for k in range(largest + 1)]
+    return labelled_set(condition, whole, images, annotations, results, problems.settle() + wrong.settle())
+
+
+def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> AnnotationRows:
+    rows = AnnotationRows(corner_form)
+    for image, where, numbers in _lines(paths, images, "labels", problems):
+        if len(numbers) > 5:
+            problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
+        elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
+            rows.add(place)
+    return rows
+
+
+def _results(paths: list[Path], images: ImageRows, problems: Problems) -> ResultRows:
+    rows = ResultRows(corner_form)
+    for image, where, numbers in _lines(paths, images, "predictions", problems):
+        if len(numbers) != 6:
+            problems.add(f"{where}: has {len(numbers)} numbers, must have 6: class, x, y, width, height, confidence")
+            problems.hint = "predictions must come with their confidence (ultralytics: save_txt=True save_conf=True)"
+        elif not 0 <= numbers[5] <= 1:
+            problems.add(f"{where}: confidence must be from 0 to 1 (got {numbers[5]:g})")
+        elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
+            rows.add(place, numbers[5])
+    return rows
+
+
+def _lines(
+    paths: list[Path], images: ImageRows, what: str, problems: Problems
+) -> Iterator[tuple[int, str, list[float]]]:
+    """Row of the image, place in the file and numbers of each line of each file that belongs to an image."""
+    row_of = {stem: row for row, stem in enumerate(images.names)}
+    for path in paths:
+        if path.stem not in row_of:
+            problems.add(f"{path.name}: there is no image of this name")
+            continue
+        for where, numbers in number_lines(path, what, None, 5, problems):
+            yield row_of[path.stem], where, numbers
+
+
+def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float], problems: Problems) -> Place | None:
+    """Image, label and box of a line; None with a problem if it has none."""
+    number, x, y, width, height = numbers[:5]
+    box_px = [x * size_px[0], y * size_px[1], width * size_px[0], height * size_px[1]]
+    if not 0 <= number < _MOST_CLASSES or number != int(number):
+        problems.add(f"{where}: class must be a whole number from 0 to {_MOST_CLASSES - 1} (got {number:g})")
+    elif max(abs(x), abs(y), width, height) > 2:
+        problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {numbers[1:5]})")
+    elif valid_box(box_px, where, problems):
+        return Place(image, int(number), box_px)
+    return None
+
+
+_MOST_CLASSES = 10_000
+"""A larger number is no class but something else."""
+_NOT_LABELS = ("classes.txt", "images.txt")
+
+
+def _folder(path: Path, needed: bool = False) -> Path:
+    """The folder that has the text files.
+
+    Raises:
+        InputError: Only folders below it have text files; or there are none at all, and they are needed.
+    """
+    if not path.is_dir():
+        raise InputError(f"folder {path}", ["no such folder"])
+    folder = path / "labels" if (path / "labels").is_dir() else path
+    if not _files(folder):
+        below = sorted({str(file.parent) for file in folder.rglob("*.txt") if file.parent != folder})
+        if below:
+            raise InputError(f"folder {path}", [f"has no labels itself; those below it have: {', '.join(below[:5])}"])
+        if needed:
+            raise InputError(f"folder {path}", ["has no labels: no .txt file"])
+    return folder
+
+
+def _images(folder: Path, truth: Path) -> dict[str, Path]:
+    """The images of the labels in a folder, by name without ending; none if they are not found."""
+    parts = list(folder.parts)
+    if "labels" in parts:
+        last = len(parts) - 1 - parts[::-1].index("labels")
+        there = Path(*parts[:last], "images", *parts[last + 1 :])
+        if there.is_dir() and (found := images_in(there)):
+            return found
+    return images_in(folder) or images_in(truth)
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.txt") if path.name not in _NOT_LABELS)
+
+
+def _listed(folder: Path) -> set[str]:
+    path = folder / "images.txt"
+    if not path.is_file():
+        return set()
+    return {Path(line.strip()).stem for line in read_text(path, "images").splitlines() if line.strip()}
+
+
+def _names(truth: Path, folder: Path) -> tuple[str, ...]:
+    """Names of the classes from a file beside the labels, or from `data.yaml` up to three folders above."""
+    for listed in (truth / "classes.txt", folder / "classes.txt"):
+        if listed.is_file():
+            return tuple(line.strip() for line in read_text(listed, "classes").splitlines() if line.strip())
+    above = folder.resolve().parents[:3]
+    for path in (truth / "data.yaml", folder / "data.yaml", *(parent / "data.yaml" for parent in above)):
+        if path.is_file():
+            content = load_yaml(path, "data")
+            names = content.get("names") if isinstance(content, dict) else None
+            if isinstance(names, dict):
+                if any(type(key) is not int or not 0 <= key < _MOST_CLASSES for key in names):
+                    raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {list(names)[:5]})"])
+                names = [names.get(number, f"class_{number}") for number in range(max(names, default=-1) + 1)]
+            if isinstance(names, list):
+                return tuple(str(name) for name in names)
+    return ()

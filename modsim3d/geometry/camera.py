@@ -1,0 +1,219 @@
+"""A camera: intrinsics with skew and non-square pixels, projection, lens distortion, horizon.
+
+Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left
+pixel, so the image is [0, width] × [0, height].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from modsim3d.arrays import Array
+from modsim3d.geometry.camera_poses import Mount
+from modsim3d.geometry.lens import Distortion
+
+DEFAULT_NEAR_CLIP_M = 0.1
+BORDER_POINTS = 64
+"""Points on each side of the image at which a lens's field of view is measured."""
+BEND_PX = 1 / 256
+"""Greatest distance between a curve that a lens makes of a straight edge and the chords that are drawn for it."""
+MOST_WINDOW = 10
+"""Greatest size of the pinhole image of a distorted one, in sizes of the latter."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """The map from camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
+
+    Attributes:
+        focal_px: f1 = f / Δp1 and f2 = f / Δp2.
+        principal_point_px: (a1, a2), from the top-left corner of the image.
+        image_size_px: Width and height.
+        skew: s, in pixels.
+        near_clip_m: Distance of the near plane along c3; nothing nearer is drawn or projected.
+        distortion: Distortion of the lens; None for a pinhole.
+    """
+
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    image_size_px: tuple[int, int]
+    skew: float = 0.0
+    near_clip_m: float = DEFAULT_NEAR_CLIP_M
+    distortion: Distortion | None = None
+
+    @classmethod
+    def from_lens(
+        cls,
+        focal_length_m: float,
+        pixel_size_m: tuple[float, float],
+        principal_point_px: tuple[float, float],
+        image_size_px: tuple[int, int],
+        skew: float = 0.0,
+        near_clip_m: float = DEFAULT_NEAR_CLIP_M,
+        distortion: Distortion | None = None,
+    ) -> Intrinsics:
+        """Intrinsics from the focal length and the pixel size of a data sheet (eq. 4.8, 4.9)."""
+        focal_px = (focal_length_m / pixel_size_m[0], focal_length_m / pixel_size_m[1])
+        return cls(focal_px, principal_point_px, image_size_px, skew, near_clip_m, distortion)
+
+    @property
+    def matrix(self) -> Array:
+        """K = [[f1, s, a1], [0, f2, a2], [0, 0, 1]], shape (3, 3)."""
+        (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
+        return np.array([[f1, self.skew, a1], [0.0, f2, a2], [0.0, 0.0, 1.0]])
+
+    def project(self, points_camera: ArrayLike) -> Array:
+        """Pixels of points in camera coordinates (eq. 4.18).
+
+        Args:
+            points_camera: Metres in CCF, shape (..., 3).
+
+        Returns:
+            Columns and rows, shape (..., 2); NaN for points nearer than the near plane, which have no image.
+        """
+        points = np.asarray(points_camera, dtype=np.float64)
+        depth = points[..., 2]
+        seen = np.where(depth >= self.near_clip_m, depth, np.nan)
+        c1, c2 = points[..., 0] / seen, points[..., 1] / seen
+        if self.distortion is not None:
+            c1, c2 = np.moveaxis(self.distortion.distort(np.stack([c1, c2], axis=-1)), -1, 0)
+        (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
+        return np.stack([f1 * c1 + self.skew * c2 + a1, f2 * c2 + a2], axis=-1)
+
+    def unproject(self, pixels: ArrayLike, depth_m: ArrayLike) -> Array:
+        """Points in camera coordinates that pixels show at a depth along c3: the inverse of `project`.
+
+        Args:
+            pixels: Columns and rows, shape (..., 2).
+            depth_m: c3, shape (...).
+
+        Returns:
+            Metres in CCF, shape (..., 3).
+        """
+        pixel, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
+        (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
+        c2 = (pixel[..., 1] - a2) / f2
+        c1 = (pixel[..., 0] - a1 - self.skew * c2) / f1
+        if self.distortion is not None:
+            c1, c2 = np.moveaxis(self.distortion.undistort(np.stack([c1, c2], axis=-1)), -1, 0)
+        return np.stack([c1 * depth, c2 * depth, depth], axis=-1)
+
+    @cached_property
+    def pinhole(self) -> Intrinsics:
+        """The camera without distortion, with an image so large that it contains the field of view of the lens.
+
+        Straight lines stay straight in its image. A camera without distortion is its own pinhole.
+        """
+        if self.distortion is None:
+            return self
+        low, high = self._window()
+        (a1, a2), (width, height) = self.principal_point_px, (high - low).astype(int).tolist()
+        return replace(
+            self,
+            principal_point_px=(a1 - low[0], a2 - low[1]),
+            image_size_px=(width, height),
+            distortion=None,
+        )
+
+    def through_lens(self, pinhole_px: ArrayLike) -> Array:
+        """Pixels of the distorted image.
+
+        Args:
+            pinhole_px: Pixels of the pinhole's image, shape (..., 2).
+
+        Returns:
+            Pixels, shape (..., 2).
+        """
+        pixels = np.asarray(pinhole_px, dtype=np.float64)
+        if self.distortion is None:
+            return pixels
+        return self.project(self.pinhole.unproject(pixels, np.full(pixels.shape[:-1], self.near_clip_m)))
+
+    @cached_property
+    def chord_px(self) -> float:
+        """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`.
+
+        A chord of length s is at most κ s² / 8 from a curve of curvature κ. κ is measured at the edge of the image,
+        where the lens bends most.
+        """
+        if self.distortion is None:
+            return math.inf
+        border, step = self.pinhole.image_border(), 1.0
+        bends = [
+            np.linalg.norm(self.through_lens(border + d) + self.through_lens(border - d) - 2 * bent, axis=1).max()
+            for bent in [self.through_lens(border)]
+            for d in step * np.array([[1.0, 0.0], [0.0, 1.0], [0.7, 0.7], [0.7, -0.7]])
+        ]
+        return min(max(math.sqrt(8 * BEND_PX / (max(bends) / step**2 + 1e-12)), 1.0), 256.0)
+
+    def image_border(self) -> Array:
+        """Points around the edge of the image in pixels, shape (n, 2)."""
+        along = np.arange(BORDER_POINTS) / BORDER_POINTS
+        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
+        sides = corners[:, None] + along[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
+        border: Array = sides.reshape(-1, 2) * self.image_size_px
+        return border
+
+    def _window(self) -> tuple[Array, Array]:
+        """Least and greatest column and row, each of shape (2,), of the field of view in a pinhole's image."""
+        seen = self.unproject(self.image_border(), np.ones(4 * BORDER_POINTS))
+        pixels = replace(self, distortion=None, near_clip_m=0.5).project(seen)
+        return np.floor(pixels.min(axis=0)) - 1, np.ceil(pixels.max(axis=0)) + 1
+
+    def lens_problem(self) -> str | None:
+        """Reason why no lens with these coefficients can make this image; None if one can."""
+        if self.distortion is None:
+            return None
+        low, high = self._window()
+        size = float(np.max(high - low))
+        if not size <= MOST_WINDOW * max(self.image_size_px):
+            return "the lens reaches only a part of the image: reduce the coefficients or the image size"
+        window = self.pinhole.unproject(self.pinhole.image_border(), np.ones(4 * BORDER_POINTS))[:, :2]
+        if not self.distortion.one_to_one(window):
+            return "folds the image over itself: some pixels show two directions; reduce the coefficients"
+        return None
+
+    def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:
+        """The half-plane of the image that shows the sea, for any roll and pitch.
+
+        The sea is flat, and the horizon is a straight line: distortion is left out. A pixel's ray K⁻¹ (x, y, 1) meets
+        the sea where it points below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
+
+        Args:
+            camera_R_world: Rotations WCF to CCF, shape (..., 3, 3).
+
+        Returns:
+            (a, b, c) with a·x + b·y + c >= 0 on the sea, shape (..., 3), scaled so that the value is the distance
+            from the horizon in pixels. (0, 0, ±1) if the camera looks straight down or up.
+        """
+        up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
+        line = (-up[..., None, :] @ np.linalg.inv(self.matrix))[..., 0, :]  # one by one: many at once round otherwise
+        length = np.hypot(line[..., 0], line[..., 1])
+        level = length < 1e-12 * np.abs(line[..., 2])
+        scaled = line / np.where(level, 1.0, length)[..., None]
+        nadir = np.stack([0 * length, 0 * length, np.sign(line[..., 2])], axis=-1)
+        return np.where(level[..., None], nadir, scaled)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A virtual camera.
+
+    Attributes:
+        name: ID of the camera.
+        intrinsics: Map from camera coordinates to pixels.
+        mount: Place in the world or on a vessel.
+        frame_rate_hz: Frames a second; None for one at every step of the scene.
+        start_offset_s: Time from the scene's first step to the first frame.
+    """
+
+    name: str
+    intrinsics: Intrinsics
+    mount: Mount
+    frame_rate_hz: float | None = None
+    start_offset_s: float = 0.0

@@ -1,0 +1,79 @@
+"""JSON without repeated keys, which parsers drop silently."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from modsim3d.errors import InputError
+from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.validation import join_path
+
+
+class _Pairs(list[tuple[str, Any]]):
+    """A JSON object that keeps its repeated keys."""
+
+
+def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
+    """Paths of the keys that appear more than once in a JSON object."""
+    if not isinstance(content, list):
+        return []
+    pairs = content if isinstance(content, _Pairs) else list(enumerate(content))
+    seen: set[object] = set()
+    found: list[str] = []
+    for key, value in pairs:
+        if key in seen:
+            found.append(f"{join_path(*path, key)}: the key '{key}' appears twice")
+        seen.add(key)
+        found += _repeated_keys(value, (*path, key))
+    return found
+
+
+def load_json(path: Path, what: str) -> Any:
+    """The content of a JSON file; repeated keys, which parsers drop silently, are refused.
+
+    Raises:
+        InputError: The file cannot be read or is not valid JSON; the message names line and column.
+    """
+    text = read_text(path, what).removeprefix("\ufeff")
+    if not text.strip():
+        raise InputError(f"{what} {path}", ["the file is empty"])
+    return parse_json(text, f"{what} {path}")
+
+
+def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file") -> Any:
+    """The value of a JSON text; repeated keys, which parsers drop silently, are refused.
+
+    Args:
+        text: JSON.
+        source: Name of the source in errors.
+        first_line: Number of its first line.
+        whole: Kind of text in errors, `file` or `line`.
+
+    Raises:
+        InputError: It is not valid JSON; the message names line and column.
+    """
+    repeated = False
+
+    def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        nonlocal repeated
+        result = dict(pairs)
+        repeated = repeated or len(result) < len(pairs)
+        return result
+
+    try:
+        content = json.loads(text, object_pairs_hook=mapping)
+        if repeated:
+            problems = _repeated_keys(json.loads(text, object_pairs_hook=_Pairs), ())
+            raise InputError(source, list(dict.fromkeys(problems)))
+    except json.JSONDecodeError as error:
+        where = f"line {first_line + error.lineno - 1}, column {error.colno}"
+        unfinished = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated")
+        cut = f" (the {whole} ends here: is it cut off?)" if unfinished else ""
+        raise InputError(source, [f"{where}: {error.msg}{cut}"]) from None
+    except RecursionError:
+        raise InputError(source, ["is nested too deeply"]) from None
+    except ValueError as error:  # an integer of thousands of digits
+        raise InputError(source, [f"a value cannot be read: {error}"]) from None
+    return content

@@ -1,0 +1,161 @@
+"""From labelled sets to a report: conditions, states, figures, the detector, and what matching does to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Indices, Mask
+from modsim3d.boxes import iou
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched, Rule, match
+from modsim3d.learn.error_shares import error_shares
+from modsim3d.learn.figures import Figures, Matches
+from modsim3d.learn.gate_bias import bias_of
+from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.report import Report
+from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
+from modsim3d.learn.transitions import Transitions, count_transitions
+
+
+@dataclass(frozen=True)
+class LearnOptions:
+    """What is wanted besides the settings of learning.
+
+    Attributes:
+        states: Texts such as `good=day,cloudy`.
+        clusters: Number of states to make by F1.
+        sequence: Text with the name of a state on each line.
+        interval_s: Time between transitions.
+        level: Of the confidence intervals.
+        beta: How many times more recall weighs than precision in F-beta.
+        bias: Whether to find how much matching shifts the numbers.
+    """
+
+    states: tuple[str, ...] = ()
+    clusters: int | None = None
+    sequence: str | None = None
+    interval_s: float | None = None
+    level: float = 0.95
+    beta: float = 2.0
+    bias: bool = False
+
+
+def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOptions) -> Report:
+    """Learn and report.
+
+    Raises:
+        ModsimError: There are no annotations, or the states do not fit the conditions.
+    """
+    matched = match(labelled, settings.rule, settings.threshold)
+    if not matched.sought.any():
+        raise ModsimError("there is no truth that is to be found: nothing can be learned")
+    by_label = match(labelled, Rule(least_iou=settings.rule.least_iou, by_label=True))
+    state_map = _state_map(labelled, matched, options)
+    image_state = state_map.of_images(labelled.images, labelled.conditions)
+    observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold)
+    learned = learn(observed, _transitions(observed, options), settings)
+    matches = Matches(labelled, matched, by_label, learned.resampling, options.beta, learned.numbers.classes.inflation)
+    return Report(
+        labelled=labelled,
+        by_label=by_label,
+        conditions=_figures_of_conditions(matches),
+        states=[matches.figures(name, image_state == k) for k, name in enumerate(state_map.names)],
+        state_map=state_map,
+        learned=learned,
+        shares=error_shares(labelled, by_label, image_state >= 0, settings.rule.least_iou),
+        bias=bias_of(learned, settings) if options.bias else None,
+        level=options.level,
+        beta=options.beta,
+        matched_by=str(settings.rule),
+        remarks=(*labelled.notes, *_remarks(observed, settings.rule)),
+    )
+
+
+def _state_map(labelled: LabelledSet, matched: Matched, options: LearnOptions) -> StateMap:
+    """The states that are named, that clusters make or that conditions are; only those with images."""
+    if options.states and options.clusters:
+        raise ModsimError("give --state, which names the conditions of each state, or --states, which finds them")
+    if options.states:
+        state_map = parse_states(options.states, labelled.conditions)
+    elif options.clusters:
+        seen = np.unique(labelled.images.condition)
+        f1 = {labelled.conditions[k]: _f1(labelled, matched, labelled.images.condition == k) for k in seen}
+        state_map = cluster(f1, options.clusters)
+    else:
+        state_map = each_its_own(labelled.conditions)
+    used = np.unique(state_map.of_images(labelled.images, labelled.conditions))
+    return StateMap({name: given for k, (name, given) in enumerate(state_map.states.items()) if k in used})
+
+
+def _f1(labelled: LabelledSet, matched: Matched, images: Mask) -> float:
+    """F1 of some images (I,), labels left aside."""
+    right = float(images[labelled.results.image[matched.pairs[0]]].sum())
+    detected = float((matched.counts & images[labelled.results.image]).sum())
+    true = float((matched.sought & images[labelled.annotations.image]).sum())
+    return 2 * right / (detected + true) if detected + true else 0.0
+
+
+def _figures_of_conditions(matches: Matches) -> list[Figures]:
+    """The figures of conditions that have images, the largest F1 first."""
+    condition = matches.labelled.images.condition
+    found = [
+        matches.figures(name, condition == k)
+        for k, name in enumerate(matches.labelled.conditions)
+        if np.any(condition == k)
+    ]
+    return sorted(found, key=lambda each: -float(np.nan_to_num(each.any_label.f1.estimate)))
+
+
+def _transitions(observed: Observed, options: LearnOptions) -> Transitions:
+    """How states follow each other, from the text if it is given, else from the frames."""
+    count, interval_s = len(observed.states), options.interval_s
+    if interval_s is not None and not interval_s > 0:
+        raise InputError("--interval", [f"must be above 0 (got {interval_s:g})"])
+    if options.sequence is None:
+        return transitions_of(observed.labelled.images, observed.image_state, count, interval_s)
+    return count_transitions([parse_sequence(options.sequence, observed.states, "--sequence")], count, interval_s)
+
+
+_NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
+_ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
+
+
+def _remarks(observed: Observed, rule: Rule) -> Iterator[str]:
+    """What speaks against the matches."""
+    labelled, (found, annotation) = observed.labelled, observed.matched.pairs
+    if not len(found):
+        yield "nothing matches: are truth and detections of the same images, and boxes in pixels of the same size?"
+        return
+    yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
+    if rule.method in ("confidence", "optimal"):
+        gate = rule.least_iou + _NEAR_THE_GATE
+        near = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]) < gate
+        yield from _remarks_on_gate(observed, near, observed.image_state[labelled.annotations.image[annotation]], gate)
+
+
+def _remarks_on_labels(shift: Indices) -> Iterator[str]:
+    """A remark if detected labels (m,) are nearly all one off the true ones."""
+    for step, where in ((1, "after"), (-1, "before")):
+        if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
+            yield (
+                f"{(shift == step).mean():.0%} of the matches have the label {where} that of the truth in the list of "
+                f"categories: do results count from elsewhere (--category-offset {-step})?"
+            )
+
+
+def _remarks_on_gate(observed: Observed, near: Mask, state: Indices, gate: float) -> Iterator[str]:
+    """A remark for each state of which many matches are near the least IoU, given state and nearness of each (m,)."""
+    for k, name in enumerate(observed.states):
+        share = float(near[state == k].mean()) if np.any(state == k) else 0.0
+        if share > _MANY_NEAR:
+            yield (
+                f"{share:.0%} of the matches{f' in {name}' if len(observed.states) > 1 else ''} have an IoU of less "
+                f"than {gate:.2g}: larger errors were cut off, and count as a miss and a false detection each (--bias "
+                "says how much that does; --match centre, at a distance that is large against the errors, cuts off "
+                "less)"
+            )

@@ -1,0 +1,284 @@
+"""What was learned, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Matched
+from modsim3d.learn.error_moments import CELLS, PAIRS, ErrorMoments
+from modsim3d.learn.error_shares import ErrorShares
+from modsim3d.learn.figures import Figures, Rates
+from modsim3d.learn.gate_bias import Bias
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.parts import LEARNERS
+from modsim3d.learn.resampling import Column
+from modsim3d.learn.states import StateMap
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Everything that is reported.
+
+    Attributes:
+        labelled: Images, annotations and results.
+        by_label: Matches label by label, for curves.
+        conditions: Figures of each condition, the largest F1 first.
+        states: Figures of each performance state.
+        state_map: Which conditions make which state.
+        learned: The detector.
+        shares: What average precision is lost to.
+        bias: By how much matching shifts the numbers; None where that was not asked for.
+        level: Of the confidence intervals.
+        beta: How many times more recall weighs than precision in F-beta.
+        matched_by: The matching rule in words.
+        remarks: What the numbers have to be read with: entries left out, what matching hides.
+    """
+
+    labelled: LabelledSet
+    by_label: Matched
+    conditions: Sequence[Figures]
+    states: Sequence[Figures]
+    state_map: StateMap
+    learned: Learned
+    shares: ErrorShares
+    bias: Bias | None
+    level: float
+    beta: float
+    matched_by: str
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def states_differ(self) -> bool:
+        """Whether the states are not just the conditions."""
+        return any(names != (state,) for state, names in self.state_map.states.items())
+
+    def name(self, figures: Figures) -> str:
+        """The name of a group, which says that it is a state where there are conditions beside it."""
+        state = self.states_differ and any(figures is each for each in self.states)
+        return f"state {figures.name}" if state else figures.name
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, the names of the columns, and rows of cells."""
+
+    title: str
+    header: Row
+    rows: tuple[Row, ...]
+
+
+_RATES = ("precision", "recall", "F1", "FNR", "FDR")
+_AVERAGE_PRECISIONS = ("AP, all points", "AP, 11 points", "AP, 101 points", "AUC")
+_ERROR_COLUMNS = tuple(f"{name} {key}" for name in ("x", "y", "width", "height") for key in ("exp", "std"))
+
+
+def _cell(column: Column, level: float, units: int, digits: int, *place: int) -> str:
+    """An estimate with its interval."""
+    low, high = column.interval(level, units)
+    value, low_, high_ = (float(np.asarray(each)[place]) for each in (column.estimate, low, high))
+    if not np.isfinite(value):
+        return "–"
+    if not (np.isfinite(low_) and np.isfinite(high_)):
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits}f} [{low_:.{digits}f}, {high_:.{digits}f}]"
+
+
+def tables(report: Report, every: bool = False) -> list[Table]:
+    """All tables in the order of the thesis's chapter 8.
+
+    Args:
+        report: What was learned.
+        every: Also what a terminal has no room for: labels of each condition, errors of labels, covariances.
+    """
+    groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
+    detailed = groups if every else report.states
+    several = len(report.labelled.labels) > 1
+    found = [_state_table(report)] if report.states_differ else []
+    found += [_rates(report, groups), _errors(report, groups), _correlations(report, groups)]
+    found += [_covariances(report, groups)] if every else []
+    found.append(_curves(report, groups))
+    found += [_labels(report, figures) for figures in detailed if several]
+    found += [_label_errors(report, figures) for figures in detailed if several and every]
+    found += [_confusion(report, figures) for figures in detailed]
+    found += [_shares(report), _parameters(report)]
+    found += [] if report.bias is None else [_bias(report.bias)]
+    return [*found, _models()]
+
+
+def _state_table(report: Report) -> Table:
+    f1 = {figures.name: float(figures.any_label.f1.estimate) for figures in report.conditions}
+    rows = [
+        (state, ", ".join(f"{name} ({f1[name]:.3f})" if name in f1 else name for name in names))
+        for state, names in report.state_map.states.items()
+    ]
+    left = set(f1) - {name for names in report.state_map.states.values() for name in names}
+    rows += [("in no state", ", ".join(f"{name} ({f1[name]:.3f})" for name in f1 if name in left))] if left else []
+    return Table("Performance states, and their conditions with their F1", ("state", "conditions"), tuple(rows))
+
+
+def _rates(report: Report, groups: Sequence[Figures]) -> Table:
+    rows = tuple(
+        (
+            report.name(figures),
+            str(figures.images),
+            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label.columns),
+        )
+        for figures in groups
+    )
+    header = ("condition", "images", "precision", "recall", "F1", f"F-{report.beta:g}", "FNR", "FDR")
+    return Table("Precision, recall, F1, false negative and false discovery rate, whatever the label", header, rows)
+
+
+def _labels(report: Report, figures: Figures) -> Table:
+    def cells(columns: Sequence[Column], *place: int) -> list[str]:
+        return [_cell(column, report.level, figures.units, 3, *place) for column in columns]
+
+    def row(rates: Rates) -> tuple[Column, ...]:
+        return rates.precision, rates.recall, rates.f1, rates.false_negative_rate, rates.false_discovery_rate
+
+    columns = [*row(figures.of_labels), figures.average_precision.all_points]
+    rows = [
+        (name, f"{figures.counts[:, place].sum():.0f}", *cells(columns, place))
+        for place, name in enumerate(report.labelled.labels)
+    ]
+    rows.append(("arithmetic mean", "", *cells([*row(figures.mean), figures.mean_average_precision.all_points])))
+    rows.append(("weighted mean", "", *cells(row(figures.weighted)), ""))
+    title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
+    return Table(title, ("label", "truths", *_RATES, "AP"), tuple(rows))
+
+
+def _error_cells(report: Report, figures: Figures, moments: ErrorMoments) -> list[str]:
+    columns = (moments.mean, moments.std)
+    return [_cell(column, report.level, figures.units, 1, k) for k in range(4) for column in columns]
+
+
+def _errors(report: Report, groups: Sequence[Figures]) -> Table:
+    rows = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
+    return Table("Box errors in pixels: expected value and standard deviation", ("condition", *_ERROR_COLUMNS), rows)
+
+
+def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
+    title = "Correlation coefficients of the box errors"
+    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, PAIRS)
+
+
+def _covariances(report: Report, groups: Sequence[Figures]) -> Table:
+    title = "Covariances of the box errors in square pixels"
+    return _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
+
+
+def _by_pair(
+    title: str,
+    report: Report,
+    groups: Sequence[Figures],
+    column: Callable[[Figures], Column],
+    digits: int,
+    pairs: Sequence[tuple[int, int]],
+) -> Table:
+    """A row for each group, a column for each pair of components of the box error."""
+    rows = tuple(
+        (report.name(each), *(_cell(column(each), report.level, each.units, digits, k) for k in range(len(pairs))))
+        for each in groups
+    )
+    return Table(title, ("condition", *(f"{ERROR_COMPONENTS[i]}, {ERROR_COMPONENTS[j]}" for i, j in pairs)), rows)
+
+
+def _label_errors(report: Report, figures: Figures) -> Table:
+    rows = tuple(
+        (name, *_error_cells(report, figures, moments))
+        for name, moments in zip(report.labelled.labels, figures.errors_of_labels, strict=True)
+    )
+    title = f"Box errors in pixels by what was there, in {report.name(figures)}"
+    return Table(title, ("label", *_ERROR_COLUMNS), rows)
+
+
+def _curves(report: Report, groups: Sequence[Figures]) -> Table:
+    rows = []
+    for figures in groups:
+        entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
+        columns = [*figures.mean_average_precision.columns, *entropies]
+        rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
+    extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
+    title = "Mean average precision over labels, every detection counted"
+    return Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))
+
+
+def _confusion(report: Report, figures: Figures) -> Table:
+    names, k = report.labelled.labels, len(report.labelled.labels)
+    rows = []
+    for row, name in enumerate([*names, "missed"]):
+        cells = [
+            f"{figures.counts[row, column]:.0f}  "
+            + _cell(figures.confusion, report.level, figures.units, 3, row, column)
+            for column in range(k)
+        ]
+        last = ""
+        if row < k:
+            last = f"{figures.counts[row, k]:.0f}  {_cell(figures.false_labels, report.level, figures.units, 3, row)}"
+        rows.append((name, *cells, last))
+    title = f"Confusion matrix of {report.name(figures)}: detected as, by what was there; counts and probabilities"
+    return Table(title, ("", *names, "background"), tuple(rows))
+
+
+def _shares(report: Report) -> Table:
+    rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
+    title = f"What mean average precision, {100 * report.shares.average_precision:.1f} points, is lost to"
+    return Table(title, ("error", "number", "points gained if mended"), rows)
+
+
+def _parameters(report: Report) -> Table:
+    intervals = [each for each in report.learned.intervals(report.level) if not each.key.own_table]
+    rows = []
+    for each in sorted(intervals, key=lambda each: (each.key.state is not None, each.key.path)):
+        for place in np.ndindex(*each.estimate.shape):
+            value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
+            rows.append((each.key.at(place), f"{value:.4g}", f"{low:.4g} to {high:.4g}"))
+    return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
+
+
+def _bias(bias: Bias) -> Table:
+    rows: list[tuple[float, Row]] = []
+    for each in bias.shifts:
+        for found in zip(*np.nonzero(np.atleast_1d(bias.significant(each))), strict=True):
+            place = found if np.ndim(each.shift) else ()
+            strength = abs(float(each.shift[place])) / float(each.error[place])
+            numbers = [float(values[place]) for values in (each.entry.estimate, each.again, each.corrected)]
+            cells = (each.entry.key.at(place), *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")
+            rows.append((strength, cells))
+    rows.sort(key=lambda row: -row[0])
+    header = ("number", "learned", "learned again", "corrected", "standard errors")
+    title = "Bias of the matching, by simulating what was learned and learning again"
+    return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
+
+
+def _models() -> Table:
+    rows = tuple(
+        (part, name, "not learned" if learner is None else "learned")
+        for part, models in LEARNERS.items()
+        for name, learner in models.items()
+    )
+    return Table("Models that are learned", ("part", "model", "estimate"), rows)
+
+
+NEVER_LEARNED = (
+    "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
+    "box errors with both a fixed and a growing part, confidence that follows size or visibility."
+)
+
+
+def lead(report: Report) -> str:
+    """One sentence on the data and the method that the numbers rest on."""
+    learned, labelled = report.learned, report.labelled
+    drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
+    return (
+        f"{len(labelled.images)} images, {len(labelled.annotations)} truths, {len(labelled.results)} detections; "
+        f"matched by {report.matched_by}, confidence at least {learned.observed.threshold:g}; "
+        f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
+    )

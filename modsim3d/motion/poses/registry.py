@@ -1,0 +1,104 @@
+"""Pose sources by the name that they have in a scene file: `poses: {NAME: ...}`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydantic import BaseModel, ValidationError
+
+from modsim3d.errors import InputError
+from modsim3d.inputs.plugins import POSE_SOURCES, Plugin, failed, load_plugin, plugin_names
+from modsim3d.inputs.validation import describe
+from modsim3d.motion.poses.agents import AgentsKeys
+from modsim3d.motion.poses.base import PoseRequest, PoseSource, SourceKeys
+from modsim3d.motion.poses.checked import build_plugin
+from modsim3d.motion.poses.circular import CircularKeys
+from modsim3d.motion.poses.replay import FileKeys
+from modsim3d.motion.poses.stream import StreamKeys
+from modsim3d.motion.poses.tracks import TracksKeys
+
+SOURCES: dict[str, type[SourceKeys]] = {
+    "file": FileKeys,
+    "circular": CircularKeys,
+    "tracks": TracksKeys,
+    "agents": AgentsKeys,
+    "stream": StreamKeys,
+}
+
+
+@dataclass(frozen=True)
+class NamedSource:
+    """A scene's pose source.
+
+    Attributes:
+        name: Name in the scene file.
+        keys: Its section of the scene file.
+        plugin: The plug-in that it comes from; None if it is built in.
+    """
+
+    name: str
+    keys: SourceKeys
+    plugin: Plugin | None
+
+    def build(self, request: PoseRequest) -> PoseSource:
+        """The poses of a scene's vessels.
+
+        Raises:
+            InputError: With every problem found.
+        """
+        return self.keys.build(request) if self.plugin is None else build_plugin(self.keys, self.plugin, request)
+
+
+def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
+    """The one source that a scene file names.
+
+    Args:
+        poses: The section of the scene file.
+        scene: Name of the scene in errors.
+
+    Raises:
+        InputError: There is not exactly one, no such source, or its keys are wrong.
+    """
+    given = {name: keys for name, keys in poses.items() if keys is not None}
+    if len(given) != 1:
+        got = f" (got {', '.join(given)})" if given else ""
+        known = ", ".join((*SOURCES, *plugin_names(POSE_SOURCES)))
+        raise InputError(scene, [f"poses: give exactly one of {known}{got}"])
+    ((name, keys),) = given.items()
+    model, plugin = _model(name)
+    try:
+        read = model.model_validate(keys)
+    except ValidationError as error:
+        raise InputError(scene, describe(error, model, "poses", name)) from None
+    except Exception as error:  # a validator of a foreign model may raise anything
+        if plugin is None:
+            raise
+        raise InputError(f"poses.{name}", [str(failed(plugin, error))]) from error
+    return NamedSource(name, _source(read, name, plugin), plugin)
+
+
+def _model(name: str) -> tuple[type[BaseModel], Plugin | None]:
+    found: object = SOURCES.get(name)
+    plugin = None
+    if found is None:
+        found, plugin = load_plugin(POSE_SOURCES, name, f"poses.{name}", SOURCES)
+    if not (isinstance(found, type) and issubclass(found, BaseModel)):
+        raise _wrong_kind(name, plugin, found)
+    return found, plugin
+
+
+def _source(read: BaseModel, name: str, plugin: Plugin | None) -> SourceKeys:
+    if not isinstance(read, SourceKeys):
+        raise _wrong_kind(name, plugin, type(read))
+    return read
+
+
+def _wrong_kind(name: str, plugin: Plugin | None, found: object) -> InputError:
+    return InputError(
+        f"poses.{name}",
+        [
+            f"{plugin} must be a class made from modsim3d.motion.poses.PosesByTime, or from SourceKeys and a pydantic "
+            f"model, not {found!r}"
+        ],
+    )

@@ -1,0 +1,101 @@
+"""Vessels along waypoints, at constant speed between two of them, present from the first to the last."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from pydantic import RootModel
+
+from modsim3d.arrays import Array
+from modsim3d.errors import InputError
+from modsim3d.geometry.rotations import heading_of
+from modsim3d.inputs.validation import Metres, Number, join_path, nearest
+from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
+
+Waypoint = tuple[Number, Metres, Metres]
+"""Time in seconds, w1 and w2 in metres."""
+
+
+class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
+    """Vessels along waypoints: vessel ID → waypoints."""
+
+    def build(self, request: PoseRequest) -> Tracks:
+        """The tracks through the waypoints."""
+        return waypoint_tracks(self.root, request.names or (), request.steps or 0, request.time_step_s or 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Vessels that follow waypoints and head along their legs.
+
+    Attributes:
+        timestamps: Texts of the steps' times.
+        waypoints: Times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
+    """
+
+    timestamps: Sequence[str]
+    waypoints: tuple[Array | None, ...]
+
+    def poses(self, first: int, stop: int) -> Poses:
+        """Poses at steps first to stop − 1."""
+        times_s = np.array([float(text) for text in self.timestamps[first:stop]])
+        shape = len(times_s), len(self.waypoints)
+        present = np.zeros(shape, dtype=bool)
+        positions, headings = np.zeros((*shape, 3)), np.zeros(shape)
+        for column, track in enumerate(self.waypoints):
+            if track is not None:
+                there = (times_s >= track[0, 0]) & (times_s <= track[-1, 0])
+                present[:, column] = there
+                positions[there, column, :2], headings[there, column] = along(track, times_s[there])
+        return Poses(present, positions, headings)
+
+
+def along(track: Array, times_s: Array) -> tuple[Array, Array]:
+    """Places and headings on a track.
+
+    Args:
+        track: Times in seconds and places w1, w2 in metres of at least two waypoints, shape (k, 3).
+        times_s: Times between the first and the last waypoint, shape (n,).
+
+    Returns:
+        Places in metres, shape (n, 2), and headings in radians, shape (n,).
+    """
+    leg = np.clip(np.searchsorted(track[:, 0], times_s, side="right") - 1, 0, len(track) - 2)
+    start, end = track[leg], track[leg + 1]
+    share = (times_s - start[:, 0]) / (end[:, 0] - start[:, 0])
+    return start[:, 1:] + share[:, None] * (end - start)[:, 1:], heading_of((end - start)[:, 1:])
+
+
+def waypoint_tracks(
+    tracks: Mapping[str, Sequence[Waypoint]], vessels: Sequence[str], steps: int, time_step_s: float
+) -> Tracks:
+    """Tracks from the waypoints of a scene file.
+
+    Args:
+        tracks: Vessel ID → waypoints.
+        vessels: IDs of the scene's vessels; one without a track is always absent.
+        steps: Number of time steps.
+        time_step_s: Interval between them.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    problems: list[str] = []
+    for name, waypoints in tracks.items():
+        path = join_path("poses", "tracks", name)
+        if name not in vessels:
+            problems.append(f"{path}: no vessel '{name}' ({nearest(name, vessels)})")
+        if len(waypoints) < 2:
+            problems.append(f"{path}: at least two waypoints [time_s, w1_m, w2_m] are needed (got {len(waypoints)})")
+        for i, (before, after) in enumerate(pairwise(waypoints), start=1):
+            if after[0] <= before[0]:
+                problems.append(f"{path}[{i}]: times must increase, but {after[0]:g} s follows {before[0]:g} s")
+            if before[1:] == after[1:]:
+                problems.append(f"{path}[{i}]: same place as the waypoint before; a heading needs two places")
+    if problems:
+        raise InputError("poses.tracks", problems)
+    arrays = tuple(np.array(tracks[name], dtype=np.float64) if name in tracks else None for name in vessels)
+    return Tracks(generated_timestamps(steps, time_step_s), arrays)

@@ -1,0 +1,118 @@
+"""How the vessels of a scene move: the pose source says where they are, and waves lift and turn them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.geometry.camera_poses import CameraPoses, Mount, poses_on_board
+from modsim3d.geometry.kinematics import velocities
+from modsim3d.geometry.rotations import vehicle_R_nominal, world_R_vehicle
+from modsim3d.motion.poses import LivePoses, Poses, PoseSource, times_s
+from modsim3d.motion.waves import Passage, WaveMotion
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """How waves move the vessels of a scene.
+
+    Attributes:
+        motion: Gives heave and angles.
+        apply_to: `ownship`: only vessels that carry a camera are moved; `all`: every vessel.
+        composition: How a camera's own angles and its vessel's combine: `rigid` or `additive`.
+    """
+
+    motion: WaveMotion
+    apply_to: str = "ownship"
+    composition: str = "rigid"
+
+
+@dataclass(frozen=True, eq=False)
+class PosesInWaves:
+    """Poses of V vessels at S steps, waves included.
+
+    Attributes:
+        poses: Positions with heave, and headings without waves.
+        angles_rad: Roll, pitch and yaw in waves, shape (S, V, 3); zero for vessels that no wave moves.
+        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
+    """
+
+    poses: Poses
+    angles_rad: Array
+    world_R_vessel: Array
+
+    def of_camera(self, mount: Mount, carrier: int, composition: str) -> CameraPoses:
+        """Poses of a camera on board.
+
+        Args:
+            mount: Place of the camera on board.
+            carrier: Index of the vessel that carries it.
+            composition: How the camera's own angles and its vessel's combine: `rigid` or `additive`.
+        """
+        positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]
+        return poses_on_board(mount, positions_m, headings_rad, self.angles_rad[:, carrier], composition)
+
+
+@dataclass(frozen=True, eq=False)
+class VesselMotion:
+    """How V vessels move over the steps of a scene.
+
+    Attributes:
+        source: Poses on calm water.
+        names: IDs of the vessels.
+        waves: Waves; None for calm water.
+        moved: Indices of the vessels that waves move, ascending.
+        steps: Number of the scene's steps; of a live scene the most that are taken.
+    """
+
+    source: PoseSource
+    names: tuple[str, ...]
+    waves: Waves | None
+    moved: tuple[int, ...]
+    steps: int
+
+    def at(self, steps: Indices) -> PosesInWaves:
+        """Poses at some steps.
+
+        Args:
+            steps: Ascending, shape (S,).
+        """
+        if self.waves is None:
+            first, stop = int(steps[0]), int(steps[-1]) + 1
+            poses = self.source.poses(first, stop).rows(steps - first)
+            return PosesInWaves(poses, np.zeros((*poses.present.shape, 3)), world_R_vehicle(poses.headings_rad))
+        poses, angles = self._in_waves(self.waves.motion, steps)
+        rotations, moved = world_R_vehicle(poses.headings_rad), list(self.moved)
+        rotations[:, moved] = rotations[:, moved] @ np.swapaxes(vehicle_R_nominal(angles[:, moved]), -1, -2)
+        return PosesInWaves(poses, angles, rotations)
+
+    def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
+        """First step, and the step after the last, of a range that holds the steps and their neighbours.
+
+        A velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene.
+
+        Args:
+            steps: Ascending, shape (S,).
+            margin: Number of neighbours on each side.
+        """
+        first, stop = int(steps[0]), int(steps[-1]) + 1
+        known = len(self.source.timestamps) if isinstance(self.source, LivePoses) else self.steps
+        return max(first - margin, 0), max(min(stop + margin, known), stop)
+
+    def _in_waves(self, motion: WaveMotion, steps: Indices) -> tuple[Poses, Array]:
+        """Poses with heave, and roll, pitch and yaw, shape (S, V, 3)."""
+        first, stop = self.with_neighbours(steps, 1 if motion.needs_velocity else 0)
+        around, times = self.source.poses(first, stop), times_s(self.source.timestamps, first, stop)
+        rows = steps - first
+        velocity = velocities(times, around.positions_m, around.present)[rows]
+        calm = around.rows(rows)
+        positions, angles = calm.positions_m.copy(), np.zeros(calm.positions_m.shape)
+        for column in self.moved:
+            place, heading = calm.positions_m[:, column], calm.headings_rad[:, column]
+            passage = Passage(times[rows], steps, place, heading, velocity[:, column])
+            moved, present = motion.motion(self.names[column], passage), calm.present[:, column]
+            positions[present, column, 2] += moved.heave_m[present]
+            angles[present, column] = moved.angles_rad[present]
+        return Poses(calm.present, positions, calm.headings_rad), angles

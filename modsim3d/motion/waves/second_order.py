@@ -1,0 +1,133 @@
+"""Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3); no heave.
+
+The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
+lowers the bow, positive yaw turns to port.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.motion.waves.base import Motion, Passage
+from modsim3d.random_streams import Purpose, Streams, normals
+
+AXES = ("roll", "pitch", "yaw")
+SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)
+"""Noise of roll, pitch and yaw of the small wave impact (Table 9.8)."""
+LEVELS = {"none": 0.0, "small": 1.0, "medium": 2.0, "large": 4.0, "huge": 8.0}
+"""Factors of the small noise. The source has numbers for small and large only (Tables 9.8, 9.12)."""
+BLOCK_STEPS = 4096
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One angle's process: x(t + 1) = a · x(t) + e, x'(t + 1) = b · x'(t) + x(t + 1) (eq. 7.23, 7.24).
+
+    Attributes:
+        a: Coefficient of the first-order process.
+        b: Coefficient of the second-order process.
+        sigma_rad: Standard deviation of e.
+        start_rad: x(0) and x'(0).
+    """
+
+    a: float = 0.99
+    b: float = 0.99
+    sigma_rad: float = 0.0
+    start_rad: tuple[float, float] = (0.0, 0.0)
+
+
+def level_axes(level: str) -> tuple[Axis, Axis, Axis]:
+    """Roll, pitch and yaw of a named wave level (§7.4.5)."""
+    roll, pitch, yaw = (Axis(sigma_rad=LEVELS[level] * sigma) for sigma in SMALL_SIGMA_RAD)
+    return roll, pitch, yaw
+
+
+def second_order(noise: Array, axis: Axis, state: tuple[float, float]) -> tuple[Array, tuple[float, float]]:
+    """Continue the process from a state.
+
+    Args:
+        noise: e of the next n steps in radians, shape (n,).
+        axis: Coefficients of the process.
+        state: x and x' before the first step.
+
+    Returns:
+        x' after each step in radians, shape (n,), and the last x and x'.
+    """
+    from scipy.signal import lfilter  # slow to import, and not needed on calm water
+
+    first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * state[0]])
+    second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * state[1]])
+    return second, (float(first[-1]), float(second[-1]))
+
+
+@dataclass(eq=False)
+class _Track:
+    """Angles of a vessel as far as they have been computed."""
+
+    angles: Array
+    states: list[tuple[float, float]] = field(default_factory=list)
+
+
+class SecondOrderWaves:
+    """Independent second-order processes for roll, pitch and yaw of every vessel (eq. 7.26–7.31).
+
+    The processes step every `interval_s` and are linear between; without an interval they use the scene's steps.
+    """
+
+    needs_velocity = False
+
+    def __init__(self, axes: tuple[Axis, Axis, Axis], seed: int, interval_s: float | None = None) -> None:
+        """Take the coefficients of the axes and the seed of the noise."""
+        self._axes = axes
+        self._interval_s = interval_s
+        self._streams = Streams(seed)
+        self._tracks: dict[str, _Track] = {}
+
+    def motion(self, vessel: str, passage: Passage) -> Motion:
+        """Roll, pitch and yaw of a vessel at any place; heave is zero."""
+        return Motion(np.zeros(len(passage.steps)), self.angles(vessel, passage.times_s, passage.steps))
+
+    def angles(self, vessel: str, times_s: Array, steps: Indices) -> Array:
+        """Roll, pitch and yaw of a vessel.
+
+        Args:
+            vessel: ID; each vessel has its own process.
+            times_s: Times since the scene's first step, shape (n,).
+            steps: Index of each step, shape (n,).
+
+        Returns:
+            Radians, shape (n, 3).
+        """
+        position = np.asarray(steps, dtype=np.float64) if self._interval_s is None else times_s / self._interval_s
+        # 0.3 / 0.1 is just below 3; rounding must not miss a step.
+        nearest = np.rint(position)
+        position = np.where(np.abs(position - nearest) < 1e-6, nearest, position)
+        before = np.floor(position).astype(np.int64)
+        track = self._until(vessel, int(before.max(initial=0)) + 1)
+        share = (position - before)[:, None]
+        between: Array = (1 - share) * track[before] + share * track[before + 1]
+        return between
+
+    def _until(self, vessel: str, last: int) -> Array:
+        """Angles of a vessel at process steps 0 to at least `last`, shape (≥ last + 1, 3)."""
+        track = self._tracks.get(vessel)
+        if track is None:
+            start = np.array([[axis.start_rad[1] for axis in self._axes]])
+            track = _Track(start, [axis.start_rad for axis in self._axes])
+            self._tracks[vessel] = track
+        while len(track.angles) <= last:
+            self._extend(vessel, track)
+        return track.angles
+
+    def _extend(self, vessel: str, track: _Track) -> None:
+        done = len(track.angles) - 1
+        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS, width=3)
+        noise = normals(uniforms)
+        columns = []
+        for i, axis in enumerate(self._axes):
+            angles, track.states[i] = second_order(axis.sigma_rad * noise[:, i], axis, track.states[i])
+            columns.append(angles)
+        track.angles = np.concatenate([track.angles, np.stack(columns, axis=1)])

@@ -1,0 +1,3 @@
+"""Moved to `modsim3d.motion.waves`."""
+
+from modsim3d.motion.waves import *  # noqa: F403

@@ -1,0 +1,106 @@
+"""Counts of what happened in a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from modsim3d.truth.modes import annotation_boxes
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.boxes import iou, sizes
+from modsim3d.geometry.curved_sea import shift_px
+from modsim3d.scene.scene import Scene
+
+WORTH_A_WARNING_PX = 1.0
+"""Curvature that moves a box by more than this is reported for a flat sea."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What happened in a run, summed over cameras and steps.
+
+    Attributes:
+        frames: Frames that were taken.
+        vessel_frames: Vessels whose silhouette was in a frame.
+        seen: Vessels with a visible pixel.
+        partly_hidden: Vessels with some visible pixels, but fewer than silhouette pixels.
+        fully_hidden: Vessels with silhouette pixels, none of them visible.
+        annotated: Vessels that were given to the detector.
+        detected: Annotated vessels that were detected, under whatever label.
+        missed: Annotated vessels that were not detected.
+        missed_by_gate: Missed vessels that a hard limit removed, not chance.
+        merged: Detections that are one box for two vessels.
+        mislabelled: Detections of a vessel under another label.
+        false_positives: Detections of nothing, and second boxes of a vessel.
+        clipped: Detections of a vessel whose box was cut at the image edge.
+        redrawn: Detections of a vessel whose box error was resampled, as it left less than a pixel of the box.
+        below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one. An evaluation that
+            matches boxes counts such a detection as a miss and a false positive.
+        off_by_curvature: Vessels on a flat sea whose box the Earth's curvature would move by more than a pixel.
+        largest_curvature_px: The largest such shift.
+    """
+
+    frames: int = 0
+    vessel_frames: int = 0
+    seen: int = 0
+    partly_hidden: int = 0
+    fully_hidden: int = 0
+    annotated: int = 0
+    detected: int = 0
+    missed: int = 0
+    missed_by_gate: int = 0
+    merged: int = 0
+    mislabelled: int = 0
+    false_positives: int = 0
+    clipped: int = 0
+    redrawn: int = 0
+    below_half_iou: int = 0
+    off_by_curvature: int = 0
+    largest_curvature_px: float = 0.0
+
+    def __add__(self, other: Counts) -> Counts:
+        """Both together."""
+        sums = {field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)}
+        return Counts(**sums | {name: max(getattr(self, name), getattr(other, name)) for name in _LARGEST})
+
+    @classmethod
+    def of(cls, block: Block, scene: Scene) -> Counts:
+        """Count a block."""
+        return sum((_count(part, scene) for part in block.cameras), cls())
+
+
+_LARGEST = ("largest_curvature_px",)
+"""Counts that are not summed: the largest of all blocks is kept."""
+
+
+def _count(part: CameraBlock, scene: Scene) -> Counts:
+    truth, drawn = part.truth, part.detections
+    true = np.flatnonzero(~drawn.false())
+    rows = part.truth_row[true]
+    labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
+    boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
+    asked = sizes(annotated) + drawn.errors_px[true, 2:]
+    detected = int(part.detected.sum())
+    focal_px = scene.cameras[part.camera].intrinsics.focal_px
+    curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
+    curvature_px = curvature_px[curvature_px > WORTH_A_WARNING_PX]
+    return Counts(
+        frames=len(part.steps),
+        vessel_frames=len(truth),
+        seen=int((truth.visible_px > 0).sum()),
+        partly_hidden=int(((truth.visible_px > 0) & (truth.visible_px < truth.silhouette_px)).sum()),
+        fully_hidden=int(((truth.visible_px == 0) & (truth.silhouette_px > 0)).sum()),
+        annotated=len(part.target_rows),
+        detected=detected,
+        missed=len(part.target_rows) - detected,
+        missed_by_gate=int(drawn.gated.sum()),
+        merged=int((drawn.partner >= 0).sum()),
+        mislabelled=int((drawn.label[true] != labels[truth.vessel[rows]]).sum()),
+        false_positives=len(drawn) - len(true),
+        clipped=int(np.any(sizes(boxes) < asked - 1e-6, axis=1).sum()),
+        redrawn=int(drawn.redrawn[true].sum()),
+        below_half_iou=int((iou(boxes, annotated) < 0.5).sum()),
+        off_by_curvature=len(curvature_px),
+        largest_curvature_px=float(curvature_px.max(initial=0.0)),
+    )

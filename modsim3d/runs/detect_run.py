@@ -1,0 +1,69 @@
+"""Runs the detector again over the truth of a finished run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.run import RunResult, settings_of, write_run
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.runs.workers import open_block_workers
+
+
+def detect_run(
+    run: StoredRun,
+    folder: Path,
+    *,
+    detector: Path | None = None,
+    seed: int | None = None,
+    overwrite: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Write the run directory that another detector or seed would have given, without rendering.
+
+    Args:
+        run: A finished run.
+        folder: The new run directory.
+        detector: A detector file; the run's own if None.
+        seed: Seed of the detector; the run's own if None.
+        overwrite: Replace a run that is there.
+        workers: Number of processes; the bytes of the files do not depend on it.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
+    """
+    if not run.finished:
+        raise RunDirectoryError(
+            f"{run.folder} holds an interrupted run, whose truth is not complete: {run.how_to_finish}"
+        )
+    if folder.resolve() == run.folder.resolve():
+        raise RunDirectoryError(f"{folder} is the run that the truth is read from: choose another folder")
+    scene = with_detector(run, detector, seed)
+    settings = settings_of(scene, run.settings["backend"])
+    if settings["versions"] != run.settings["versions"]:
+        settings["truth_versions"] = run.settings["versions"]
+    with open_block_workers(scene, workers, truth_run=run.folder) as block_workers:
+        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, progress=progress)
+
+
+def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:
+    """A run's scene with another detector file or another seed of the detector.
+
+    The seed replaces the seed of the scene if the truth does not depend on it; else only the seed of the detector, as
+    the truth must stay.
+
+    Raises:
+        InputError: The detector file is wrong, or does not know the label of a vessel.
+    """
+    keep_seed = run.scene.truth_has_seed
+    return load_scene(
+        run.scene.path,
+        detector=detector,
+        seed=None if keep_seed else seed,
+        detector_seed=seed,
+    )

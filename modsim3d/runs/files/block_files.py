@@ -1,0 +1,78 @@
+"""A block as rows of tables and JSON lines; and the truth of a block, kept so that a run can be resumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.truth.truth_record import COLUMNS, Truth
+from modsim3d.runs.blocks import Block
+from modsim3d.runs.files import own_ships_table as ownship_table, tables, thesis_json
+from modsim3d.scene.scene import Scene
+
+TABLES = {
+    "frames": (tables.FRAMES, tables.frame_table),
+    "truth": (tables.TRUTH, tables.truth_table),
+    "detections": (tables.DETECTIONS, tables.detection_table),
+}
+OWN_SHIP = "ownship"
+JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+
+
+def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
+    """The schema of each table that a run of the scene has."""
+    own_ship = {OWN_SHIP: ownship_table.OWN_SHIP} if scene.own_ships else {}
+    return {**{name: schema for name, (schema, _) in TABLES.items()}, **own_ship}
+
+
+@dataclass(frozen=True, eq=False)
+class BlockFiles:
+    """What a block adds to the files of a run.
+
+    Attributes:
+        tables: New rows by the name of the table.
+        lines: New complete lines by the kind of JSON file and the index of the camera.
+    """
+
+    tables: dict[str, pa.Table]
+    lines: dict[tuple[str, int], bytes]
+
+    @classmethod
+    def of(cls, block: Block, scene: Scene) -> BlockFiles:
+        """Format a block."""
+        rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
+        if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
+            rows[OWN_SHIP] = ownship_table.own_ship_table(scene, block.first, block.stop)
+        return cls(
+            rows,
+            {
+                (kind, part.camera): b"".join(lines(block, part, scene))
+                for part in block.cameras
+                for kind, lines in JSON_LINES.items()
+            },
+        )
+
+
+def _truth_path(folder: Path, first: int, stop: int) -> Path:
+    return folder / f"truth_{first:09d}_{stop:09d}.npz"
+
+
+def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
+    """The truth of a block that an interrupted run kept; None if it kept none."""
+    path = _truth_path(folder, first, stop)
+    if not path.exists():
+        return None
+    with np.load(path) as columns:
+        return Truth(**columns)
+
+
+def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
+    """Keep the truth of a block, so that an interrupted run can be resumed."""
+    path = _truth_path(folder, first, stop)
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as out:
+        np.savez(out, **{name: getattr(truth, name) for name in COLUMNS})
+    partial.replace(path)

@@ -1,0 +1,124 @@
+"""Columns of a run's tables as NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import corner_form
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM, ERRORS
+
+NOBODY = -1
+"""The index of a name that is null, or not among the names."""
+Filters = list[tuple[str, str, Any]]
+"""Conditions on rows, as `pyarrow.parquet.read_table` takes them."""
+
+
+def read_rows(path: Path, filters: Filters | None = None, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a table; only the row groups are read that may hold such rows.
+
+    Args:
+        path: The file.
+        filters: Conditions that all hold; every row if None.
+        columns: Names of the columns; all if None.
+
+    Raises:
+        RunDirectoryError: The file is not the table that a run has written.
+    """
+    try:
+        return pq.read_table(path, columns=columns, filters=filters)
+    except (pa.ArrowException, KeyError) as error:
+        raise RunDirectoryError(f"{path} is not what a run has written: {str(error).splitlines()[0]}") from None
+
+
+def of_steps(first: int, stop: int) -> Filters:
+    """The condition that a row is of one of steps first to stop − 1."""
+    return [("step", ">=", first), ("step", "<", stop)]
+
+
+def numbers(table: pa.Table, name: str) -> Array:
+    """A column of numbers, NaN for null, shape (n,)."""
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def integers(table: pa.Table, name: str) -> Indices:
+    """A column of whole numbers without nulls, shape (n,)."""
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.int64)
+
+
+def flags(table: pa.Table, name: str) -> Mask:
+    """A column of truth values without nulls, shape (n,)."""
+    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=bool)
+
+
+def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
+    """A column of names as indices, `NOBODY` for null and for a name that is not among them, shape (n,)."""
+    found = pc.index_in(table[name], value_set=pa.array(list(names), pa.string()))
+    return np.asarray(found.fill_null(NOBODY).to_numpy(zero_copy_only=False), dtype=np.int64)
+
+
+def positions(keys: Indices, wanted: Indices) -> Indices:
+    """Where each wanted key stands among distinct keys, `NOBODY` if nowhere; shapes (n,) and (m,), result (m,)."""
+    if not len(keys):
+        return np.full(len(wanted), NOBODY)
+    order = np.argsort(keys)
+    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[place] == wanted, place, NOBODY)
+
+
+def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
+    """The boxes `full` or `visible` of a truth table as x_min, y_min, x_max, y_max; NaN for no box, shape (n, 4)."""
+    return np.column_stack([numbers(table, f"{prefix}_{side}") for side in BOX_SIDES])
+
+
+def detection_boxes_px(table: pa.Table) -> Array:
+    """The boxes of a table of detections as x_min, y_min, x_max, y_max, shape (n, 4)."""
+    return corner_form(np.column_stack([numbers(table, name) for name in CENTRE_FORM]))
+
+
+def errors_px(table: pa.Table) -> Array:
+    """The box errors of a table of detections as e_x, e_y, e_w, e_h; NaN for a false positive, shape (n, 4)."""
+    return np.column_stack([numbers(table, name) for name in ERRORS])
+
+
+@dataclass(frozen=True, eq=False)
+class Occluders:
+    """Who hides whom: m entries of the n rows of a truth table.
+
+    Attributes:
+        counts: Number of entries of each row, shape (n,).
+        name: Index of the occluder's name, shape (m,).
+        px: Number of pixels that it hides, shape (m,).
+    """
+
+    counts: Indices
+    name: Indices
+    px: Array
+
+    @classmethod
+    def of(cls, truth: pa.Table, occluder_names: Sequence[str]) -> Occluders:
+        """Read the column `occluded_by`."""
+        lists = truth["occluded_by"].combine_chunks()
+        entries = lists.flatten()
+        table = pa.table({name: entries.field(name) for name in ("id", "px")})
+        counts = np.asarray(lists.value_lengths(), dtype=np.int64)
+        return cls(counts, indices(table, "id", occluder_names), numbers(table, "px"))
+
+    @property
+    def hidden(self) -> Indices:
+        """Row of the hidden vessel of each entry, shape (m,)."""
+        return np.repeat(np.arange(len(self.counts)), self.counts)
+
+    @property
+    def offsets(self) -> Indices:
+        """Where the entries of each row begin, and the end, shape (n + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.counts)])

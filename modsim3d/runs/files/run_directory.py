@@ -1,0 +1,218 @@
+"""A run directory: made, filled block by block, finished, and resumed after an interruption."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import orjson
+
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.files import tables, thesis_json
+from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
+from modsim3d.runs.files.own_ships_table import own_ship_table
+from modsim3d.scene.scene import Scene
+
+UNFINISHED = "unfinished"
+"""The folder inside a run directory with the files of a run that goes on."""
+RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
+SCENE_FOLDER = "scene"
+"""The folder with a copy of the scene and of every file that it names."""
+POSES_FILE = "poses.jsonl"
+"""The poses that a live scene received, as a pose file for another run."""
+
+
+class RunDirectory:
+    """The folder of one run, while it is written.
+
+    The truth of finished blocks is kept, so that an interrupted run can be resumed. A resumed run writes the files of
+    the detector from the start, because the detector is cheap.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        scene: Scene,
+        settings: dict[str, Any],
+        *,
+        overwrite: bool = False,
+        resume: bool = False,
+    ) -> None:
+        """Make the folder, or resume an interrupted run; a run that is replaced stays until the new one is finished.
+
+        Args:
+            folder: The run directory.
+            scene: The scene that is run.
+            settings: Everything that decides the content of the files; an interrupted run must have had the same.
+            overwrite: Replace a run that is there.
+            resume: Continue an interrupted run that is there.
+
+        Raises:
+            RunDirectoryError: The folder is taken, is no run directory, or cannot be written to.
+        """
+        self.folder = folder
+        self.work = folder / UNFINISHED
+        self._scene = scene
+        self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
+        try:
+            self._prepare(overwrite, resume)
+            scene.copy.write(self.work / SCENE_FOLDER)
+            self._writers = {
+                name: tables.TableWriter(self.work / f"{name}.parquet", schema)
+                for name, schema in schemas_of(scene).items()
+            }
+            self._lines: dict[tuple[str, int], IO[bytes]] = {
+                (kind, index): self._lines_path(kind, index).open("wb")
+                for kind in JSON_LINES
+                for index in range(len(scene.cameras))
+            }
+            self._poses = (self.work / POSES_FILE).open("wb") if scene.live else None
+            self._poses_sha256 = hashlib.sha256()
+        except OSError as error:
+            raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
+
+    def __enter__(self) -> RunDirectory:
+        """Return the folder, which is ready."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close all files; what was written stays.
+
+        Raises:
+            RunDirectoryError: The disk is full, or the files cannot be written for another reason.
+        """
+        try:
+            for stream in self._lines.values():
+                stream.close()
+            for writer in self._writers.values():
+                writer.close()
+            if self._poses is not None:
+                self._poses.close()
+        except OSError as failure:
+            raise self._unwritable(failure) from failure
+        if isinstance(error, OSError):
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> RunDirectoryError:
+        return RunDirectoryError(
+            f"{self.folder} cannot be written to: {error.strerror or error}; what was finished is kept: go on with "
+            "--resume"
+        )
+
+    def _prepare(self, overwrite: bool, resume: bool) -> None:
+        interrupted, finished = _is_ours(self.work / SETTINGS_FILE), _is_ours(self.folder / RUN_FILE)
+        taken = self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir()))
+        if resume and interrupted:
+            if (self.work / SETTINGS_FILE).read_bytes() == self._settings:
+                return
+            if not overwrite:
+                raise RunDirectoryError(
+                    f"{self.folder} holds an interrupted run with another scene, seed, settings or version: "
+                    "resume it with the same, or use --overwrite"
+                )
+        if taken and not (interrupted or finished or self._hardly_begun()):
+            raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
+        if not overwrite and (interrupted or finished):
+            state = "an interrupted run: use --resume or --overwrite" if interrupted else "a run: use --overwrite"
+            raise RunDirectoryError(f"{self.folder} holds {state}, or choose another folder")
+        if self.work.is_dir():
+            shutil.rmtree(self.work)
+        self.work.mkdir(parents=True)
+        partial = self.work / f"{SETTINGS_FILE}.partial"
+        partial.write_bytes(self._settings)
+        partial.replace(self.work / SETTINGS_FILE)
+
+    def _hardly_begun(self) -> bool:
+        """Whether a run was killed before it had written its settings."""
+        names = {path.name for path in self.work.iterdir()} if self.work.is_dir() else {"none"}
+        return names <= {f"{SETTINGS_FILE}.partial"} and {path.name for path in self.folder.iterdir()} == {UNFINISHED}
+
+    def _remove_replaced(self) -> None:
+        """Remove the run that this one replaces; `run.json` first, as it means that all other files are complete."""
+        replaced = self.work / "replaced.json"
+        if (self.folder / RUN_FILE).exists():
+            (self.folder / RUN_FILE).replace(replaced)
+        if not replaced.exists():
+            return
+        for path in self.folder.iterdir():
+            if path == self.work:
+                continue
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+    def _lines_path(self, kind: str, camera: int) -> Path:
+        return self.work / f"{kind}_{self._scene.cameras[camera].name}.jsonl"
+
+    def write(self, block: BlockFiles) -> None:
+        """Add a block's rows and lines."""
+        for name, rows in block.tables.items():
+            self._writers[name].write(rows)
+        for key, lines in block.lines.items():
+            self._lines[key].write(lines)
+            self._lines[key].flush()
+
+    def write_poses(self, lines: bytes) -> None:
+        """Add the poses of steps that a live scene has received."""
+        if self._poses is not None:
+            self._poses.write(lines)
+            self._poses.flush()
+            self._poses_sha256.update(lines)
+
+    def write_live_own_ships(self, steps: int) -> None:
+        """Add the motion of own ships in a live scene, once all its steps have come."""
+        if self._poses is not None and self._scene.own_ships and steps:
+            self._writers[OWN_SHIP].write(own_ship_table(self._scene, 0, steps))
+
+    def live_settings(self, steps: int) -> dict[str, Any]:
+        """Settings that are not known before a live scene has run."""
+        return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
+
+    def finish(self, run: dict[str, Any]) -> None:
+        """Put every file in its place; `run.json` last, so that its presence means that all are complete.
+
+        Args:
+            run: The content of `run.json`.
+        """
+        self.__exit__(None, None, None)
+        self._remove_replaced()
+        for name in self._writers:
+            place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
+        for kind, camera in self._lines:
+            lines = self._lines_path(kind, camera)
+            joined = lines.with_suffix(".json")
+            with joined.open("wb") as out:
+                thesis_json.join_lines(lines, out)
+            place(joined, self.folder / joined.name)
+        if (self.folder / SCENE_FOLDER).is_dir():  # put there by a run that was killed just then
+            shutil.rmtree(self.folder / SCENE_FOLDER)
+        (self.work / SCENE_FOLDER).replace(self.folder / SCENE_FOLDER)
+        if self._poses is not None:
+            place(self.work / POSES_FILE, self.folder / POSES_FILE)
+        partial = self.work / RUN_FILE
+        partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
+        place(partial, self.folder / RUN_FILE)
+        shutil.rmtree(self.work)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file is the `run.json` or `settings.json` of a run, and not of another program."""
+    try:
+        content = orjson.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and "scene_sha256" in content and "format" in content
+
+
+def place(partial: Path, final: Path) -> None:
+    """Move a complete file to its place in one step, once it is on the disk."""
+    with partial.open("rb+") as written:
+        os.fsync(written.fileno())
+    partial.replace(final)

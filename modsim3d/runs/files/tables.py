@@ -1,0 +1,207 @@
+"""The Parquet tables of a run: frames, truth, detections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.boxes import centre_form
+from modsim3d.detector.records import KINDS
+from modsim3d.scene.scene import Scene
+
+ROW_GROUP_ROWS = 65_536
+MOST_WAITING = 64
+"""Most tables that wait to be written; they are joined then, as a table of one row takes thousands of bytes."""
+
+_KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
+CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
+BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
+TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
+"""Columns of the truth table that are attributes of `Truth`."""
+_OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
+
+
+def _doubles(*names: str) -> list[tuple[str, pa.DataType]]:
+    return [(name, pa.float64()) for name in names]
+
+
+FRAMES = pa.schema(
+    [
+        *_KEYS,
+        ("state", pa.string()),
+        *[(name, pa.int64()) for name in ("n_annotated", "n_detected", "n_false")],
+    ]
+)
+TRUTH = pa.schema(
+    [
+        *_KEYS,
+        ("vessel", pa.string()),
+        ("label", pa.string()),
+        *_doubles(*(f"full_{side}" for side in BOX_SIDES), *(f"visible_{side}" for side in BOX_SIDES)),
+        *_doubles(*TRUTH_NUMBERS),
+        ("occluded_by", _OCCLUDERS),
+        ("annotated", pa.bool_()),
+        ("detected", pa.bool_()),
+    ]
+)
+DETECTIONS = pa.schema(
+    [
+        *_KEYS,
+        ("detection", pa.int64()),
+        ("label", pa.string()),
+        *_doubles("confidence", *CENTRE_FORM),
+        ("state", pa.string()),
+        ("kind", pa.string()),
+        ("vessel", pa.string()),
+        *_doubles(*ERRORS),
+    ]
+)
+
+
+def frame_table(block: Block, scene: Scene) -> pa.Table:
+    """One row for each frame: state and counts."""
+    states = [state.name for state in scene.detector.states]
+    return _in_order(
+        FRAMES,
+        [
+            {
+                **_keys(block, part, scene, part.steps),
+                "state": _named(states, part.detections.states),
+                "n_annotated": np.bincount(
+                    np.searchsorted(part.steps, part.truth.step[part.target_rows]), minlength=len(part.steps)
+                ),
+                "n_detected": _count(part, ~part.detections.false()),
+                "n_false": _count(part, part.detections.false()),
+            }
+            for part in block.cameras
+        ],
+    )
+
+
+def truth_table(block: Block, scene: Scene) -> pa.Table:
+    """One row for each step, camera and vessel whose silhouette is in the image."""
+    labels = [vessel.label for vessel in scene.vessels]
+    tables = []
+    for part in block.cameras:
+        truth = part.truth
+        tables.append(
+            {
+                **_keys(block, part, scene, truth.step),
+                "vessel": _named(scene.vessel_names, truth.vessel),
+                "label": _named(labels, truth.vessel),
+                **_box_columns("full", truth.full_boxes_px),
+                **_box_columns("visible", truth.visible_boxes_px),
+                **{name: _nullable(getattr(truth, name)) for name in TRUTH_NUMBERS},
+                "occluded_by": _occluders(part, scene),
+                "annotated": truth.annotated,
+                "detected": part.detected,
+            }
+        )
+    return _in_order(TRUTH, tables)
+
+
+def detection_table(block: Block, scene: Scene) -> pa.Table:
+    """One row for each detection, with its origin."""
+    states = [state.name for state in scene.detector.states]
+    tables = []
+    for part in block.cameras:
+        drawn, rows = part.detections, part.truth_row
+        boxes = centre_form(drawn.boxes_px)
+        starts = np.searchsorted(drawn.frame, drawn.frame)
+        vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
+        tables.append(
+            {
+                **_keys(block, part, scene, part.steps[drawn.frame]),
+                "detection": np.arange(len(drawn)) - starts,
+                "label": _named(scene.detector.labels, drawn.label),
+                "confidence": drawn.confidence,
+                **dict(zip(CENTRE_FORM, boxes.T, strict=True)),
+                "state": _named(states, drawn.states[drawn.frame]),
+                "kind": _named(KINDS, drawn.kind),
+                "vessel": _named(scene.vessel_names, vessels),
+                **{name: _nullable(column) for name, column in zip(ERRORS, drawn.errors_px.T, strict=True)},
+            }
+        )
+    return _in_order(DETECTIONS, tables)
+
+
+def _count(part: CameraBlock, chosen: Mask) -> Indices:
+    return np.bincount(part.detections.frame[chosen], minlength=len(part.steps))
+
+
+def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:
+    return {
+        "camera": _named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
+        "step": step,
+        "timestamp": _named(block.timestamps, step - block.first),
+    }
+
+
+def _named(names: Sequence[str], indices: Indices) -> pa.Array:
+    """Names by index; null where the index is negative."""
+    return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
+
+
+def _nullable(values: Array) -> pa.Array:
+    """Numbers with null for NaN."""
+    return pa.array(np.ascontiguousarray(values), from_pandas=True)
+
+
+def _box_columns(prefix: str, boxes_px: Array) -> dict[str, pa.Array]:
+    return {f"{prefix}_{side}": _nullable(boxes_px[:, i]) for i, side in enumerate(BOX_SIDES)}
+
+
+def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
+    truth = part.truth
+    entries = pa.StructArray.from_arrays(
+        [_named(scene.occluder_names, truth.occluder), pa.array(truth.occluder_px)], names=["id", "px"]
+    )
+    return pa.ListArray.from_arrays(pa.array(truth.occluder_offsets, pa.int32()), entries)
+
+
+def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
+    """The tables of all cameras as one, in order of step and then camera."""
+    joined = pa.concat_tables([pa.table([columns[name] for name in schema.names], schema=schema) for columns in tables])
+    if len(tables) == 1:
+        return joined
+    return joined.take(pa.array(np.argsort(joined["step"].to_numpy(), kind="stable")))
+
+
+class TableWriter:
+    """Writes a Parquet file whose row groups all have the same size, so that its bytes do not depend on the blocks.
+
+    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks.
+    """
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        """Open the file."""
+        self._writer = pq.ParquetWriter(path, schema, compression="zstd")
+        self._waiting: list[pa.Table] = []
+        self._rows = 0
+
+    def write(self, table: pa.Table) -> None:
+        """Add rows."""
+        self._waiting.append(table)
+        self._rows += len(table)
+        if len(self._waiting) == MOST_WAITING:
+            self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
+        while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
+            joined = pa.concat_tables(self._waiting)
+            self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS).combine_chunks())
+            self._waiting = [joined.slice(ROW_GROUP_ROWS)]
+            self._rows -= ROW_GROUP_ROWS
+
+    def close(self) -> None:
+        """Write the remaining rows and the footer."""
+        if self._waiting:
+            self._writer.write_table(pa.concat_tables(self._waiting).combine_chunks())
+            self._waiting = []
+        self._writer.close()

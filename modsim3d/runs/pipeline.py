@@ -1,0 +1,259 @@
+"""The pipeline: from a scene to the truth of its steps, and from truth to detections and frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
+from modsim3d.truth.occlusion import Occlusion
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.rectangle_rule import rectangle_occlusion
+from modsim3d.truth.truth_record import Truth, concatenate, no_truth
+from modsim3d.arrays import Indices
+from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
+from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.detector.census import TargetCensus, take_census
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.records import CameraFrames, Detections, Targets
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.motion.poses import LivePoses
+from modsim3d.scene.scene import Scene
+from modsim3d.scene.places import place_problems
+
+if TYPE_CHECKING:
+    from modsim3d.render.id_pass import IdRenderer
+
+BLOCK_VESSELS, MOST_BLOCK_STEPS = 8_000, 250
+"""Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
+
+Range = tuple[int, int]
+"""The first step of a block, and the step after its last."""
+
+
+@contextmanager
+def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
+    """The ID renderer that a scene's truth needs; None if its source needs none.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    if scene.annotation.source != "rendered":
+        yield None
+        return
+    from modsim3d.render.context import open_context  # no OpenGL where none is needed
+    from modsim3d.render.id_pass import IdRenderer
+
+    with open_context() as context:
+        yield IdRenderer(context)
+
+
+def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
+    """What all cameras see in the frames that they take at steps first to stop − 1.
+
+    Args:
+        scene: The scene.
+        first: First step.
+        stop: The step after the last.
+        renderer: From `open_renderer`.
+
+    Raises:
+        ModsimError: The vessel that carries a camera is missing.
+    """
+    taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
+    parts = [_camera_truth(scene, index, camera, steps, renderer) for index, camera, steps in taken if len(steps)]
+    return concatenate(parts) if parts else no_truth()
+
+
+def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, renderer: IdRenderer | None) -> Truth:
+    sight = scene.sight(camera, steps)
+    outlines = sight.outlines(as_shoeboxes=scene.annotation.source != "rendered")
+    occlusion = occlusion_by(outlines, camera.intrinsics, scene.annotation, renderer)
+    truth = occlusion.truth(outlines, steps, index)
+    return truth.with_annotated(annotated_rows(truth, scene.annotation))
+
+
+def occlusion_by(
+    outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
+) -> Occlusion:
+    """Who hides how much of whom, by the source of truth that the annotation names.
+
+    Args:
+        outlines: The vessels in front of the camera.
+        intrinsics: The camera's.
+        annotation: Names the source.
+        renderer: The rendered source needs it.
+
+    Raises:
+        ModsimError: The rendered source has no renderer.
+    """
+    if annotation.source == "analytic":
+        return analytic_occlusion(outlines, intrinsics)
+    if annotation.source == "rectangles":
+        return rectangle_occlusion(outlines)
+    if renderer is None:
+        raise ModsimError("the rendered source needs a renderer: use open_renderer(scene)")
+    from modsim3d.truth.full_frame import full_frame_occlusion
+    from modsim3d.truth.rendered import rendered_occlusion
+
+    draw = full_frame_occlusion if annotation.render == "full" else rendered_occlusion
+    return draw(outlines, intrinsics, renderer, annotation.supersample)
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorInput:
+    """What the detector of one camera is given for a block.
+
+    Attributes:
+        truth: The camera's rows of the block.
+        rows: Rows of `truth` that are annotated, shape (n,).
+        frames: The frames that the camera takes.
+        targets: The annotated vessels, n of them.
+    """
+
+    truth: Truth
+    rows: Indices
+    frames: CameraFrames
+    targets: Targets
+
+
+def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterator[DetectorInput]:
+    """The input of each camera's detector at steps first to stop − 1, in the order of the cameras."""
+    index = {label: i for i, label in enumerate(scene.detector.labels)}
+    labels = np.array([index[vessel.label] for vessel in scene.vessels])
+    times_s = scene.times_s(first, stop)
+    for number, camera in enumerate(scene.cameras):
+        seen = truth.take(truth.camera == number)
+        rows = np.flatnonzero(seen.annotated)
+        steps, before = scene.frame_steps(camera, first, stop), scene.last_frame(camera, first)
+        frames = CameraFrames(
+            camera=camera.name,
+            steps=steps,
+            times_s=times_s[steps - first],
+            image_size_px=camera.intrinsics.image_size_px,
+            sea_half_planes=scene.sea_half_planes(camera, steps),
+            previous_s=-math.inf if before is None else float(scene.times_s(before, before + 1)[0]),
+        )
+        targets = Targets(
+            frame=np.searchsorted(steps, seen.step[rows]),
+            vessel=seen.vessel[rows],
+            label=labels[seen.vessel[rows]],
+            boxes_px=annotation_boxes(seen, scene.annotation.mode)[rows],
+            visible_fraction=seen.visible_fraction[rows],
+            depth_m=seen.depth_m[rows],
+            vessel_ids=scene.vessel_names,
+        )
+        yield DetectorInput(seen, rows, frames, targets)
+
+
+def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetCensus:
+    """The census that a scene's detector needs, whatever its model.
+
+    Args:
+        scene: The scene.
+        blocks: Truth of steps first to stop − 1, first and stop. They are not read if the detector needs no census.
+    """
+    parts = (part for block in blocks for part in detector_inputs(scene, *block))
+    return take_census(scene.detector, ((part.frames, part.targets) for part in parts))
+
+
+def detected_block(
+    scene: Scene, truth: Truth, first: int, stop: int, detections_of: Callable[[CameraFrames, Targets], Detections]
+) -> Block:
+    """Truth and detections of steps first to stop − 1.
+
+    Args:
+        scene: The scene.
+        truth: What all cameras see at these steps.
+        first: First step.
+        stop: The step after the last.
+        detections_of: Gives the detections of one camera.
+    """
+    parts = tuple(
+        CameraBlock(
+            camera=index,
+            steps=part.frames.steps,
+            sea_half_planes=part.frames.sea_half_planes,
+            truth=part.truth,
+            target_rows=part.rows,
+            detections=detections_of(part.frames, part.targets),
+        )
+        for index, part in enumerate(detector_inputs(scene, truth, first, stop))
+    )
+    return Block(first, scene.timestamps(first, stop), parts)
+
+
+class Simulation:
+    """A scene with its detector: takes blocks of truth, gives blocks of truth and detections."""
+
+    def __init__(self, scene: Scene, census: TargetCensus) -> None:
+        """Set up the detector from its seed.
+
+        Args:
+            scene: The scene.
+            census: Of all its targets, from `scene_census`.
+        """
+        self.scene = scene
+        self._detector = Detector(scene.detector, scene.detector_seed, census, scene.times_s)
+
+    def detect(self, truth: Truth, first: int, stop: int) -> Block:
+        """Run the detector over the truth of steps first to stop − 1."""
+        return detected_block(self.scene, truth, first, stop, self._detector.detect)
+
+
+def block_steps(scene: Scene) -> int:
+    """How many steps of a scene make a block; no result depends on it."""
+    return max(1, min(MOST_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
+
+
+def block_ranges(steps: int, block_steps: int) -> list[Range]:
+    """The blocks of a run."""
+    return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
+
+
+def step_ranges(scene: Scene) -> Iterator[Range]:
+    """The blocks of a scene.
+
+    A live scene has a block for each step. The generator waits for a step when its block is asked for.
+
+    Raises:
+        InputError: The poses that came are wrong, or a camera has no place at the step.
+    """
+    poses = scene.poses
+    if not isinstance(poses, LivePoses):
+        yield from block_ranges(scene.steps, block_steps(scene))
+        return
+    for step in range(scene.steps):
+        if not poses.wait(step):
+            if step == 0:
+                raise InputError(poses.source, ["ended before the first time step"])
+            return
+        if problems := place_problems(scene, np.arange(step, step + 1)):
+            raise InputError(f"scene {scene.path}", [line for lines in problems.values() for line in lines])
+        yield step, step + 1
+
+
+def simulate_frames(scene: Scene) -> Iterator[Frame]:
+    """Simulate a scene in memory, without writing anything.
+
+    Args:
+        scene: From `load_scene`.
+
+    Yields:
+        The frames of all cameras, in order of step and camera. A live scene gives the frames of a step before it waits
+        for the next step.
+    """
+    with open_renderer(scene) as renderer:
+        blocks: Iterable[tuple[Truth, int, int]]
+        blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene))
+        if scene.detector.needs_census:
+            blocks = list(blocks)
+        simulation = Simulation(scene, scene_census(scene, blocks))
+        for block in blocks:
+            yield from frames_of(simulation.detect(*block), scene)

@@ -1,0 +1,211 @@
+"""Runs a scene and writes its run directory."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from modsim3d.runs.box_sample import BoxSample
+from modsim3d.runs.counts import Counts
+from modsim3d.detector.census import TargetCensus
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.runs.files.pose_lines import pose_lines
+from modsim3d.runs.files.run_directory import LOG_FILE, RunDirectory
+from modsim3d.scene.scene import Scene
+from modsim3d.runs.pipeline import Range, step_ranges
+from modsim3d.runs.workers import BlockMaker, BlockWorkers, FinishedBlock, backend_of, open_block_workers
+
+FORMAT = 1
+VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A finished run.
+
+    Attributes:
+        folder: The run directory.
+        counts: What happened.
+        steps: Number of time steps.
+        seconds: Wall-clock time.
+        resumed_steps: Steps whose truth was taken from an interrupted run.
+        intersecting: Pairs of vessels whose boxes overlap in space: the analytic source cannot tell what is visible of
+            them.
+        truncation: What resampling of box errors does to them, by state, as in `run.json`.
+    """
+
+    folder: Path
+    counts: Counts
+    steps: int
+    seconds: float
+    resumed_steps: int
+    intersecting: tuple[tuple[str, str], ...]
+    truncation: dict[str, dict[str, Any]]
+
+
+def run_scene(
+    scene: Scene,
+    folder: Path,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Run a scene and write its run directory.
+
+    Args:
+        scene: From `load_scene`.
+        folder: The run directory.
+        overwrite: Replace a run that is there.
+        resume: Continue an interrupted run that is there.
+        workers: Number of processes; the bytes of the files do not depend on it.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The scene asks for what cannot be, or the folder cannot be used.
+    """
+    if scene.live and workers > 1:
+        raise ModsimError(
+            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
+            "workers: leave --workers out"
+        )
+    with open_block_workers(scene, workers) as block_workers:
+        settings = settings_of(scene, backend_of(block_workers))
+        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, resume=resume, progress=progress)
+
+
+def write_run(
+    scene: Scene,
+    folder: Path,
+    workers: BlockWorkers,
+    settings: dict[str, Any],
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunResult:
+    """Write the run directory of a scene from the blocks that workers make.
+
+    Args:
+        scene: The scene.
+        folder: The run directory.
+        workers: From `open_block_workers`.
+        settings: Everything that decides the content of the files, see `settings_of`.
+        overwrite: Replace a run that is there.
+        resume: Continue an interrupted run that is there.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The scene cannot be run, or the folder cannot be used.
+    """
+    started = time.perf_counter()
+    if scene.live and resume:
+        raise ModsimError(
+            f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
+            "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
+        )
+    with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
+        total = _write_blocks(scene, directory, workers, progress)
+        directory.write_live_own_ships(total.steps)
+        truncation = total.boxes.truncation(scene)
+        known = {**settings, **directory.live_settings(total.steps)}
+        directory.finish({**known, "counts": asdict(total.counts), "truncation": truncation})
+    seconds = time.perf_counter() - started
+    (folder / LOG_FILE).write_text(
+        f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
+        f"{total.counts.frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
+    )
+    names = scene.occluder_names
+    intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
+    return RunResult(folder, total.counts, total.steps, seconds, total.resumed_steps, intersecting, truncation)
+
+
+@dataclass
+class _Total:
+    """The blocks that are written so far: the attributes of `FinishedBlock`, summed."""
+
+    steps: int = 0
+    counts: Counts = field(default_factory=Counts)
+    boxes: BoxSample = field(default_factory=BoxSample)
+    resumed_steps: int = 0
+    intersecting: set[tuple[int, int]] = field(default_factory=set)
+
+    def add(self, block: FinishedBlock) -> None:
+        self.steps += block.steps
+        self.counts += block.counts
+        self.boxes += block.boxes
+        self.resumed_steps += block.resumed_steps
+        self.intersecting |= block.intersecting
+
+
+def _write_blocks(
+    scene: Scene, directory: RunDirectory, workers: BlockWorkers, progress: Callable[[int], None]
+) -> _Total:
+    """Make all blocks and write them; the census needs all truth first."""
+    total, census, resumed = _Total(), TargetCensus(), None
+    if scene.detector.needs_census:
+        census, resumed = _take_census(scene, directory.work, workers, progress)
+    make = partial(BlockMaker.make, folder=directory.work, census=census)
+    for block in workers.map(make, _with_steps_kept(scene, directory.work)):
+        directory.write(block.files)
+        if scene.live:
+            directory.write_poses(pose_lines(scene, total.steps, total.steps + block.steps))
+        total.add(block)
+        if resumed is None:
+            progress(block.steps)
+    return total if resumed is None else replace(total, resumed_steps=resumed)
+
+
+def _take_census(
+    scene: Scene, folder: Path, workers: BlockWorkers, progress: Callable[[int], None]
+) -> tuple[TargetCensus, int]:
+    """Make and keep all truth; the census of it, and the number of steps that an interrupted run had kept."""
+    resumed = 0
+
+    def parts() -> Iterator[TargetCensus]:
+        nonlocal resumed
+        for block in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene)):
+            resumed += block.resumed_steps
+            progress(block.steps)
+            yield block.census
+
+    census = TargetCensus.total(parts())
+    return census, resumed
+
+
+def _with_steps_kept(scene: Scene, folder: Path) -> Iterator[Range]:
+    """The blocks of a scene; an error in what a stream brings also says where the steps before it are kept."""
+    done = 0
+    try:
+        for first, stop in step_ranges(scene):
+            yield first, stop
+            done = stop
+    except InputError as error:
+        if not scene.live or not done:
+            raise
+        kept = f"what came before, {done} steps, is kept as complete lines in {folder}"
+        raise InputError(error.source, [*error.problems, kept]) from None
+
+
+def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
+    """Everything that decides the content of the files; no times and no host names."""
+    return {
+        "format": FORMAT,
+        "scene": scene.name,
+        "scene_sha256": scene.sha256,
+        "seed": scene.seed,
+        "detector_seed": scene.detector_seed,
+        "steps": scene.steps,
+        "annotation": asdict(scene.annotation),
+        "cameras": [camera.name for camera in scene.cameras],
+        "backend": backend,
+        "plugins": {f"{plugin.group}:{plugin.name}": plugin.package for plugin in scene.plugins},
+        "versions": {name: version(name) for name in VERSIONED},
+    }

@@ -1,0 +1,106 @@
+"""All rows of a run as columns, with names as indices into its scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.runs.files.columns import (NOBODY, Occluders, detection_boxes_px, flags, indices, integers, numbers, truth_boxes_px)
+from modsim3d.scene.scene import Scene
+from modsim3d.runs.stored_run import StoredRun
+
+
+@dataclass(frozen=True, eq=False)
+class RunRows:
+    """All rows of a run. A frame is one camera at one step; its number is step × cameras + camera.
+
+    Attributes:
+        scene: The scene of the run.
+        steps: Number of steps that are there.
+        frames: Numbers of the frames that were taken, ascending, shape (F,).
+        frame_state: Index of the performance state in each frame, shape (F,).
+        truth: The truth table, n rows.
+        truth_frame: Number of the frame of each row, shape (n,).
+        truth_vessel: Index of the vessel of each row, shape (n,).
+        drawn: The table of detections, m rows.
+        drawn_frame: Number of the frame of each detection, shape (m,).
+        drawn_vessel: Index of the vessel of each detection; `NOBODY` for a false positive, shape (m,).
+    """
+
+    scene: Scene
+    steps: int
+    frames: Indices
+    frame_state: Indices
+    truth: pa.Table
+    truth_frame: Indices
+    truth_vessel: Indices
+    drawn: pa.Table
+    drawn_frame: Indices
+    drawn_vessel: Indices
+
+    @classmethod
+    def of(cls, run: StoredRun) -> RunRows:
+        """All rows of the steps that a run has."""
+        tables, scene = run.tables(), run.scene
+        frames, truth, drawn = (tables[name].combine_chunks() for name in ("frames", "truth", "detections"))
+        cameras = [camera.name for camera in scene.cameras]
+
+        def frame(table: pa.Table) -> Indices:
+            return integers(table, "step") * len(cameras) + indices(table, "camera", cameras)
+
+        return cls(
+            scene=scene,
+            steps=run.steps,
+            frames=frame(frames),
+            frame_state=indices(frames, "state", [state.name for state in scene.detector.states]),
+            truth=truth,
+            truth_frame=frame(truth),
+            truth_vessel=indices(truth, "vessel", scene.vessel_names),
+            drawn=drawn,
+            drawn_frame=frame(drawn),
+            drawn_vessel=indices(drawn, "vessel", scene.vessel_names),
+        )
+
+    def states_of(self, frames: Indices) -> Indices:
+        """Index of the performance state in each of some frames, by their numbers, shape (k,)."""
+        return self.frame_state[np.searchsorted(self.frames, frames)]
+
+    def last_taken(self, steps: Indices) -> Indices:
+        """The step of the last frame of each camera at each step, `NOBODY` before the first, shape (steps, cameras)."""
+        cameras = len(self.scene.cameras)
+        last = np.full((len(steps), cameras), NOBODY)
+        for index in range(cameras):
+            taken = self.frames[self.frames % cameras == index] // cameras
+            place = np.searchsorted(taken, steps, side="right") - 1
+            last[place >= 0, index] = taken[place[place >= 0]]
+        return last
+
+    def numbers(self, name: str) -> Array:
+        """A column of the truth, NaN for null, shape (n,)."""
+        return numbers(self.truth, name)
+
+    def boxes_px(self, prefix: str) -> Array:
+        """The boxes `full` or `visible` of the truth as x_min, y_min, x_max, y_max, shape (n, 4)."""
+        return truth_boxes_px(self.truth, prefix)
+
+    def drawn_boxes_px(self) -> Array:
+        """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
+        return detection_boxes_px(self.drawn)
+
+    @cached_property
+    def annotated(self) -> Mask:
+        """Whether each row of the truth was given to the detector, shape (n,)."""
+        return flags(self.truth, "annotated")
+
+    @cached_property
+    def detected(self) -> Mask:
+        """Whether each row of the truth was detected, shape (n,)."""
+        return flags(self.truth, "detected")
+
+    def occluders(self) -> Occluders:
+        """Who hides whom, from the truth."""
+        return Occluders.of(self.truth, self.scene.occluder_names)

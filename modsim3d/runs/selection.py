@@ -1,0 +1,185 @@
+"""Steps and cameras of a stored run that a user chose."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.runs.blocks import Frame
+from modsim3d.errors import ModsimError
+from modsim3d.runs.stored_run import StoredRun
+
+NEAR_S = 1e-6
+"""Times nearer than this are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepFrames:
+    """What cameras show at a step: each the last frame that it took.
+
+    Attributes:
+        step: The step.
+        timestamp: The text of its time.
+        frames: One for each camera; None before its first.
+    """
+
+    step: int
+    timestamp: str
+    frames: tuple[Frame | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Frames of a stored run.
+
+    Attributes:
+        run: The run.
+        cameras: Indices into the scene's cameras.
+        steps: The n steps, ascending.
+        durations_s: Time from each step to the next, shape (n,).
+    """
+
+    run: StoredRun
+    cameras: tuple[int, ...]
+    steps: tuple[int, ...]
+    durations_s: Array
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(self.run.scene.cameras[index].name for index in self.cameras)
+
+    def step_frames(self) -> Iterator[StepFrames]:
+        """What the cameras show at each step."""
+        scene, names = self.run.scene, self.camera_names
+        first, stop = self.steps[0], self.steps[-1] + 1
+        last = {name: self._frame_before(index, first) for name, index in zip(names, self.cameras, strict=True)}
+        coming = self.run.frames(first, stop)
+        frame = next(coming, None)
+        for step in self.steps:
+            while frame is not None and frame.step <= step:
+                last[frame.camera] = frame
+                frame = next(coming, None)
+            yield StepFrames(step, scene.timestamps(step, step + 1)[0], tuple(last[name] for name in names))
+
+    def _frame_before(self, camera: int, step: int) -> Frame | None:
+        """The last frame that a camera took before a step; None if there is none, or if it takes one at that step."""
+        scene = self.run.scene
+        taken = scene.last_frame(scene.cameras[camera], step + 1)
+        if taken is None or taken == step:
+            return None
+        return self.run.frame(scene.cameras[camera].name, taken)
+
+
+def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
+    """Indices of the cameras with these names; of all cameras if there are no names.
+
+    Raises:
+        ModsimError: One has no such name.
+    """
+    known = [camera.name for camera in run.scene.cameras]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise ModsimError(f"{run.folder} has no camera '{', '.join(unknown)}'; it has: {', '.join(known)}")
+    return tuple(known.index(name) for name in dict.fromkeys(names)) or tuple(range(len(known)))
+
+
+def select(
+    run: StoredRun,
+    cameras: tuple[int, ...],
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    every: int = 1,
+    only_with_vessels: bool = False,
+) -> Selection:
+    """Select steps of a run.
+
+    Args:
+        run: The run.
+        cameras: Indices of the cameras.
+        from_s: First time, as in the run's timestamps; the first step if None.
+        to_s: Last time; the last step if None.
+        every: Take every K-th of the steps between these times.
+        only_with_vessels: Leave out steps at which no camera has a vessel in its image.
+
+    Raises:
+        ModsimError: No step is left.
+    """
+    times = times_of(run)
+    inside = (times >= _or(from_s, -math.inf) - NEAR_S) & (times <= _or(to_s, math.inf) + NEAR_S)
+    steps = np.flatnonzero(inside)[::every]
+    if not len(steps):
+        raise ModsimError(f"no frames between {_or(from_s, -math.inf):g} s and {_or(to_s, math.inf):g} s: {span(run)}")
+    durations = _durations(times, steps, every)
+    found = Selection(run, cameras, tuple(steps.tolist()), durations)
+    if not only_with_vessels:
+        return found
+    with_vessels = np.array(
+        [any(frame and len(frame.truth) for frame in latest.frames) for latest in found.step_frames()]
+    )
+    if not with_vessels.any():
+        names = ", ".join(found.camera_names)
+        raise ModsimError(f"no vessel is in an image of {names} in {len(steps)} frames; {span(run)}")
+    return Selection(run, cameras, tuple(steps[with_vessels].tolist()), durations[with_vessels])
+
+
+def find_step(run: StoredRun, text: str) -> int:
+    """A step by its number, `255`, or by its time, `51.0` or `51s`.
+
+    Raises:
+        ModsimError: There is no such step.
+    """
+    if re.fullmatch(r"\d+", text):
+        step = int(text)
+        if step >= run.steps:
+            raise ModsimError(f"no step {step}: {span(run)}")
+        return step
+    try:
+        time = float(text.removesuffix("s"))
+    except ValueError:
+        raise ModsimError(f"'{text}' is neither a step (255) nor a time in seconds (51.0 or 51s)") from None
+    times = times_of(run)
+    nearest = int(np.argmin(np.abs(times - time)))
+    if not abs(times[nearest] - time) <= NEAR_S:
+        raise ModsimError(f"no frame at {text}; the nearest is step {nearest} at {times[nearest]:g} s; {span(run)}")
+    return nearest
+
+
+def times_of(run: StoredRun) -> Array:
+    """The times of the steps that are there, as in the run's timestamps, shape (steps,).
+
+    Raises:
+        ModsimError: None is there.
+    """
+    if not run.steps:
+        raise ModsimError(
+            f"{run.folder} holds an interrupted run that has not finished a single block of steps: {run.how_to_finish}"
+        )
+    return np.array([float(text) for text in run.scene.timestamps(0, run.steps)])
+
+
+def span(run: StoredRun) -> str:
+    """The steps and times that a run has, in words."""
+    first, last = run.scene.timestamps(0, 1)[0], run.scene.timestamps(run.steps - 1, run.steps)[0]
+    there = f"steps 0 to {run.steps - 1}, {first} s to {last} s"
+    if run.finished:
+        return f"the run has {there}"
+    return f"the run was interrupted; of {run.scene.steps} steps there are {there}"
+
+
+def _or(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else value
+
+
+def _durations(times: Array, steps: Indices, every: int) -> Array:
+    """Time from each chosen step to the next; for the last one, as long as before it; shape (n,)."""
+    gaps = np.diff(times[steps])
+    if len(gaps):
+        return np.append(gaps, gaps[-1])
+    return np.diff(times[:2]) * every if len(times) > 1 else np.ones(1)

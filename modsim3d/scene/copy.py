@@ -1,0 +1,115 @@
+"""Copies of a scene and its files in a run, so that the run can be looked at and repeated from its folder."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+from pydantic import BaseModel
+
+from modsim3d.scene.keys import AnnotationKeys, SceneKeys
+
+
+@dataclass(frozen=True, eq=False)
+class SceneCopy:
+    """A scene file and the files that it names.
+
+    Attributes:
+        name: Name of the scene.
+        document: Content of the scene file with what the caller set, and with the paths of `files`.
+        files: Path in the copy → original file.
+    """
+
+    name: str
+    document: Mapping[str, Any]
+    files: Mapping[str, Path]
+
+    def write(self, folder: Path) -> Path:
+        """Write the copy into a folder; create the folder.
+
+        Returns:
+            The scene file, which `load_scene` reads.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, source in self.files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, folder / name)
+        path = folder / f"{self.name}.json"
+        path.write_bytes(self._scene_file())
+        return path
+
+    def sha256(self) -> str:
+        """Checksum of the scene and every file in the copy, equal for a scene and for its copy in a run."""
+        digest = hashlib.sha256(hashlib.sha256(self._scene_file()).digest())
+        for name, source in sorted(self.files.items()):
+            digest.update(hashlib.sha256(name.encode()).digest())
+            digest.update(hashlib.sha256(source.read_bytes()).digest())
+        return digest.hexdigest()
+
+    def _scene_file(self) -> bytes:
+        return orjson.dumps(self.document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
+
+
+def copy_scene(
+    path: Path,
+    data: Mapping[str, Any],
+    keys: SceneKeys,
+    *,
+    vessels: Mapping[Any, Any],
+    obstacles: Mapping[Any, Any],
+    mesh_files: Mapping[str, Path],
+    pose_files: Sequence[str] | None,
+) -> SceneCopy:
+    """A copy with every file that the scene names beside it under a plain name; the copy of a copy is the same.
+
+    Args:
+        path: The scene file.
+        data: Its content with what the caller set.
+        keys: The same, validated.
+        vessels: Mapping of vessels with the mesh paths of `mesh_files`.
+        obstacles: Mapping of obstacles with the mesh paths of `mesh_files`.
+        mesh_files: Path in the copy → original file.
+        pose_files: Files of the pose source as the scene file names them; None for live poses.
+    """
+    folder = path.resolve().parent
+    detector = f"detector{Path(keys.detector).suffix}"
+    files = {detector: folder / keys.detector, **mesh_files}
+    document = {**data, "vessels": vessels, "detector": detector}
+    if "obstacles" in data:
+        document["obstacles"] = obstacles
+    if pose_files is None:
+        document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in
+        document.pop("steps", None)
+    else:
+        names = {file: _pose_file(number, file) for number, file in enumerate(dict.fromkeys(pose_files))}
+        files |= {name: folder / file for file, name in names.items()}
+        document["poses"] = _renamed(document["poses"], names)
+    if document.get("detector_seed") == keys.seed:
+        del document["detector_seed"]  # the default
+    # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
+    if isinstance(document.get("annotation"), dict):
+        document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
+    return SceneCopy(path.stem, _ordered(document, SceneKeys), files)
+
+
+def _pose_file(number: int, file: str) -> str:
+    return f"poses{f'_{number}' if number else ''}" + "".join(Path(file).suffixes[-2:])
+
+
+def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+    """The section of a pose source with its files renamed."""
+    if isinstance(value, dict):
+        return {key: _renamed(inner, names) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_renamed(inner, names) for inner in value]
+    return names.get(value, value) if isinstance(value, str) else value
+
+
+def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """The section with its keys in the order of its model."""
+    return {name: keys[name] for name in model.model_fields if name in keys}

@@ -1,0 +1,241 @@
+"""The keys of a scene file. They are fixed: add to them, do not rename them."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import shapely
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
+
+from modsim3d.inputs.validation import MAX_COORDINATE_M, Metres, Number, Probability, Strict, shown
+from modsim3d.motion.waves import GRAVITY_M_S2, STEEPEST
+
+SEEDLESS_POSES = {"file", "tracks", "stream"}
+"""Pose sources without random numbers; a plug-in may have some."""
+MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
+MAX_STEPS = 10_000_000
+MAX_SEED = 2**63 - 1
+
+Pixels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MAX_PX, le=MAX_PX)]
+Lens = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e3)]
+NearClip = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=MAX_COORDINATE_M)]
+Interval = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e9)]
+Steps = Annotated[int, Field(strict=True, gt=0, le=MAX_STEPS)]
+Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+Vector = tuple[Metres, Metres, Metres]
+Size = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
+TURN_RAD = 6.3
+
+
+def _radians(angle: float) -> float:
+    """Refuse angles of more than a turn, which are probably in degrees."""
+    if abs(angle) > TURN_RAD:
+        raise ValueError(f"{angle:g} is more than a whole turn: angles are in radians (180° is 3.14159)")
+    return angle
+
+
+Angle = Annotated[Number, AfterValidator(_radians)]
+MAX_IMAGE_SIDE_PX = 12_000
+ImageSide = Annotated[int, Field(strict=True, gt=0, le=MAX_IMAGE_SIDE_PX)]
+
+
+class PoseKeys(Strict):
+    """A camera ashore: position in WCF, angles against the base pose."""
+
+    position_m: Vector
+    roll_rad: Angle = 0.0
+    pitch_rad: Angle = 0.0
+    yaw_rad: Angle = 0.0
+
+
+class MountKeys(PoseKeys):
+    """A camera on a vessel: position in VCF, angles against the vessel."""
+
+    vessel: str
+
+
+class DistortionKeys(Strict):
+    """Coefficients of Brown and Conrady's model, named as OpenCV does."""
+
+    k1: Number = 0.0
+    k2: Number = 0.0
+    p1: Number = 0.0
+    p2: Number = 0.0
+    k3: Number = 0.0
+
+
+class CameraKeys(Strict):
+    """A camera: lens, sensor, and either `pose` or `mount`."""
+
+    focal_length_m: Lens
+    pixel_size_m: tuple[Lens, Lens]
+    principal_point_px: tuple[Pixels, Pixels]
+    image_size_px: tuple[ImageSide, ImageSide]
+    skew: Pixels = 0.0
+    near_clip_m: NearClip = 0.1
+    distortion: DistortionKeys | None = None
+    frame_rate_hz: Interval | None = None
+    start_offset_s: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e9)] = 0.0
+    pose: PoseKeys | None = None
+    mount: MountKeys | None = Field(default=None, validate_default=True)
+
+    # A validator of the field, since pydantic calls those of the model only if all fields are valid.
+    @field_validator("mount")
+    @classmethod
+    def _one_place(cls, mount: MountKeys | None, info: ValidationInfo) -> MountKeys | None:
+        if (info.data.get("pose", "given but wrong") is None) == (mount is None):
+            raise ValueError("give exactly one of pose (ashore) and mount (on a vessel)")
+        return mount
+
+
+class AnnotationKeys(Strict):
+    """Annotation mode, source and filters (Jessen & Mohr (2023), §7.5.1)."""
+
+    mode: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
+    source: Literal["rendered", "analytic", "rectangles"] = "rendered"
+    supersample: Annotated[int, Field(strict=True, ge=1, le=8)] = 1
+    render: Literal["regions", "full"] = "regions"
+    min_visible_px: NotNegative = 0.0
+    min_visible_fraction: Probability = 0.0
+    min_box_px: NotNegative = 0.0
+    allow_camera_inside: Annotated[bool, Field(strict=True)] = False
+
+
+class AxisKeys(Strict):
+    """One angle's second-order process (Jessen & Mohr (2023), eq. 7.23, 7.24)."""
+
+    a: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.99
+    b: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.99
+    sigma_rad: NotNegative = 0.0
+    start_rad: tuple[Number, Number] = (0.0, 0.0)
+
+
+class WavesKeys(Strict):
+    """Waves: a named level, the coefficients of each axis, or a spectrum."""
+
+    level: str | None = None
+    roll: AxisKeys | None = None
+    pitch: AxisKeys | None = None
+    yaw: AxisKeys | None = None
+    interval_s: Interval | None = None
+    spectrum: Literal["jonswap"] | None = None
+    significant_height_m: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
+    peak_period_s: Annotated[float, Field(strict=True, ge=0.5, le=30)] | None = None
+    direction_rad: Angle | None = None
+    peakedness: Annotated[float, Field(strict=True, ge=1, le=10)] | None = None
+    apply_to: Literal["ownship", "all"] = "ownship"
+    composition: Literal["rigid", "additive"] = "rigid"
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> WavesKeys:
+        axes = [name for name in ("roll", "pitch", "yaw") if getattr(self, name) is not None]
+        given = [self.level is not None, bool(axes), self.spectrum is not None]
+        if sum(given) != 1:
+            raise ValueError("give exactly one of level, the coefficients of roll, pitch and yaw, and spectrum")
+        problems = self._sea_problems()
+        if problems:
+            raise ValueError("; ".join(problems))
+        if self.composition == "additive" and self.apply_to == "all":
+            raise ValueError("composition: additive cannot turn other vessels: it goes with apply_to: ownship only")
+        return self
+
+    def _sea_problems(self) -> list[str]:
+        """Problems of the keys of a spectrum."""
+        needed = ("significant_height_m", "peak_period_s", "direction_rad")
+        if self.spectrum is None:
+            stray = [key for key in (*needed, "peakedness") if getattr(self, key) is not None]
+            return [f"{key} goes with spectrum: jonswap" for key in stray]
+        problems = [f"spectrum: jonswap needs {key}" for key in needed if getattr(self, key) is None]
+        if self.interval_s is not None:
+            problems.append("interval_s goes with level or coefficients, not with a spectrum")
+        if self.significant_height_m is not None and self.peak_period_s is not None:
+            highest = STEEPEST * GRAVITY_M_S2 * self.peak_period_s**2 / (2 * math.pi)
+            if self.significant_height_m > highest:
+                problems.append(
+                    f"significant_height_m: seas with a peak period of {self.peak_period_s:g} s break before they are "
+                    f"{self.significant_height_m:g} m high: at most {highest:.2f} m, or a longer peak_period_s"
+                )
+        return problems
+
+
+class ImuKeys(Strict):
+    """The inertial measurement unit of each vessel that carries a camera."""
+
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rate_noise_rad_s: NotNegative = 0.0
+    rate_bias_rad_s: NotNegative = 0.0
+    acceleration_noise_m_s2: NotNegative = 0.0
+    acceleration_bias_m_s2: NotNegative = 0.0
+
+
+class ObstacleKeys(Strict):
+    """An obstacle: a prism over a polygon, or a mesh."""
+
+    polygon_m: list[tuple[Metres, Metres]] | None = None
+    height_m: Size | None = None
+    base_m: Metres = 0.0
+    mesh: str | dict[str, str] | None = None
+    size_m: tuple[Size, Size, Size] | None = None
+    position_m: Vector = (0.0, 0.0, 0.0)
+    heading_rad: Angle = 0.0
+
+    @field_validator("polygon_m")
+    @classmethod
+    def _simple(cls, polygon_m: list[tuple[float, float]] | None) -> list[tuple[float, float]] | None:
+        if polygon_m is None:
+            return None
+        if len(polygon_m) < 3:
+            raise ValueError(f"a polygon needs three corners or more (got {len(polygon_m)})")
+        polygon = shapely.Polygon(polygon_m)
+        if not polygon.is_valid or polygon.area <= 0:
+            why = shapely.is_valid_reason(polygon) if not polygon.is_valid else "its area is zero"
+            raise ValueError(f"the sides of a polygon must not cross or lie on each other ({why})")
+        return polygon_m
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> ObstacleKeys:
+        if (self.polygon_m is None) == (self.mesh is None):
+            raise ValueError("give either polygon_m with height_m, or mesh with size_m")
+        needed, other = ("height_m", "size_m") if self.mesh is None else ("size_m", "height_m")
+        if getattr(self, needed) is None:
+            raise ValueError(f"{needed}: missing")
+        misplaced = {other} | ({"position_m", "heading_rad"} if self.mesh is None else {"base_m"})
+        if wrong := sorted(misplaced & self.model_fields_set):
+            raise ValueError(f"{', '.join(wrong)}: not for {'a polygon' if self.mesh is None else 'a mesh'}")
+        return self
+
+
+class SceneKeys(Strict):
+    """A scene file. The content of `vessels` and `poses` is validated elsewhere."""
+
+    steps: Steps | None = None
+    time_step_s: Interval | None = None
+    seed: Seed = 0
+    detector_seed: Seed | None = None
+    vessels: str | dict[str, object]
+    poses: dict[str, object]
+    cameras: dict[str, CameraKeys]
+    waves: WavesKeys | None = None
+    sea: Literal["flat", "curved"] = "flat"
+    obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
+    imu: ImuKeys | None = None
+    annotation: AnnotationKeys = AnnotationKeys()
+    detector: str
+
+    @property
+    def truth_has_seed(self) -> bool:
+        """Whether what the cameras see depends on the seed: through random poses or waves."""
+        drawn = not SEEDLESS_POSES & self.poses.keys()
+        return drawn or (self.waves is not None and self.waves.level != "none")
+
+    @field_validator("vessels", mode="before")
+    @classmethod
+    def _file_or_mapping(cls, vessels: object) -> object:
+        if not isinstance(vessels, str | dict):
+            raise ValueError(f"a file or a mapping of vessel ID to vessel is needed (got {shown(vessels)})")
+        numbers = [shown(name) for name in vessels if not isinstance(name, str)]
+        if numbers:
+            raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers)} in quotes")
+        return vessels

@@ -1,0 +1,225 @@
+"""The parts of a scene file and of the files that it names, each read by itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from modsim3d.detector.file.reading import load_detector
+from modsim3d.detector.model import DetectorModel
+from modsim3d.errors import InputError
+from modsim3d.inputs.plugins import Plugin
+from modsim3d.inputs.validation import describe, join_path, nearest
+from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
+from modsim3d.motion.waves.levels import Axes, find_level
+from modsim3d.scene.keys import SceneKeys
+from modsim3d.scene.meshes import SceneMeshes, read_obstacle
+from modsim3d.vessels.obstacles import Obstacle
+from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
+
+T = TypeVar("T")
+
+CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+@dataclass(frozen=True)
+class _Location:
+    """Where the mapping of vessels stands.
+
+    Attributes:
+        source: The file with it, for errors.
+        path: Keys that lead to it in that file.
+        folder: Folder that paths in it start from.
+    """
+
+    source: str
+    path: tuple[str, ...]
+    folder: Path
+
+
+class SceneParts:
+    """The parts of a scene, and everything that is wrong with each.
+
+    A part that is wrong is None; the others are read all the same, so that the user sees every problem at once.
+
+    Attributes:
+        path: The scene file.
+        data: Content of the scene file, with what the caller set in place of it.
+        problems: One line each.
+        keys: The content, validated.
+        vessel_entries: The mapping of vessels as it stands in its file.
+        vessels: The vessels with their shapes.
+        detector: The detector.
+        source: The keys of the pose source.
+        poses: The pose source.
+        wave_level: Axes of the wave level that the scene names, and the plug-in that brought it.
+        obstacles: Those that could be read.
+        meshes: All meshes that the scene names.
+    """
+
+    def __init__(self, path: Path, data: dict[str, Any]) -> None:
+        """Read all parts."""
+        self.path, self.data = path, data
+        self.folder = path.resolve().parent
+        self.problems: list[str] = []
+        self.meshes = SceneMeshes()
+        self.keys = self._keys()
+        self.vessels_at = self._vessels_at()
+        self.vessel_entries = self._vessel_entries()
+        boxes = self._boxes()
+        self.detector = self._detector()
+        self._check_mounts()
+        self._check_labels()
+        self.source = self._source()
+        self.poses = self._poses(boxes)
+        self.wave_level = self._wave_level()
+        self.obstacles = self._obstacles()
+        self.vessels = None if boxes is None else tuple(self._with_mesh(vessel) for vessel in boxes)
+
+    @property
+    def name(self) -> str:
+        """What errors call the scene."""
+        return f"scene {self.path}"
+
+    @property
+    def plugins(self) -> tuple[Plugin, ...]:
+        """The plug-ins that parts came from: of poses, waves and shapes."""
+        source, level = self.source and self.source.plugin, self.wave_level and self.wave_level[1]
+        return tuple(plugin for plugin in (source, level, *self.meshes.plugins) if plugin)
+
+    def _collect(self, read: Callable[[], T]) -> T | None:
+        """What `read` returns; or None, and its problems are kept."""
+        try:
+            return read()
+        except InputError as error:
+            here = error.source == self.name
+            self.problems += [
+                problem if here or problem.startswith(error.source) else f"{error.source}: {problem}"
+                for problem in error.problems
+            ]
+            return None
+
+    def _keys(self) -> SceneKeys | None:
+        cameras = self.data.get("cameras")
+        if isinstance(cameras, dict):
+            if not cameras:
+                self.problems.append("cameras: no cameras; a scene needs at least one")
+            self.problems += [
+                f"cameras.{name}: a camera's name goes into file names: at most 100 letters, digits, '_', '-' and '.' "
+                "only, the first a letter or digit"
+                for name in cameras
+                if not CAMERA_NAME.fullmatch(str(name))
+            ]
+        try:
+            return SceneKeys.model_validate(self.data)
+        except ValidationError as error:
+            self.problems += describe(error, SceneKeys)
+            return None
+
+    def _vessels_at(self) -> _Location:
+        entry = self.data.get("vessels")
+        if isinstance(entry, str):
+            file = self.folder / entry
+            return _Location(f"vessels file {file}", (), file.parent)
+        return _Location(self.name, ("vessels",), self.folder)
+
+    def _vessel_entries(self) -> dict[Any, Any] | None:
+        entry = self.data.get("vessels")
+        if isinstance(entry, str):
+            return self._collect(lambda: load_mapping(self.folder / entry))
+        return entry if isinstance(entry, dict) else None  # validation of the keys reports it
+
+    def _boxes(self) -> tuple[Vessel, ...] | None:
+        """The vessels as shoeboxes."""
+        entries, place = self.vessel_entries, self.vessels_at
+        return None if entries is None else self._collect(lambda: parse_vessels(entries, place.source, *place.path))
+
+    def _with_mesh(self, vessel: Vessel) -> Vessel:
+        entry, place = (self.vessel_entries or {}).get(vessel.name, {}).get("mesh"), self.vessels_at
+        if entry is None:
+            return vessel
+        read = partial(self.meshes.solid, entry, place.folder, place.source, *place.path, vessel.name, "mesh")
+        solid = self._collect(read)
+        return vessel if solid is None else replace(vessel, solid=solid)
+
+    def _obstacles(self) -> tuple[Obstacle, ...]:
+        if self.keys is None:
+            return ()
+        found = []
+        for name, entry in self.keys.obstacles.items():
+            read = partial(read_obstacle, name, entry, self.meshes, self.path, self.keys.annotation.source)
+            found.append(self._collect(read))
+        return tuple(obstacle for obstacle in found if obstacle is not None)
+
+    def _detector(self) -> DetectorModel | None:
+        entry = self.data.get("detector")
+        return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
+
+    def _source(self) -> NamedSource | None:
+        """The keys of the pose source; None for one that needs the scene's times, where the scene gives none."""
+        entry = self.data.get("poses")
+        if not isinstance(entry, dict) or not all(isinstance(name, str) for name in entry):
+            return None  # validation of the keys reports it
+        source = self._collect(lambda: read_source(entry, self.name))
+        missing = [key for key in ("steps", "time_step_s") if self.data.get(key) is None]
+        if source is not None and source.keys.generated and missing:
+            needed = " and ".join(missing)
+            self.problems.append(f"poses: {source.name} has no times of its own: give {needed} beside it")
+            return None
+        return source
+
+    def _poses(self, vessels: tuple[Vessel, ...] | None) -> PoseSource | None:
+        source, keys, names = self.source, self.keys, self.vessel_entries
+        if source is None or (source.keys.generated and (keys is None or vessels is None)):
+            return None
+        request = PoseRequest(
+            folder=self.folder,
+            # Names of all entries, so that one wrong vessel does not keep the poses from being checked.
+            names=None if names is None else tuple(map(str, names)),
+            vessels=vessels or (),
+            steps=keys.steps if keys else None,
+            time_step_s=keys.time_step_s if keys else None,
+            seed=keys.seed if keys else 0,
+        )
+        poses = self._collect(lambda: source.build(request))
+        if poses is not None and not isinstance(poses, LivePoses):
+            self._check_steps(source.name, len(poses.timestamps))
+        return poses
+
+    def _check_steps(self, source: str, available: int) -> None:
+        steps = self.data.get("steps")
+        if isinstance(steps, int) and steps > available:
+            name = "the pose file" if source == "file" else f"poses.{source}"
+            self.problems.append(f"steps: {steps} asked for, but {name} has {available}")
+
+    def _wave_level(self) -> tuple[Axes, Plugin | None] | None:
+        waves = self.data.get("waves")
+        level = waves.get("level") if isinstance(waves, dict) else None
+        return self._collect(lambda: find_level(level)) if isinstance(level, str) else None
+
+    def _check_mounts(self) -> None:
+        cameras, names = self.data.get("cameras"), [str(name) for name in self.vessel_entries or ()]
+        for name, camera in cameras.items() if names and isinstance(cameras, dict) else ():
+            mount = camera.get("mount") if isinstance(camera, dict) else None
+            vessel = mount.get("vessel") if isinstance(mount, dict) else None
+            if isinstance(vessel, str) and vessel not in names:
+                self.problems.append(f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})")
+
+    def _check_labels(self) -> None:
+        if self.vessel_entries is None or self.detector is None:
+            return
+        labels, place = self.detector.labels, self.vessels_at
+        where = "" if place.path else f"{place.source}: "
+        for name, entry in self.vessel_entries.items():
+            label = entry.get("label") if isinstance(entry, dict) else None
+            if isinstance(label, str) and label not in labels:
+                self.problems.append(
+                    f"{where}{join_path(*place.path, str(name))}.label: '{label}' is not one of the detector's labels "
+                    f"({nearest(label, labels)})"
+                )

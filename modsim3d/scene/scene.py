@@ -1,0 +1,190 @@
+"""A scene: what was configured, and what follows from it at each step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.detector.model import DetectorModel
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import CameraPoses, poses_ashore
+from modsim3d.inputs.plugins import Plugin
+from modsim3d.motion.imu import PERFECT_IMU, Imu
+from modsim3d.motion.poses import LivePoses, PoseSource, times_s
+from modsim3d.motion.vessel_motion import PosesInWaves, VesselMotion, Waves
+from modsim3d.scene.copy import SceneCopy
+from modsim3d.scene.frame_timing import takes_frame
+from modsim3d.scene.sight import Sight, line_of_sight
+from modsim3d.scene.snapshot import Snapshot
+from modsim3d.truth.modes import Annotation
+from modsim3d.vessels.obstacles import PREFIX, Obstacle
+from modsim3d.vessels.vessel import Vessel
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A validated scene.
+
+    Attributes:
+        name: File name without its ending.
+        path: The scene file.
+        sha256: Checksum of `copy`.
+        seed: Seed of all random numbers but the detector's.
+        detector_seed: Seed of the detector; the same unless the scene file says otherwise.
+        truth_has_seed: Whether what the cameras see depends on the seed.
+        steps: Number of time steps; of a live scene the most that are taken.
+        vessels: Vessels in the order of the vessels file.
+        poses: Source of the vessels' poses.
+        cameras: Cameras in the order of the scene file.
+        annotation: Mode, source and filters.
+        detector: Parameters of the statistical detector.
+        copy: The files that the scene was read from.
+        waves: Waves; None for calm water.
+        sea: `flat` or `curved`.
+        obstacles: Obstacles in the order of the scene file.
+        imu: Inertial unit on board each vessel that carries a camera.
+        plugins: Plug-ins that the scene uses.
+    """
+
+    name: str
+    path: Path
+    sha256: str
+    seed: int
+    detector_seed: int
+    truth_has_seed: bool
+    steps: int
+    vessels: tuple[Vessel, ...]
+    poses: PoseSource
+    cameras: tuple[Camera, ...]
+    annotation: Annotation
+    detector: DetectorModel
+    copy: SceneCopy
+    waves: Waves | None = None
+    sea: str = "flat"
+    obstacles: tuple[Obstacle, ...] = ()
+    imu: Imu = PERFECT_IMU
+    plugins: tuple[Plugin, ...] = ()
+
+    @property
+    def vessel_names(self) -> tuple[str, ...]:
+        """IDs of the vessels, in order."""
+        return tuple(vessel.name for vessel in self.vessels)
+
+    @property
+    def occluder_names(self) -> tuple[str, ...]:
+        """Names of all that can hide a vessel: the vessels, then the obstacles."""
+        return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
+
+    @property
+    def live(self) -> bool:
+        """Whether its steps arrive while it runs."""
+        return isinstance(self.poses, LivePoses)
+
+    def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
+        """Texts of the times of steps first to stop − 1."""
+        return tuple(self.poses.timestamps[first:stop])
+
+    def times_s(self, first: int, stop: int) -> Array:
+        """Times of steps first to stop − 1 since the first step, in seconds, shape (stop − first,)."""
+        return times_s(self.poses.timestamps, first, stop)
+
+    @property
+    def own_ships(self) -> tuple[int, ...]:
+        """Indices of the vessels that carry a camera, ascending."""
+        carriers = {camera.mount.vessel for camera in self.cameras}
+        return tuple(i for i, name in enumerate(self.vessel_names) if name in carriers)
+
+    @property
+    def motion(self) -> VesselMotion:
+        """The motion of its vessels."""
+        moved = self.own_ships
+        if self.waves is not None and self.waves.apply_to == "all":
+            moved = tuple(range(len(self.vessels)))
+        return VesselMotion(self.poses, self.vessel_names, self.waves, moved, self.steps)
+
+    def sight(self, camera: Camera, steps: Indices) -> Sight:
+        """What a camera has in front of it at some steps, and from where it looks.
+
+        Args:
+            camera: One of the scene's cameras.
+            steps: Ascending, shape (S,).
+
+        Raises:
+            InputError: The vessel that carries the camera has no pose at a step.
+        """
+        vessel_poses = self.motion.at(steps)
+        camera_poses = self._camera_poses(camera, vessel_poses, steps)
+        curved = self.sea == "curved"
+        return line_of_sight(camera, camera_poses, steps, self.vessels, vessel_poses, self.obstacles, curved)
+
+    def at(self, step: int) -> Snapshot:
+        """The scene at one step: where all vessels, obstacles and cameras are.
+
+        Raises:
+            InputError: The vessel that carries a camera has no pose at this step.
+            ModsimError: The scene has no such step.
+        """
+        if not 0 <= step < self.steps:
+            raise ModsimError(f"scene {self.path}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
+        steps = np.array([step])
+        vessel_poses = self.motion.at(steps)
+        camera_poses = tuple(self._camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
+        return Snapshot(self.vessels, vessel_poses, self.obstacles, self.cameras, camera_poses)
+
+    def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
+        """The sea's side of the horizon in a camera's images; see `Intrinsics.sea_half_plane`.
+
+        Args:
+            camera: One of the scene's cameras.
+            steps: Ascending, shape (S,).
+
+        Returns:
+            Coefficients (a, b, c), shape (S, 3).
+        """
+        if not len(steps):
+            return np.empty((0, 3))
+        poses = self._camera_poses(camera, self.motion.at(steps), steps)
+        return camera.intrinsics.sea_half_plane(poses.camera_R_world)
+
+    def _camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:
+        carrier = camera.mount.vessel
+        if carrier is None:
+            return poses_ashore(camera.mount, len(steps))
+        column = self.vessel_names.index(carrier)
+        absent = np.flatnonzero(~vessel_poses.poses.present[:, column])
+        if len(absent):
+            when = self.poses.timestamps[int(steps[absent[0]])]
+            problem = f"cameras.{camera.name}.mount.vessel: '{carrier}' has no pose at time {when} s"
+            raise InputError(f"scene {self.path}", [problem])
+        composition = self.waves.composition if self.waves else "rigid"
+        return vessel_poses.of_camera(camera.mount, column, composition)
+
+    def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
+        """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,).
+
+        The result does not depend on where a run is split.
+
+        Args:
+            camera: One of the scene's cameras.
+            first: First step.
+            stop: The step after the last.
+        """
+        if camera.frame_rate_hz is None and not camera.start_offset_s:
+            return np.arange(first, stop)
+        begin = max(first - 1, 0)
+        taken = takes_frame(self.times_s(begin, stop), camera.frame_rate_hz, camera.start_offset_s)
+        return first + np.flatnonzero(taken[first - begin :])
+
+    def last_frame(self, camera: Camera, stop: int) -> int | None:
+        """The last step before `stop` at which a camera takes a frame; None if there is none."""
+        looked_at = 16
+        while stop > 0:
+            first = max(stop - looked_at, 0)
+            if len(steps := self.frame_steps(camera, first, stop)):
+                return int(steps[-1])
+            stop, looked_at = first, 4 * looked_at
+        return None

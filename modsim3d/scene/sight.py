@@ -1,0 +1,116 @@
+"""What a camera has in front of it, and from where it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import CameraPoses
+from modsim3d.geometry.curved_sea import lowered
+from modsim3d.motion.poses import Poses
+from modsim3d.motion.vessel_motion import PosesInWaves
+from modsim3d.truth.camera_inside import first_body_around
+from modsim3d.truth.outlines import Outlines, outline
+from modsim3d.vessels.bodies import Bodies, vessel_bodies
+from modsim3d.vessels.obstacles import Obstacle, obstacle_bodies
+from modsim3d.vessels.vessel import Vessel
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a camera has in front of it at S steps, and from where it looks.
+
+    Attributes:
+        camera: The camera.
+        steps: Shape (S,).
+        vessels: All V vessels of the scene.
+        poses: Poses of all vessels as the camera sees them: where the sea is curved, the others lie lower.
+        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
+        others: Vessels that are present and do not carry the camera, shape (S, V).
+        carriers: The vessel that carries the camera, shape (S, V).
+        camera_poses: Poses of the camera.
+        obstacles: All obstacles of the scene.
+        curved: Whether the sea is curved.
+    """
+
+    camera: Camera
+    steps: Indices
+    vessels: tuple[Vessel, ...]
+    poses: Poses
+    world_R_vessel: Array
+    others: Mask
+    carriers: Mask
+    camera_poses: CameraPoses
+    obstacles: tuple[Obstacle, ...] = ()
+    curved: bool = False
+
+    def outlines(self, *, as_shoeboxes: bool = False) -> Outlines:
+        """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh.
+
+        Args:
+            as_shoeboxes: Whether shoeboxes stand for vessels with a mesh; then the camera's own hull is left out.
+        """
+        bodies = self._bodies(self.others, as_shoeboxes=as_shoeboxes)
+        if not as_shoeboxes:
+            bodies += self._own_hull()
+        return outline(self.camera.intrinsics, self.camera_poses, bodies + self._obstacle_bodies())
+
+    def body_around(self) -> tuple[int, int] | None:
+        """The first step (as an index) and the occluder that the camera is inside of, or None."""
+        bodies = self._bodies(self.others) + self._own_hull() + self._obstacle_bodies()
+        return first_body_around(self.camera_poses.positions_m, bodies)
+
+    def _own_hull(self) -> list[Bodies]:
+        """The vessel that carries the camera, if it has a mesh: it hides others and has no box."""
+        with_mesh = np.array([vessel.has_mesh for vessel in self.vessels])
+        return self._bodies(self.carriers & with_mesh, boxed=False)
+
+    def _bodies(self, present: Mask, *, as_shoeboxes: bool = False, boxed: bool = True) -> list[Bodies]:
+        places_m, rotations = self.poses.positions_m, self.world_R_vessel
+        return vessel_bodies(self.vessels, present, places_m, rotations, as_shoeboxes=as_shoeboxes, boxed=boxed)
+
+    def _obstacle_bodies(self) -> list[Bodies]:
+        cameras_m = self.camera_poses.positions_m if self.curved else None
+        return obstacle_bodies(self.obstacles, len(self.vessels), len(self.steps), cameras_m)
+
+
+def line_of_sight(
+    camera: Camera,
+    camera_poses: CameraPoses,
+    steps: Indices,
+    vessels: tuple[Vessel, ...],
+    vessel_poses: PosesInWaves,
+    obstacles: tuple[Obstacle, ...],
+    curved: bool,
+) -> Sight:
+    """What a camera has in front of it.
+
+    Args:
+        camera: The camera.
+        camera_poses: Its poses at S steps.
+        steps: Ascending, shape (S,).
+        vessels: The V vessels of the scene.
+        vessel_poses: Their poses at these steps.
+        obstacles: The obstacles of the scene.
+        curved: Whether the sea is curved.
+    """
+    carrier = np.array([vessel.name for vessel in vessels]) == camera.mount.vessel
+    poses = vessel_poses.poses
+    if curved:
+        lower = lowered(poses.positions_m, camera_poses.positions_m[:, None])
+        poses = replace(poses, positions_m=np.where(carrier[:, None], poses.positions_m, lower))
+    return Sight(
+        camera,
+        steps,
+        vessels,
+        poses,
+        vessel_poses.world_R_vessel,
+        others=poses.present & ~carrier,
+        carriers=poses.present & carrier,
+        camera_poses=camera_poses,
+        obstacles=obstacles,
+        curved=curved,
+    )

@@ -1,0 +1,118 @@
+"""What is visible of the vessels in a drawn buffer, and who hides the rest: silhouettes cut by runs of IDs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Indices, Mask, ranges
+from modsim3d.render.id_pass import Ids, Region
+from modsim3d.truth.buffer_drawing import BufferDrawing
+from modsim3d.truth.clusters import Batch
+from modsim3d.truth.pixel_spans import Spans, concatenate_spans, runs_of_ids
+
+
+@dataclass(frozen=True, eq=False)
+class Visibility:
+    """What one or more drawn buffers say about the vessels in them.
+
+    Attributes:
+        rows: Rows of these vessels, shape (k,).
+        visible: The spans of their visible pixels.
+        hidden_row: Row of each hidden piece of a span, shape (m,).
+        hider: Row of what is in front of it, shape (m,).
+        px: Number of pixels of the piece, shape (m,).
+    """
+
+    rows: Indices
+    visible: Spans
+    hidden_row: Indices
+    hider: Indices
+    px: Indices
+
+    @classmethod
+    def joined(cls, parts: list[Visibility]) -> Visibility:
+        """Several buffers as one."""
+        nothing = np.empty(0, dtype=np.int64)
+        parts = [cls(nothing, Spans.none(), nothing, nothing, nothing), *parts]
+        rows, hidden_row, hider, px = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "hidden_row", "hider", "px")
+        )
+        return cls(rows, concatenate_spans([part.visible for part in parts]), hidden_row, hider, px)
+
+
+def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> Visibility:
+    """Draw a batch with a depth buffer, and cut the silhouettes of its vessels where something else is in front.
+
+    Args:
+        drawing: The outlines and what draws them.
+        silhouettes: Spans of all silhouettes.
+        batch: The clusters to draw.
+    """
+    rows = np.concatenate([cluster.rows for cluster in batch.clusters])
+    cluster = np.repeat(np.arange(len(batch.clusters)), [len(each.rows) for each in batch.clusters])
+    to_buffer = batch.places - batch.corners
+    triangles, member = drawing.triangles_of_rows(rows)
+    ids = drawing.draw(triangles, to_buffer[cluster[member]], Region(0, 0, *batch.size))
+    vessel = drawing.outlines.boxed[rows]
+    rows, cluster = rows[vessel], cluster[vessel]
+    first, stop = (np.searchsorted(silhouettes.row, rows, side=side) for side in ("left", "right"))
+    own = silhouettes.take(ranges(first, stop - first))
+    own_cluster = np.repeat(cluster, stop - first)
+    outside, inside, drawn = _split_at_regions(own, own_cluster, batch)
+    base = (inside.y + to_buffer[own_cluster[drawn], 1]) * batch.size[0] + to_buffer[own_cluster[drawn], 0]
+    (begin, end), seen_row, span = _cut_at_runs(ids, base + inside.start, base + inside.stop)
+    # Where nothing was drawn, the rasteriser lost a pixel on an edge inside the silhouette: nothing hides it.
+    visible = (seen_row == inside.row[span]) | (seen_row < 0)
+    pieces = Spans(inside.row[span], inside.y[span], begin - base[span], end - base[span])
+    hidden = pieces.take(~visible)
+    return Visibility(
+        rows,
+        concatenate_spans([*outside, pieces.take(visible)]),
+        hidden_row=hidden.row,
+        hider=seen_row[~visible],
+        px=hidden.stop - hidden.start,
+    )
+
+
+def _split_at_regions(spans: Spans, cluster: Indices, batch: Batch) -> tuple[tuple[Spans, Spans], Spans, Mask]:
+    """Cut spans at the borders of the drawn regions, outside of which no pixel is shared with anything else.
+
+    Args:
+        spans: m spans, in image coordinates.
+        cluster: Index of the cluster of each, shape (m,).
+        batch: Says what of the image is drawn of each cluster.
+
+    Returns:
+        The parts left and right of the regions; the parts inside; and which spans have a part inside, shape (m,).
+    """
+    regions = np.array([(r.x, r.y, r.x + r.width, r.y + r.height) for r in batch.regions])
+    left, top, right, bottom = regions[cluster].T
+    start, stop = np.clip(spans.start, left, right), np.clip(spans.stop, left, right)
+    drawn = (spans.y >= top) & (spans.y < bottom) & (stop > start)
+    # A span that is not drawn counts as left of its region as a whole.
+    start, stop = np.where(drawn, start, spans.stop), np.where(drawn, stop, spans.stop)
+    before = Spans(spans.row, spans.y, spans.start, start).take(start > spans.start)
+    after = Spans(spans.row, spans.y, stop, spans.stop).take(spans.stop > stop)
+    return (before, after), Spans(spans.row, spans.y, start, stop).take(drawn), drawn
+
+
+def _cut_at_runs(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices, Indices], Indices, Indices]:
+    """Cut stretches of a flattened ID image into pieces at the borders of its runs.
+
+    Args:
+        ids: Row + 1, shape (h, w).
+        start: First place of each stretch in the flattened image, shape (m,).
+        stop: The place after its last, shape (m,).
+
+    Returns:
+        Begin and end of the k pieces; the row that is seen in each, −1 if nothing is; the stretch of each. All (k,).
+    """
+    run_start, run_id = runs_of_ids(ids)
+    run_stop = np.append(run_start[1:], ids.size)
+    first = np.searchsorted(run_start, start, side="right") - 1
+    count = np.searchsorted(run_start, stop, side="left") - first
+    run, stretch = ranges(first, count), np.repeat(np.arange(len(start)), count)
+    begin, end = np.maximum(run_start[run], start[stretch]), np.minimum(run_stop[run], stop[stretch])
+    return (begin, end), run_id[run] - 1, stretch

@@ -1,0 +1,158 @@
+"""Truth from pixels the plain way: draw the whole image with everything in it, and then each vessel alone.
+
+This is the reference that `rendered` is tested against, and what `--render full` runs.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Mask
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.render.id_pass import IdRenderer, Ids, Region
+from modsim3d.truth.buffer_drawing import tiles_of
+from modsim3d.truth.occlusion import HiddenPixels, Occlusion
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.overlaps import frame_slices
+from modsim3d.truth.pixel_masks import PixelMasks, mask_box
+from modsim3d.truth.triangles import Triangles, triangles_of
+
+
+def full_frame_occlusion(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
+) -> Occlusion:
+    """Draw every frame and count the pixels of vessels.
+
+    A silhouette that contains no pixel centre has no pixels; its full box is then the projected one.
+
+    Args:
+        outlines: What is in front of the camera.
+        intrinsics: Intrinsics of the camera.
+        renderer: Draws the ID buffers.
+        supersample: Buffer pixels per image pixel and axis. Results are in image pixels.
+    """
+    drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
+    silhouettes, visible = _Counts.none(len(outlines)), _Counts.none(len(outlines))
+    hiders: Counter[tuple[int, int]] = Counter()
+    for rows in frame_slices(outlines.frame):
+        for tile in tiles_of(drawing.image):
+            _count(drawing, rows, tile, silhouettes, visible, hiders)
+    row, hider = np.array(list(hiders), dtype=np.int64).reshape(-1, 2).T
+    area = supersample**2
+    return Occlusion(
+        full_boxes_px=np.where(silhouettes.px[:, None] > 0, silhouettes.boxes / supersample, outlines.boxes_px),
+        visible_boxes_px=np.where(visible.px[:, None] > 0, visible.boxes / supersample, np.nan),
+        silhouette_px=silhouettes.px / area,
+        visible_px=visible.px / area,
+        hidden=HiddenPixels.of(row, hider, np.array(list(hiders.values()), dtype=np.float64) / area),
+    )
+
+
+def pixel_masks(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
+) -> PixelMasks:
+    """Draw the pixels of one vessel once more.
+
+    Args:
+        outlines: What is in front of the camera.
+        intrinsics: Intrinsics of the camera.
+        renderer: Draws the ID buffers.
+        row: Row of the outlines.
+        supersample: Buffer pixels per image pixel and axis.
+    """
+    drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
+    frame = slice(*np.searchsorted(outlines.frame, (outlines.frame[row], outlines.frame[row] + 1)))
+    region = drawing.region(row)
+    silhouette = drawing.draw_in_tiles(slice(row, row + 1), region) > 0
+    visible = drawing.draw_in_tiles(frame, region) == outlines.occluder[row] + 1
+    return PixelMasks(region, silhouette, visible)
+
+
+@dataclass(frozen=True, eq=False)
+class _Counts:
+    """Pixels counted so far, and the boxes around them, in buffer pixels; shapes (n,) and (n, 4)."""
+
+    px: Array
+    boxes: Array
+
+    @classmethod
+    def none(cls, count: int) -> _Counts:
+        return cls(np.zeros(count), np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1)))
+
+    def add(self, row: int, mask: Mask, region: Region) -> None:
+        """Count the pixels of a mask that lies at a region."""
+        if pixels := np.count_nonzero(mask):
+            self.px[row] += pixels
+            box, counted = mask_box(mask, region), self.boxes[row]
+            self.boxes[row] = [*np.minimum(counted[:2], box[:2]), *np.maximum(counted[2:], box[2:])]
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawing:
+    """The triangles of a run of frames, and where they go in the buffer."""
+
+    outlines: Outlines
+    triangles: Triangles
+    image: Region
+    renderer: IdRenderer
+    supersample: int
+
+    @classmethod
+    def of(cls, outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int) -> _Drawing:
+        width, height = intrinsics.image_size_px
+        image = Region(0, 0, width * supersample, height * supersample)
+        return cls(outlines, triangles_of(outlines, intrinsics, supersample), image, renderer, supersample)
+
+    def region(self, row: int) -> Region:
+        """The buffer pixels that the silhouette of a row can touch."""
+        return Region.around(self.outlines.boxes_px[row] * self.supersample, (self.image.width, self.image.height))
+
+    def draw(self, rows: slice, region: Region) -> Ids:
+        """Occluder index + 1 at each pixel."""
+        chosen = slice(*np.searchsorted(self.triangles.row, (rows.start, rows.stop)))
+        ids = self.outlines.occluder[self.triangles.row[chosen]] + 1
+        corners = self.triangles.corners_px[chosen] * self.supersample
+        return self.renderer.draw(corners, self.triangles.inverse_depth[chosen], ids, region)
+
+    def draw_in_tiles(self, rows: slice, region: Region) -> Ids:
+        """The same for a region that may be larger than a buffer."""
+        ids = np.empty((region.height, region.width), dtype=np.uint32)
+        for tile in tiles_of(region):
+            y, x = tile.y - region.y, tile.x - region.x
+            ids[y : y + tile.height, x : x + tile.width] = self.draw(rows, tile)
+        return ids
+
+
+def _count(
+    drawing: _Drawing,
+    rows: slice,
+    tile: Region,
+    silhouettes: _Counts,
+    visible: _Counts,
+    hiders: Counter[tuple[int, int]],
+) -> None:
+    """Count the pixels of a frame's vessels in a tile."""
+    scene = drawing.draw(rows, tile)
+    for row in (rows.start + np.flatnonzero(drawing.outlines.boxed[rows])).tolist():
+        region = drawing.region(row).common(tile)
+        if not region.width or not region.height:
+            continue
+        seen = scene[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
+        mask = seen == drawing.outlines.occluder[row] + 1
+        overlaps = _overlaps_another(drawing.outlines.boxes_px, row, rows)
+        silhouette = drawing.draw(slice(row, row + 1), region) > 0 if overlaps else mask
+        mask |= silhouette & (seen == 0)  # far outside the buffer OpenGL cuts edges itself, here and there differently
+        silhouettes.add(row, silhouette, region)
+        visible.add(row, mask, region)
+        for hider, pixels in zip(*np.unique(seen[silhouette & ~mask], return_counts=True), strict=True):
+            hiders[row, int(hider) - 1] += int(pixels)
+
+
+def _overlaps_another(boxes_px: Array, row: int, rows: slice) -> bool:
+    """Whether the box of a row comes within two pixels of another's in its frame: otherwise nothing can hide it."""
+    others = boxes_px[rows]
+    near = (others[:, :2] < boxes_px[row, 2:] + 2).all(axis=1) & (others[:, 2:] > boxes_px[row, :2] - 2).all(axis=1)
+    return bool(np.count_nonzero(near) > 1)

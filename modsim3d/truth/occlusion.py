@@ -1,0 +1,157 @@
+"""What a source of truth says about occlusion: boxes, pixel counts, and who hides how much of whom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.truth_record import Truth
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenPixels:
+    """Who hides how much: m entries, ordered by hidden row and then by occluder, each pair of them once.
+
+    Attributes:
+        row: The hidden row, shape (m,).
+        occluder: What is in front, as an index into the scene's occluder names, shape (m,).
+        px: Number of pixels of the row that it hides, shape (m,).
+    """
+
+    row: Indices
+    occluder: Indices
+    px: Array
+
+    @classmethod
+    def of(cls, row: Indices, occluder: Indices, px: Array) -> HiddenPixels:
+        """Sort entries, and add up those of the same row and occluder: an obstacle may consist of several solids.
+
+        Args:
+            row: Shape (m,).
+            occluder: Shape (m,).
+            px: Shape (m,).
+        """
+        order = np.lexsort((occluder, row))
+        row, occluder, px = row[order], occluder[order], px[order]
+        first = np.flatnonzero((np.diff(row, prepend=-1) != 0) | (np.diff(occluder, prepend=-1) != 0))
+        if len(first) < len(row):
+            row, occluder, px = row[first], occluder[first], np.add.reduceat(px, first)
+        return cls(row, occluder, px)
+
+    def of_rows(self, rows: Indices, count: int) -> HiddenPixels:
+        """The entries of chosen rows, renumbered 0, 1, ….
+
+        Args:
+            rows: The chosen rows, ascending.
+            count: Number of rows that there are.
+        """
+        place = _new_numbers(rows, count)
+        kept = place[self.row] >= 0
+        return HiddenPixels(place[self.row][kept], self.occluder[kept], self.px[kept])
+
+    def offsets(self, count: int) -> Indices:
+        """Index of the first entry of each of `count` rows, and the number of entries last, shape (count + 1,)."""
+        return np.searchsorted(self.row, np.arange(count + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Occlusion:
+    """What a source says about the n rows of `Outlines`. Columns mean the same as those of `Truth` with their names.
+
+    Attributes:
+        full_boxes_px: Tight box of the whole silhouette, shape (n, 4).
+        visible_boxes_px: Tight box of what is visible, NaN if nothing is, shape (n, 4).
+        silhouette_px: Pixels of the silhouette, shape (n,).
+        visible_px: Pixels of it that are visible, shape (n,).
+        hidden: Who hides how much of which row.
+        intersecting: Pairs of rows whose solids intersect, shape (k, 2).
+    """
+
+    full_boxes_px: Array
+    visible_boxes_px: Array
+    silhouette_px: Array
+    visible_px: Array
+    hidden: HiddenPixels
+    intersecting: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+
+    @property
+    def occluders(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+        """For each row, who hides how much of it: (index into the scene's occluder names, pixels)."""
+        offsets = self.hidden.offsets(len(self.silhouette_px)).tolist()
+        entries = list(zip(self.hidden.occluder.tolist(), self.hidden.px.tolist(), strict=True))
+        return tuple(tuple(entries[first:stop]) for first, stop in pairwise(offsets))
+
+    def take(self, rows: Indices) -> Occlusion:
+        """The chosen rows, which ascend, and the intersecting pairs of which both rows are chosen."""
+        count = len(self.silhouette_px)
+        pairs = _new_numbers(rows, count)[self.intersecting]
+        return Occlusion(
+            full_boxes_px=self.full_boxes_px[rows],
+            visible_boxes_px=self.visible_boxes_px[rows],
+            silhouette_px=self.silhouette_px[rows],
+            visible_px=self.visible_px[rows],
+            hidden=self.hidden.of_rows(rows, count),
+            intersecting=pairs[(pairs >= 0).all(axis=1)],
+        )
+
+    def among(self, rows: Indices, count: int) -> Occlusion:
+        """The inverse of `take`: these rows as `rows` of `count`. The others are NaN, and nothing hides them."""
+
+        def spread(column: Array) -> Array:
+            wide = np.full((count, *column.shape[1:]), np.nan)
+            wide[rows] = column
+            return wide
+
+        return Occlusion(
+            full_boxes_px=spread(self.full_boxes_px),
+            visible_boxes_px=spread(self.visible_boxes_px),
+            silhouette_px=spread(self.silhouette_px),
+            visible_px=spread(self.visible_px),
+            hidden=HiddenPixels(rows[self.hidden.row], self.hidden.occluder, self.hidden.px),
+            intersecting=rows[self.intersecting],
+        )
+
+    def visible_fraction(self) -> Array:
+        """visible_px / silhouette_px, NaN where there is no silhouette pixel, shape (n,)."""
+        whole = np.where(self.silhouette_px > 0, self.silhouette_px, np.nan)
+        return self.visible_px / whole
+
+    def truth(self, outlines: Outlines, steps: Indices, camera: int) -> Truth:
+        """The truth record of one camera's vessels, with nothing annotated yet.
+
+        Args:
+            outlines: The n rows that this occlusion describes. Those without a box are left out.
+            steps: Step of the scene of each frame of the outlines, shape (frames,).
+            camera: Index into the scene's cameras.
+        """
+        step = steps[outlines.frame]
+        pair_step, pair_camera = step[self.intersecting[:, 0]], np.full(len(self.intersecting), camera)
+        truth = Truth(
+            step=step,
+            camera=np.full(len(step), camera, dtype=np.int64),
+            vessel=outlines.occluder,  # vessels come first among the occluders
+            full_boxes_px=self.full_boxes_px,
+            visible_boxes_px=self.visible_boxes_px,
+            silhouette_px=self.silhouette_px,
+            visible_px=self.visible_px,
+            visible_fraction=self.visible_fraction(),
+            in_frame_fraction=outlines.in_frame_fraction,
+            depth_m=outlines.depth_m,
+            occluder_offsets=self.hidden.offsets(len(step)),
+            occluder=self.hidden.occluder,
+            occluder_px=self.hidden.px,
+            annotated=np.zeros(len(step), dtype=bool),
+            intersections=np.column_stack([pair_step, pair_camera, outlines.occluder[self.intersecting]]),
+        )
+        return truth.take(outlines.boxed)
+
+
+def _new_numbers(rows: Indices, count: int) -> Indices:
+    """0, 1, … for the chosen rows and −1 for the others, shape (count,)."""
+    place = np.full(count, -1)
+    place[rows] = np.arange(len(rows))
+    return place

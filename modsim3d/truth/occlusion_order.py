@@ -1,0 +1,132 @@
+"""Which of two disjoint convex solids can hide the other, from a plane between them.
+
+Suppose that a plane has one solid on the camera's side and the other solid beyond. A ray from the camera that has
+passed through the plane never comes back, so it can only meet the near solid before the far one. The far solid then
+hides nothing of the near one. If the camera itself may be counted to either side of the plane, neither hides the other.
+
+The distance of the centres cannot decide this: the centre of a long ship may be nearer than that of a boat which lies
+in front of its stern.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.overlaps import overlapping_pairs
+from modsim3d.truth.separating_axes import axis_count, candidate_axes, directions_of, extents_along
+from modsim3d.vessels.vessel import Solid
+
+TOUCHING_M = 1e-7
+"""Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
+
+MOST_COORDINATES = 4_000_000
+"""Most coordinates of vertices along axes that are computed at once; it bounds the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """What pairs of rows of `Outlines` can do to each other.
+
+    Attributes:
+        first: Row, shape (P,).
+        second: Row of the same frame, greater than `first`, shape (P,).
+        first_can_hide: Whether the first can hide a part of the second, shape (P,).
+        second_can_hide: Whether the second can hide a part of the first, shape (P,).
+        intersecting: Whether no plane separates them, shape (P,). Then both of the above are false and nothing is
+            known.
+    """
+
+    first: Indices
+    second: Indices
+    first_can_hide: Mask
+    second_can_hide: Mask
+    intersecting: Mask
+
+
+def order_of(outlines: Outlines) -> Order:
+    """The order of every two solids whose boxes overlap in the image and that matter to a vessel.
+
+    Solids that overlap no vessel in the image are left out: of a long coast, all but a few pieces.
+
+    Args:
+        outlines: Convex solids only.
+    """
+    return order_of_pairs(outlines, *_pairs_that_matter(outlines))
+
+
+def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order:
+    """The order of given pairs of rows.
+
+    Args:
+        outlines: Convex solids only.
+        first: Rows, shape (P,).
+        second: Rows of the same frames, shape (P,).
+    """
+    can_hide = np.zeros((len(first), 2), dtype=bool)
+    separated = np.zeros(len(first), dtype=bool)
+    part_of, member_of = _places(outlines)
+    kinds = part_of[first] * len(outlines.parts) + part_of[second]
+    for kind in np.unique(kinds):
+        a, b = (outlines.parts[part] for part in divmod(int(kind), len(outlines.parts)))
+        for chosen in _in_turns(np.flatnonzero(kinds == kind), a.solid, b.solid):
+            vertices_a = a.vertices_camera[member_of[first[chosen]]]
+            vertices_b = b.vertices_camera[member_of[second[chosen]]]
+            directions_a, directions_b = directions_of(vertices_a, a.solid), directions_of(vertices_b, b.solid)
+            axes = candidate_axes(directions_a, directions_b)
+            can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes)
+    return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
+
+
+def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
+    """Pairs that overlap in the image, among vessels and whatever overlaps a vessel there.
+
+    Two pieces of one obstacle are no pair: it does not matter which of them hides a vessel.
+    """
+    with_vessel = np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))
+    kept = np.union1d(np.flatnonzero(outlines.boxed), with_vessel)
+    first, second = overlapping_pairs(outlines.frame[kept], outlines.boxes_px[kept])
+    others = outlines.occluder[kept[first]] != outlines.occluder[kept[second]]
+    return kept[first[others]], kept[second[others]]
+
+
+def _in_turns(pairs: Indices, a: Solid, b: Solid) -> list[Indices]:
+    """Pairs of two kinds of solid in portions whose coordinates along the axes fit into memory."""
+    most = max(1, MOST_COORDINATES // (axis_count(a, b) * (len(a.vertices) + len(b.vertices))))
+    return np.array_split(pairs, -(-len(pairs) // most))
+
+
+def _places(outlines: Outlines) -> tuple[Indices, Indices]:
+    """The part that each row belongs to, and its place in that part; both of shape (n,)."""
+    part_of, member_of = np.zeros((2, len(outlines)), dtype=np.int64)
+    for index, part in enumerate(outlines.parts):
+        part_of[part.rows] = index
+        member_of[part.rows] = np.arange(len(part.rows))
+    return part_of, member_of
+
+
+def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[Mask, Mask]:
+    """Try the planes across all axes.
+
+    Args:
+        vertices_a: The first solids in camera coordinates, shape (P, K, 3).
+        vertices_b: The second solids, shape (P, L, 3).
+        axes: From `candidate_axes`, shape (P, A, 3).
+
+    Returns:
+        Whether the first can hide the second and the second the first, shape (P, 2); whether any plane separates them,
+        shape (P,).
+    """
+    low_a, high_a = extents_along(vertices_a, axes)
+    low_b, high_b = extents_along(vertices_b, axes)
+    a_below, b_below = high_a <= low_b + TOUCHING_M, high_b <= low_a + TOUCHING_M
+    # The camera is at zero. If a is below b, a plane may be anywhere from high_a to low_b: one has the camera on the
+    # side of a if low_b >= 0, and one has it on the side of b if high_a <= 0.
+    first_not_hidden = (a_below & (low_b >= 0)) | (b_below & (high_b <= 0))
+    second_not_hidden = (b_below & (low_a >= 0)) | (a_below & (high_a <= 0))
+    separated: Mask = np.any(a_below | b_below, axis=1)
+    not_hidden = np.stack([np.any(second_not_hidden, axis=1), np.any(first_not_hidden, axis=1)], axis=1)
+    return separated[:, None] & ~not_hidden, separated

@@ -1,0 +1,205 @@
+"""Bodies in front of a camera: their solids in camera coordinates, projected, clipped, and their boxes.
+
+This is corner projection. It is exact and needs no renderer. The analytic and the rendered source both start from it;
+only the rendered source then counts pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import CameraPoses
+from modsim3d.geometry.clipping import clip_triangles, guard_planes
+from modsim3d.truth.silhouettes import cut_near, in_image, share_in_image, silhouette_polygons
+from modsim3d.vessels.bodies import Bodies
+from modsim3d.vessels.vessel import Solid
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The rows of `Outlines` whose solids have the same faces.
+
+    Attributes:
+        solid: The faces that the vertices span.
+        rows: Row of each solid, ascending, shape (m,).
+        vertices_camera: Vertices in CCF, in metres, shape (m, K, 3).
+        vertices_px: Vertices in the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2).
+    """
+
+    solid: Solid
+    rows: Indices
+    vertices_camera: Array
+    vertices_px: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """n bodies whose silhouettes overlap the image, in order of frame and occluder.
+
+    Attributes:
+        frame: Index into the run of frames, shape (n,).
+        occluder: Index into the scene's occluder names, of which vessels come first, shape (n,).
+        boxed: Whether it is a vessel that gets a box; an obstacle only hides, shape (n,).
+        boxes_px: Tight box of the silhouette, cut at the image edge, shape (n, 4).
+        areas_px: Area of the silhouette in the image; NaN for a solid that is not convex, shape (n,).
+        in_frame_fraction: Area in the image over whole area; NaN where the near plane cuts, shape (n,).
+        depth_m: Mean c3 of the corner points of the body's bounding box, shape (n,).
+        crosses_near: Whether the near plane cuts the solid, shape (n,).
+        parts: The solids of the rows, those with the same faces together.
+    """
+
+    frame: Indices
+    occluder: Indices
+    boxed: Mask
+    boxes_px: Array
+    areas_px: Array
+    in_frame_fraction: Array
+    depth_m: Array
+    crosses_near: Mask
+    parts: tuple[Part, ...]
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.frame)
+
+    @property
+    def convex(self) -> Mask:
+        """Whether each solid is convex, shape (n,)."""
+        convex = np.ones(len(self), dtype=bool)
+        for part in self.parts:
+            convex[part.rows] = part.solid.convex
+        return convex
+
+    def take(self, rows: Indices) -> Outlines:
+        """The chosen rows, which ascend."""
+        place = np.full(len(self), -1)
+        place[rows] = np.arange(len(rows))
+        parts = []
+        for part in self.parts:
+            kept = place[part.rows] >= 0
+            parts.append(Part(part.solid, place[part.rows][kept], part.vertices_camera[kept], part.vertices_px[kept]))
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return Outlines(**columns, parts=tuple(part for part in parts if len(part.rows)))
+
+
+_COLUMNS = ("frame", "occluder", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
+
+
+def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies]) -> Outlines:
+    """Project all bodies at S steps and keep those whose silhouette overlaps the image.
+
+    Args:
+        intrinsics: Intrinsics of the camera.
+        camera_poses: Poses of the camera at S steps.
+        bodies: All bodies at the same steps.
+    """
+    found = [_outline(intrinsics, camera_poses, some) for some in bodies]
+    columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
+    order = np.lexsort((columns["occluder"], columns["frame"]))
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    parts, first = [], 0
+    for _, part in found:
+        rows = place[first : first + len(part.rows)]
+        first += len(part.rows)
+        ascending = np.argsort(rows)
+        parts.append(Part(part.solid, rows[ascending], part.vertices_camera[ascending], part.vertices_px[ascending]))
+    parts = [part for part in parts if len(part.rows)]
+    return Outlines(**{name: column[order] for name, column in columns.items()}, parts=tuple(parts))
+
+
+_NOTHING = {
+    **dict.fromkeys(("frame", "occluder"), np.empty(0, dtype=np.int64)),
+    **dict.fromkeys(("boxed", "crosses_near"), np.empty(0, dtype=bool)),
+    **dict.fromkeys(("areas_px", "in_frame_fraction", "depth_m"), np.empty(0)),
+    "boxes_px": np.empty((0, 4)),
+}
+
+
+def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) -> tuple[dict[str, Array], Part]:
+    """The columns of `Outlines` for bodies with the same faces, and the part that they form."""
+    solid, pinhole = bodies.solid, intrinsics.pinhole
+    camera = camera_poses.to_camera(bodies.vertices_world())
+    in_front = camera[..., 2] >= intrinsics.near_clip_m
+    frame, body = np.nonzero(bodies.present & in_front.any(axis=-1))
+    vertices, behind = camera[frame, body], ~in_front[frame, body]
+    crosses: Mask = np.any(behind, axis=-1)
+    pixels = pinhole.project(vertices)
+    boxes = np.concatenate([_least(pixels), -_least(-pixels)], axis=-1)
+    size = np.array(pinhole.image_size_px, dtype=np.float64)
+    touching = np.all((boxes[:, :2] < size) & (boxes[:, 2:] > 0), axis=1) | crosses
+    areas = _projected_areas(pixels, solid) if solid.convex else np.full(len(pixels), np.nan)
+    fractions = np.where(crosses, np.nan, 1.0)
+    whole = np.all((boxes[:, :2] >= 0) & (boxes[:, 2:] <= size), axis=1) & ~crosses
+    cut = np.flatnonzero(touching & ~(whole & (intrinsics.distortion is None)))
+    if not (solid.convex or bodies.boxed):
+        for row in cut.tolist():  # of an obstacle only a box is needed, which may be too large
+            boxes[row] = _box_in_image(cut_near(vertices[row][solid.faces], pinhole, solid), intrinsics)
+        touching &= np.all(boxes[:, :2] < boxes[:, 2:], axis=1)
+        fractions[cut] = np.nan
+    elif len(cut):
+        silhouettes = silhouette_polygons(pinhole, vertices[cut], pixels[cut], crosses[cut], solid)
+        inside = in_image(silhouettes, intrinsics)
+        areas[cut] = shapely.area(inside)
+        boxes[cut] = shapely.bounds(inside)
+        fractions[cut] = np.where(crosses[cut], np.nan, share_in_image(silhouettes, intrinsics))
+    rows = np.flatnonzero(touching & ~(areas <= 0))
+    if solid.convex:
+        depth = vertices[rows, :, 2].mean(axis=-1)
+    else:
+        depth = camera_poses.to_camera(bodies.centres_world())[frame, body, 2][rows]
+    columns = {
+        "frame": frame[rows],
+        "occluder": bodies.occluder[body[rows]],
+        "boxed": np.full(len(rows), bodies.boxed),
+        "boxes_px": boxes[rows],
+        "areas_px": areas[rows],
+        "in_frame_fraction": np.minimum(fractions[rows], 1.0),
+        "depth_m": depth,
+        "crosses_near": crosses[rows],
+    }
+    return columns, Part(solid, np.arange(len(rows)), vertices[rows], pixels[rows])
+
+
+def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
+    """A box around what triangles (T, 3, 3) in front of the near plane show in the image, shape (4,).
+
+    If they show nothing, the box is (inf, inf, −inf, −inf).
+    """
+    pinhole = intrinsics.pinhole
+    seen = clip_triangles(triangles_camera, guard_planes(pinhole, 0.0)).reshape(-1, 3)
+    if not len(seen):
+        return np.array([np.inf, np.inf, -np.inf, -np.inf])
+    pixels = np.clip(pinhole.project(seen), 0, pinhole.image_size_px)
+    around = np.array([shapely.box(*pixels.min(axis=0), *pixels.max(axis=0))])
+    bounds: Array = shapely.bounds(in_image(around, intrinsics))[0]
+    return bounds
+
+
+def _least(pixels: Array) -> Array:
+    """Least column and row of the projected vertices (n, K, 2) of each solid; NaN is left out, shape (n, 2)."""
+    least: Array = np.where(np.isnan(pixels), np.inf, pixels).min(axis=1)
+    return least
+
+
+def _projected_areas(pixels: Array, solid: Solid) -> Array:
+    """Area of each silhouette: half that of its faces, as a ray through a convex solid meets two of them.
+
+    Args:
+        pixels: Projected vertices, shape (n, K, 2).
+        solid: Has the faces that the vertices span.
+
+    Returns:
+        Square pixels, shape (n,).
+    """
+    a, b, c = np.moveaxis(pixels[:, solid.faces], 2, 0)
+    doubled = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
+    # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
+    areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
+    return areas

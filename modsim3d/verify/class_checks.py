@@ -1,0 +1,205 @@
+"""Checks of dropout and class: confusion matrices, the effects on misses, and how long misses persist."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.detector.classification import ConfusionClassifier
+from modsim3d.detector.draws import cumulative
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part
+from modsim3d.verify.dropout_checks import dropout_checks
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.max_detections import max_detections_note
+from modsim3d.verify.measures import Estimate, Exact, Measure
+from modsim3d.verify.pairs import inflation, turn_before
+from modsim3d.verify.parameters import Parameter
+from modsim3d.verify.rate_measures import Rate
+
+BACKGROUND = "background"
+LEAST_CHANCES = 30
+"""Independent instances of a label in a state, below which its column is not tested."""
+LEAST_PAIRS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedOutcomes:
+    """What the detector file expects of every annotated box.
+
+    Attributes:
+        passed: Whether the gates let it pass, shape (n,).
+        edges: Limits between which a uniform number means each label, then a miss, shape (n, labels + 2).
+    """
+
+    passed: Mask
+    edges: Array
+
+    @property
+    def missed(self) -> Array:
+        """Probability of a miss, shape (n,)."""
+        probability: Array = 1 - self.edges[:, -2]
+        return probability
+
+
+def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:
+    """What a detector's gates, confusion matrices and dropout expect of every annotated box."""
+    passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
+    classifier = ConfusionClassifier.from_model(model, evidence.census(model))
+    instances = evidence.instances
+    edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[instances.state, instances.label]
+    usual = edges[:, -2].copy()
+    missed = 1 - usual
+    if model.dropout.effects:
+        missed = np.concatenate(
+            [classifier.miss_rates(s.detections.states[s.targets.frame], s.targets) for s in evidence.cameras]
+        )
+        edges[:, :-1] *= ((1 - missed) / np.where(usual > 0, usual, 1))[:, None]
+    return ExpectedOutcomes(np.concatenate(passed), np.concatenate([np.zeros((len(edges), 1)), edges], axis=1))
+
+
+def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    """Every free entry of every state's confusion matrix; of a column with two entries only the dropout."""
+    expected = expected_outcomes(model, evidence)
+    note = max_detections_note(model, evidence)
+    parameters = _gate_checks(evidence, expected)
+    for s, state in enumerate(model.states):
+        for column, label in enumerate(model.labels):
+            ours = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.passed
+            names = [*model.labels, BACKGROUND]
+            # Misses first: where only one label can be given, both entries say the same.
+            for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
+                value = float(state.confusion[row, column])
+                measure = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
+                name = f"states.{state.name}.confusion[{names[row]}][{label}]"
+                said = note or _asked_note(model, row, measure)
+                parameters.append(Parameter(name, Part.CLASS, measure, value, state=state.name, note=said))
+    return [*parameters, *_overall_checks(model, evidence, expected, note)]
+
+
+def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
+    """A note on what the asked number is where it is not the file's own."""
+    if measure is None:
+        return ""
+    if model.merges_and_splits.merges and row < len(model.labels):
+        return "asked: as a share of those detected in a box of their own, as which others were is not known"
+    return "asked: the mean over the chances that there were, by what they look like" if model.dropout.effects else ""
+
+
+def _gate_checks(evidence: Evidence, expected: ExpectedOutcomes) -> list[Parameter]:
+    if expected.passed.all():
+        return []
+    seen = (evidence.instances.outcome != -1) & ~expected.passed
+    measure = Exact(int(seen.sum()), int((~expected.passed).sum()))
+    return [Parameter("gates: nothing seen beyond them", Part.CLASS, measure, in_file=False)]
+
+
+def _entry(
+    model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes, rows: Indices, row: int
+) -> Measure | None:
+    """One entry of a column; rows are the instances of its state and label."""
+    background = len(model.labels)
+    outcome = evidence.instances.outcome[rows]
+    low, high = expected.edges[rows, row], expected.edges[rows, row + 1]
+    happened = outcome == (-1 if row == background else row)
+    if (
+        model.merges_and_splits.merges and row < background
+    ):  # of a merged vessel the label is not known: among the others
+        known = outcome >= 0
+        share = (high - low) / np.where(expected.missed[rows] < 1, 1 - expected.missed[rows], 1)
+        rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
+    return _share(model, evidence, rows, happened, low, high)
+
+
+def _share(
+    model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
+) -> Measure | None:
+    """How often a uniform number was between the bounds low and high of each row, shapes (n,)."""
+    if len(rows) < LEAST_CHANCES:
+        return None
+    probability = high - low
+    spread = probability * (1 - probability)
+
+    def covariance(later: Indices, earlier: Indices) -> Array:
+        common = np.minimum(high[later], high[earlier]) - np.maximum(low[later], low[earlier])
+        kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
+        return kept
+
+    instances = evidence.instances
+    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
+    factor = inflation(tracks, instances.time_s[rows], model.persistence.class_s, spread, covariance)
+    if len(rows) / factor < LEAST_CHANCES:
+        return None
+    mean, count = float(probability.mean()), int(happened.sum())
+    if np.ptp(probability) < 1e-12:
+        return Rate(count, len(rows), mean, factor)
+    variance = float(spread.sum()) * factor
+    if variance <= 0:
+        return None
+    skewness = float((spread * (1 - 2 * probability)).sum()) * factor**2 / variance**1.5
+    return Estimate(count / len(rows), mean, variance**0.5 / len(rows), len(rows) / factor, skewness)
+
+
+def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
+    """Expected probability that each instance is missed, 1 where a gate keeps it from being seen, shape (n,)."""
+    expected = expected_outcomes(model, evidence)
+    return np.where(expected.passed, expected.missed, 1.0)
+
+
+def _overall_checks(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes, note: str) -> list[Parameter]:
+    rows = np.flatnonzero(expected.passed)
+    missed = evidence.instances.outcome[rows] == -1
+    low, high = expected.edges[rows, -2], expected.edges[rows, -1]
+    overall = None if note else _share(model, evidence, rows, missed, low, high)
+    persistence = None if note else _persistence(model, evidence, expected)
+    return [
+        Parameter("dropout, all states", Part.CLASS, overall, in_file=False, note=note),
+        *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
+        Parameter("persistence.class_s", Part.CLASS, persistence, note=correlation_note(persistence)),
+    ]
+
+
+def correlation_note(measure: Estimate | None) -> str:
+    """A note on the unit of the numbers beside a correlation time."""
+    return (
+        "as the correlation from one frame at which the detector runs to the next"
+        if measure is not None and measure.asked
+        else ""
+    )
+
+
+def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes) -> Estimate | None:
+    """Probability that a vessel keeps its number from one frame to the next.
+
+    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in that chance
+    κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
+    """
+    instances = evidence.instances
+    rows_before = turn_before(model, evidence)
+    now = np.flatnonzero((rows_before >= 0) & expected.passed)
+    before = rows_before[now]
+    some = expected.passed[before] & (expected.missed[now] > 0) & (expected.missed[now] < 1)
+    now, before = now[some], before[some]
+    if len(now) < LEAST_PAIRS:
+        return None
+    p, p_before = expected.missed[now], expected.missed[before]
+    was_missed = instances.outcome[before] == -1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kept = np.where(was_missed, np.minimum(1, p / p_before), np.maximum(0, (p - p_before) / (1 - p_before)))
+    kept = np.where(np.isfinite(kept), kept, p)
+    apart = instances.time_s[now] - instances.time_s[before]
+    tau = model.persistence.class_s
+    kappa = np.exp(-apart / tau) if tau > 0 else np.zeros(len(now))
+    q = np.clip(kappa * kept + (1 - kappa) * p, 1e-9, 1 - 1e-9)
+    slope, spread = kept - p, q * (1 - q)
+    information = float((slope**2 / spread).sum())
+    if information <= 0:
+        return None
+    residual = (instances.outcome[now] == -1) - q
+    asked_kappa = float(kappa.mean())
+    step = float((residual * slope / spread).sum()) / information
+    skewness = float((slope**3 * (1 - 2 * q) / spread**2).sum()) / information**1.5
+    return Estimate(asked_kappa + step, asked_kappa, 1 / math.sqrt(information), len(now), skewness)

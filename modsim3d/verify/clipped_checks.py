@@ -1,0 +1,99 @@
+"""Tests of clipped normal numbers against the mean and standard deviation asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array
+from modsim3d.detector.clipped_normal import clipped_law, clipped_score
+from modsim3d.verify.measures import Estimate
+
+_FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
+_SINGULAR = 1e10
+_LEVELS = 100
+"""Means at which the integrals are computed; those between are interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clipped:
+    """Clipped numbers and what their means depend on.
+
+    Attributes:
+        scores: Shape (n,).
+        design: Their means are this times the coefficients, shape (n, k).
+        threshold: Lower end.
+    """
+
+    scores: Array
+    design: Array
+    threshold: float
+
+    def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
+        """Estimates of the first coefficient, the standard deviation, and the other coefficients.
+
+        One step from the asked values towards the maximum likelihood, which is also the score test of each with the
+        others free; several steps for an estimate that is far off.
+        """
+        step, covariance, third = self._step(coefficients, std)
+        if step is None:
+            return [None] * (len(coefficients) + 1)
+        errors = np.sqrt(np.diag(covariance))
+        z = step / errors
+        asked = np.concatenate([coefficients[:1], [std], coefficients[1:]])
+        found = asked + step
+        if np.abs(z).max() > _FAR:
+            found = self._fitted(asked)
+        return [
+            Estimate(found[k], asked[k], errors[k], len(self.scores), third[k] / errors[k] ** 3, z[k], grows=k == 1)
+            for k in range(len(asked))
+        ]
+
+    def _fitted(self, value: Array) -> Array:
+        for _ in range(_STEPS):
+            step, _, _ = self._step(np.concatenate([value[:1], value[2:]]), value[1])
+            if step is None:
+                break
+            value = value + np.clip(step, -0.5 * value[1], 0.5 * value[1])
+        return value
+
+    def _step(self, coefficients: Array, std: float) -> tuple[Array | None, Array, Array]:
+        """Step, its covariance under the law, and its third cumulants."""
+        means = self.design @ coefficients
+        # In this order: first coefficient, standard deviation, the others.
+        design = np.insert(self.design, 1, 1.0, axis=1)
+        of_std = np.arange(design.shape[1]) == 1
+        score = clipped_score(self.scores, means, std, self.threshold)
+        total = (design * np.where(of_std, score[:, 1:], score[:, :1])).sum(axis=0)
+        information = self._information(means, std)
+        part = np.where(
+            of_std[:, None] & of_std,
+            information[:, 2, None, None],
+            np.where(of_std[:, None] | of_std, information[:, 1, None, None], information[:, 0, None, None]),
+        )
+        matrix = np.einsum("ni,nj,nij->ij", design, design, part)
+        if not np.all(np.isfinite(matrix)) or np.linalg.cond(matrix) > _SINGULAR:
+            return None, matrix, total
+        covariance = np.linalg.inv(matrix)
+        # Of a few rows, spread evenly, as many as all stand for.
+        rows = np.linspace(0, len(means) - 1, min(len(means), 64)).astype(np.int64)
+        third = np.zeros(len(total))
+        for row in rows:
+            places, chances = clipped_law(means[row], std, self.threshold)
+            each = clipped_score(places, means[row], std, self.threshold)
+            influence = (design[row] * np.where(of_std, each[:, 1:], each[:, :1])) @ covariance
+            third += chances @ influence**3
+        return covariance @ total, covariance, third * len(means) / len(rows)
+
+    def _information(self, means: Array, std: float) -> Array:
+        """Fisher information of mean and standard deviation of each number: mm, ms, ss; shape (n, 3)."""
+        low, high = float(means.min()), float(means.max())
+        levels = np.linspace(low, high, _LEVELS if high - low > 1e-12 else 1)
+        table = np.empty((len(levels), 3))
+        for k, mean in enumerate(levels):
+            places, chances = clipped_law(mean, std, self.threshold)
+            score = clipped_score(places, mean, std, self.threshold)
+            table[k] = chances @ (score[:, [0, 0, 1]] * score[:, [0, 1, 1]])
+        return np.column_stack([np.interp(means, levels, column) for column in table.T])

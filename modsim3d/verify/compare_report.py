@@ -1,0 +1,138 @@
+"""A comparison of sources as terminal tables, `compare.json` and a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import orjson
+
+from modsim3d.render.id_pass import IdRenderer
+from modsim3d.scene.scene import Scene
+from modsim3d.verify.compare_figures import BoxFigures, Figures
+from modsim3d.verify.compare_pictures import describe_case, draw_case
+from modsim3d.verify.compare_sources import RULE_OFF_PX, SourceComparison
+from modsim3d.view.pages import page
+
+Rows = list[tuple[str, str]]
+
+
+def verdict_rows(figures: Figures) -> list[tuple[str, str, str]]:
+    """How many full and visible boxes agree, or why they do not."""
+    full, visible = figures.full_box.verdicts, figures.visible_box.verdicts
+    whole = figures.vessel_frames
+    return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
+
+
+def figure_rows(figures: Figures) -> Rows:
+    """The figures of rendered against analytic."""
+    fraction = figures.visible_fraction
+    return [
+        ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
+        ("partly or wholly hidden", _share(figures.occluded, figures.vessel_frames)),
+        ("full box, side differences", _sides(figures.full_box)),
+        ("visible box, side differences", _sides(figures.visible_box)),
+        ("visible fraction, differences", _up_to(fraction.max, fraction.p99, 4)),
+        ("fraction differences that boundary pixels do not explain", str(fraction.above_bound)),
+        ("visible to one source only", str(figures.visible_at_all_differs)),
+        ("every pixel checked", f"{figures.pixels_looked_at} vessel-frames"),
+        ("UNEXPLAINED", str(figures.unexplained)),
+    ]
+
+
+def rule_rows(figures: Figures) -> Rows:
+    """The rectangle rule against the rendered source."""
+    rule = figures.rectangles_against_rendered
+    return [
+        ("occluded vessel-frames", str(rule.occluded)),
+        (f"a side off by more than {RULE_OFF_PX:g} px", _share(rule.box_off_by_more_than_2_px, rule.occluded)),
+        ("hidden vessel kept", _share(rule.hidden_vessel_kept, rule.occluded)),
+        ("visible vessel dropped", _share(rule.visible_vessel_dropped, rule.occluded)),
+        ("wrong in total", f"{rule.wrong_share:.1%}"),
+    ]
+
+
+def shoebox_rows(figures: Figures) -> list[tuple[str, str, str]]:
+    """How much looser the shoebox of each vessel with a mesh is."""
+    return [
+        (
+            vessel,
+            f"its box is {fit.mean_area_ratio:.2f} times as large on average, {fit.max_area_ratio:.2f} times at most",
+            f"sides are up to {fit.max_side_px:.1f} px farther out, and within a pixel in "
+            f"{_share(fit.within_a_pixel, fit.frames)} frames",
+        )
+        for vessel, fit in figures.shoebox_against_mesh.items()
+    ]
+
+
+def time_rows(figures: Figures) -> Rows:
+    """Time per frame of each source."""
+    return [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
+
+
+def intersection_rows(figures: Figures) -> Rows:
+    """Pairs of vessels whose boxes intersect."""
+    return [(pair, f"{frames} frames") for pair, frames in figures.intersecting.items()]
+
+
+def _sides(box: BoxFigures) -> str:
+    return _up_to(box.side_max_px, box.side_p99_px, 2, " px")
+
+
+def _up_to(greatest: float, p99: float, digits: int, unit: str = "") -> str:
+    return f"{greatest:.{digits}f}{unit} at most, {p99:.{digits}f}{unit} at the 99th percentile"
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part} ({part / whole:.1%})" if whole else str(part)
+
+
+def write_report(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
+    """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "compare.json").write_bytes(orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n")
+    (folder / "compare.html").write_text(_page(comparison, scene, renderer), encoding="utf-8")
+    if worst := comparison.findings.rule.worst:
+        draw_case(scene, worst, renderer).save(folder / "rectangle_rule.png")
+
+
+def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> str:
+    figures, findings = comparison.figures, comparison.findings
+    body = [
+        *_introduction(figures),
+        page.heading("Rendered against analytic"),
+        page.table(figure_rows(figures)),
+        page.table(verdict_rows(figures), ("Agreement", "Full box", "Visible part")),
+        page.heading("The thesis's rectangle rule against rendered"),
+        page.table(rule_rows(figures)),
+        page.heading("Time per frame"),
+        page.table(time_rows(figures)),
+    ]
+    if figures.intersecting:
+        body += [page.heading("Intersecting boxes"), page.table(intersection_rows(figures))]
+    if figures.shoebox_against_mesh:
+        body += [page.heading("Shoebox against mesh"), page.table(shoebox_rows(figures))]
+    shown = [("The largest differences between rendered and analytic", findings.worst)]
+    if worst := findings.rule.worst:
+        shown.insert(0, ("The rectangle rule's worst mistake", (worst,)))
+    for title, cases in shown:
+        body.append(page.heading(title))
+        body += [page.picture(draw_case(scene, case, renderer), describe_case(scene, case)) for case in cases]
+    return page.page(f"{scene.name}: sources of truth compared", body)
+
+
+def _introduction(figures: Figures) -> list[str]:
+    """The answer, and how it was found."""
+    if figures.unexplained:
+        answer = f"{figures.unexplained} differences between the rendered and the analytic truth are unexplained."
+    else:
+        answer = (
+            "Pixel sampling explains every difference between the rendered and the analytic truth of "
+            f"{figures.vessel_frames} vessel-frames."
+        )
+    method = (
+        f"{figures.steps} steps, supersampling {figures.supersample}. The rendered source draws ID buffers with a "
+        "depth buffer. The analytic source cuts silhouette polygons by those in front of them; separating planes say "
+        "which are in front. Where two boxes differ by more than a pixel, every pixel of the vessel was checked: it "
+        "must be set if its centre is inside the exact region, and only then."
+    )
+    return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]

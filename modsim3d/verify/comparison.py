@@ -1,0 +1,231 @@
+"""Whether the rendered truth agrees with the analytic truth, and if it does not, why.
+
+Both sources start from the same outlines and are otherwise independent. The rendered source uses an ID buffer with a
+depth buffer. The analytic source cuts polygons by polygons, in an order that comes from separating planes. They may
+differ only because pixels sample regions at their centres.
+
+Where they differ by more than a pixel, all pixels of the vessel are drawn again and checked. Each pixel must be set if
+its centre is inside the exact region, and only then, except in a band along the boundary that is as wide as the
+rasteriser's rounding of corners. The box and the count of the truth must be those of these pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from enum import IntEnum
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.truth.analytic import VisibleRegions, occlusion_of_regions, visible_regions
+from modsim3d.truth.occlusion import Occlusion
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.overlaps import overlapping_pairs
+from modsim3d.truth.pixel_masks import PixelMasks, counted_from, mask_fits
+from modsim3d.verify.sampling_bounds import boundary_pixels, fraction_bound
+
+
+class Agreement(IntEnum):
+    """Whether two sources agree on a vessel, or why they do not. The greater, the worse."""
+
+    AGREE = 0
+    SHARP_TIP = 1
+    SLIVER = 2
+    BOUNDARY_ROUNDING = 3
+    INTERSECTING = 4
+    NOT_COMPARABLE = 5
+    UNEXPLAINED = 6
+
+
+EXPLANATIONS = {
+    Agreement.AGREE: "agree within a pixel",
+    Agreement.SHARP_TIP: "sharp tip without a pixel centre",
+    Agreement.SLIVER: "sliver thinner than a pixel",
+    Agreement.BOUNDARY_ROUNDING: "boundary rounding",
+    Agreement.INTERSECTING: "intersecting boxes: only the rendered source decides",
+    Agreement.NOT_COMPARABLE: "not comparable: a mesh is there, or before it",
+    Agreement.UNEXPLAINED: "unexplained",
+}
+
+DrawMasks = Callable[[int], PixelMasks]
+"""Draws the masks of a row of the outlines."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How two sources differ on n outlines.
+
+    Attributes:
+        full_side_px: Sides of full boxes, rendered minus analytic, shape (n, 4).
+        visible_side_px: Sides of visible boxes, rendered minus analytic; NaN where either has none, shape (n, 4).
+        fraction: Visible fraction, rendered minus analytic; NaN where either has none, shape (n,).
+        fraction_bound: Largest difference of fractions that pixels on the boundary can explain, shape (n,).
+        seen_differs: Whether the vessel is visible to one source only, shape (n,).
+        full: `Agreement` of the full boxes, shape (n,).
+        visible: `Agreement` of visible boxes, visible fractions and visibility, shape (n,).
+        pixels_looked_at: Whether all pixels of the row were checked, shape (n,).
+    """
+
+    full_side_px: Array
+    visible_side_px: Array
+    fraction: Array
+    fraction_bound: Array
+    seen_differs: Mask
+    full: Indices
+    visible: Indices
+    pixels_looked_at: Mask
+
+    def take(self, rows: Indices) -> Comparison:
+        """The chosen rows."""
+        return Comparison(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @property
+    def worst(self) -> Indices:
+        """The worse `Agreement` of full and visible, shape (n,)."""
+        return np.maximum(self.full, self.visible)
+
+
+def concatenate_comparisons(parts: Sequence[Comparison]) -> Comparison:
+    """The rows of several comparisons, one after another."""
+    empty, empty_sides, none = np.empty(0), np.empty((0, 4)), np.empty(0, dtype=np.int64)
+    nothing = Comparison(empty_sides, empty_sides, empty, empty, none > 0, none, none, none > 0)
+    names = [field.name for field in fields(Comparison)]
+    return Comparison(*(np.concatenate([getattr(part, name) for part in (nothing, *parts)]) for name in names))
+
+
+def compare_with_analytic(
+    outlines: Outlines,
+    intrinsics: Intrinsics,
+    rendered: Occlusion,
+    draw_masks: DrawMasks,
+    supersample: int = 1,
+) -> Comparison:
+    """Compare rendered truth with the analytic truth, vessel by vessel.
+
+    The analytic source knows convex solids only. It says nothing about a mesh, nor about what is visible of a vessel
+    that overlaps a mesh in the image.
+
+    Args:
+        outlines: What both sources started from; n of its rows are vessels.
+        intrinsics: Intrinsics of the camera.
+        rendered: What the rendered source found, for all rows.
+        draw_masks: Draws the pixels of a row of `outlines`; called where the sources differ by more than a pixel.
+        supersample: Buffer pixels per image pixel and axis.
+
+    Returns:
+        The comparison of the n vessels.
+    """
+    convex = np.flatnonzero(outlines.convex)
+    found = _compare_convex(
+        outlines.take(convex), intrinsics, rendered.take(convex), lambda row: draw_masks(int(convex[row])), supersample
+    )
+    if len(convex) < len(outlines):
+        found = _with_meshes(found, convex, outlines)
+    return found.take(np.flatnonzero(outlines.boxed))
+
+
+def _with_meshes(found: Comparison, convex: Indices, outlines: Outlines) -> Comparison:
+    """Spread the comparison of the convex rows over all rows; meshes and what overlaps them are not comparable."""
+    count, mesh = len(outlines), ~outlines.convex
+    columns = {}
+    for field in fields(Comparison):
+        column = getattr(found, field.name)
+        nothing = np.nan if column.dtype == np.float64 else 0
+        columns[field.name] = np.full((count, *column.shape[1:]), nothing, dtype=column.dtype)
+        columns[field.name][convex] = column
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    beside = np.zeros(count, dtype=bool)
+    beside[first[mesh[second]]] = beside[second[mesh[first]]] = True
+    columns["full"][mesh] = columns["visible"][mesh | beside] = Agreement.NOT_COMPARABLE
+    columns["seen_differs"] &= ~beside
+    columns["visible_side_px"][beside] = columns["fraction"][beside] = np.nan
+    return Comparison(**columns)
+
+
+def _compare_convex(
+    outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, draw_masks: DrawMasks, supersample: int
+) -> Comparison:
+    regions = visible_regions(outlines, intrinsics)
+    analytic = occlusion_of_regions(outlines, regions)
+    full_side = rendered.full_boxes_px - analytic.full_boxes_px
+    visible_side = rendered.visible_boxes_px - analytic.visible_boxes_px
+    fraction = rendered.visible_fraction() - analytic.visible_fraction()
+    bound = fraction_bound(regions, analytic, supersample)
+    seen_differs = (rendered.visible_px > 0) != (analytic.visible_px > 0)
+    intersecting = np.zeros(len(outlines), dtype=bool)
+    intersecting[analytic.intersecting.ravel()] = True
+    explained_px = boundary_pixels(regions.silhouettes, supersample) / supersample**2
+    full_off = _off(full_side, supersample) | (np.abs(rendered.silhouette_px - analytic.silhouette_px) > explained_px)
+    visible_off = _off(visible_side, supersample) | seen_differs | (np.abs(fraction) > bound)
+    full_off, visible_off = full_off & outlines.boxed, visible_off & ~intersecting & outlines.boxed
+    full = np.zeros(len(outlines), dtype=np.int64)
+    visible = np.where(intersecting, int(Agreement.INTERSECTING), 0)
+    check = _PixelCheck(regions, rendered, analytic, supersample)
+    for row in np.flatnonzero(full_off | visible_off).tolist():
+        masks = draw_masks(row)
+        if full_off[row]:
+            full[row] = check.full(row, masks)
+        if visible_off[row]:
+            # A visible box that is short by what the full box is short by misses the silhouette's own tip.
+            tip = np.array_equal(visible_side[row], full_side[row])
+            visible[row] = check.visible(row, masks, Agreement.SHARP_TIP if tip else Agreement.SLIVER)
+    return Comparison(full_side, visible_side, fraction, bound, seen_differs, full, visible, full_off | visible_off)
+
+
+def _off(sides_px: Array, supersample: int) -> Mask:
+    """Whether a side (n, 4) is off by more than a buffer pixel, shape (n,)."""
+    off: Mask = np.any(np.abs(sides_px) > 1 / supersample, axis=1)
+    return off
+
+
+@dataclass(frozen=True, eq=False)
+class _PixelCheck:
+    """Explains the differences of a row from its pixels."""
+
+    regions: VisibleRegions
+    rendered: Occlusion
+    analytic: Occlusion
+    supersample: int
+
+    def full(self, row: int, masks: PixelMasks) -> Agreement:
+        """Why the full boxes differ."""
+        silhouettes = self.regions.silhouettes
+        fits = self._full_counted(row, masks) and mask_fits(
+            masks.silhouette, masks.region, silhouettes[row], silhouettes[:0], self.supersample
+        )
+        boxes = self.rendered.full_boxes_px[row], self.analytic.full_boxes_px[row]
+        return _agreement(fits, *boxes, if_smaller=Agreement.SHARP_TIP)
+
+    def visible(self, row: int, masks: PixelMasks, if_smaller: Agreement) -> Agreement:
+        """Why the visible boxes or fractions differ."""
+        silhouettes, box, px = self.regions.silhouettes, self.rendered.visible_boxes_px[row], self.rendered.visible_px
+        covers = silhouettes[self.regions.hiding.hiders_of(row)]
+        fits = (
+            self._full_counted(row, masks)
+            and counted_from(masks.visible, masks.region, box, px[row], self.supersample)
+            and mask_fits(masks.visible, masks.region, silhouettes[row], covers, self.supersample)
+        )
+        return _agreement(fits, box, self.analytic.visible_boxes_px[row], if_smaller)
+
+    def _full_counted(self, row: int, masks: PixelMasks) -> bool:
+        box, px = self.rendered.full_boxes_px[row], self.rendered.silhouette_px[row]
+        return counted_from(masks.silhouette, masks.region, box, px, self.supersample)
+
+
+def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: Agreement) -> Agreement:
+    """Why two boxes (4,) differ, given whether the pixels fit the exact region.
+
+    Args:
+        fits: Whether they do.
+        rendered_px: Box from pixels.
+        analytic_px: Exact box.
+        if_smaller: The reason if the box from pixels is the smaller one.
+    """
+    if not fits:
+        return Agreement.UNEXPLAINED
+    nothing_drawn, nothing_exact = bool(np.isnan(rendered_px[0])), bool(np.isnan(analytic_px[0]))
+    outside = np.concatenate([analytic_px[:2] - rendered_px[:2], rendered_px[2:] - analytic_px[2:]])
+    larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
+    return Agreement.BOUNDARY_ROUNDING if larger else if_smaller

@@ -1,0 +1,186 @@
+"""Checks of the performance states: where they start, how they change, how long each lasts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import Part
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.law_measures import Occupancy
+from modsim3d.verify.measures import Exact
+from modsim3d.verify.parameters import Parameter
+from modsim3d.verify.rate_measures import Rate
+
+_EARLY = 1e-6  # of an interval, as in the detector: 0.6 / 0.2 is a hair below 3
+_ANGLES_AT_ONCE = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The states of a chain in a run.
+
+    Attributes:
+        name: Appended to the names of its parameters, empty if it is the only chain.
+        steps: Steps of its frames, shape (s,).
+        times_s: Shape (s,).
+        states: Shape (s,).
+        forced: Whether the schedule, and not the chain, decided, shape (s,).
+    """
+
+    name: str
+    steps: Indices
+    times_s: Array
+    states: Indices
+    forced: Mask
+
+
+def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    """Initial state, every entry of the transition matrix, and the share of frames of each state."""
+    chains = _chains(model, evidence)
+    parameters = _shared_check(model, evidence)
+    for chain in chains:
+        if model.performance.schedule:
+            asked = model.performance.forced(chain.times_s, chain.states)
+            wrong = Exact(int((chain.states != asked).sum()), int(chain.forced.sum()))
+            parameters.append(Parameter(f"performance.schedule{chain.name}", Part.STATE, wrong))
+        if len(chain.steps) and chain.steps[0] == 0 and not chain.forced[0]:
+            wrong = Exact(int(chain.states[0] != model.initial_state), 1)
+            parameters.append(Parameter(f"initial_state{chain.name}", Part.STATE, wrong))
+    parameters += _transition_checks(model, chains)
+    for chain in chains:
+        if not model.performance.schedule:
+            parameters += _occupancy_checks(model, chain)
+    return parameters
+
+
+def _shared_check(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
+    if model.performance.per_camera:
+        return []
+    images = evidence.frames
+    steps, first = np.unique(images.step, return_index=True)
+    apart = int((images.state != images.state[first][np.searchsorted(steps, images.step)]).sum())
+    return [Parameter("states shared by all cameras", Part.STATE, Exact(apart, len(images.step)), in_file=False)]
+
+
+def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
+    images, cameras = evidence.frames, evidence.cameras
+    if model.performance.per_camera:
+        groups = [(f", {seen.frames.camera}", np.flatnonzero(images.camera == i)) for i, seen in enumerate(cameras)]
+    else:
+        groups = [("", np.unique(images.step, return_index=True)[1])]
+    return [
+        Chain(
+            name,
+            images.step[rows],
+            images.time_s[rows],
+            images.state[rows],
+            # What the schedule decides is the same whatever the chain does.
+            model.performance.forced(images.time_s[rows], np.full(len(rows), -1)) >= 0,
+        )
+        for name, rows in groups
+    ]
+
+
+def transition_counts(model: DetectorModel, steps: Indices, times_s: Array) -> Indices:
+    """Number of transitions from each frame to the next, shape (frames − 1,)."""
+    if model.transition_interval_s is None:
+        return np.asarray(np.diff(steps), dtype=np.int64)
+    due = np.floor(times_s / model.transition_interval_s + _EARLY)
+    return np.asarray(np.diff(due), dtype=np.int64)
+
+
+def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parameter]:
+    """The transition matrix, from pairs of frames of all chains with the usual number of transitions between them."""
+    before, after, transitions = (
+        np.concatenate(columns)
+        for columns in zip(
+            *(
+                (
+                    chain.states[:-1][ours],
+                    chain.states[1:][ours],
+                    transition_counts(model, chain.steps, chain.times_s)[ours],
+                )
+                for chain in chains
+                for ours in [~(chain.forced[1:] | chain.forced[:-1])]
+            ),
+            strict=True,
+        )
+    )
+    moved = transitions > 0
+    parameters = []
+    if not moved.all():
+        held = Exact(int((after != before)[~moved].sum()), int((~moved).sum()))
+        parameters.append(Parameter("state holds between transitions", Part.STATE, held, in_file=False))
+    usual = int(np.bincount(transitions[moved]).argmax()) if moved.any() else 1
+    matrix = np.linalg.matrix_power(model.transition_matrix, usual)
+    pairs = transitions == usual
+    counts = np.zeros((len(model.states), len(model.states)), dtype=np.int64)
+    np.add.at(counts, (after[pairs], before[pairs]), 1)
+    note = f"over {usual} transitions, as many as there are from frame to frame" if usual > 1 else ""
+    for column, earlier in enumerate(model.states):
+        # The rate of staying first: where only one other state can follow, both entries say the same.
+        for row in sorted(range(len(model.states)), key=lambda row: row != column):
+            later = model.states[row]
+            visits = int(counts[:, column].sum())
+            asked = float(np.clip(matrix[row, column], 0, 1))
+            measure = Rate(int(counts[row, column]), visits, asked) if visits else None
+            name = f"transition_matrix[{later.name}][{earlier.name}]"
+            parameters.append(Parameter(name, Part.STATE, measure, asked, state=earlier.name, note=note))
+    return parameters
+
+
+def _occupancy_checks(model: DetectorModel, chain: Chain) -> list[Parameter]:
+    transitions = transition_counts(model, chain.steps, chain.times_s)
+    return [
+        Parameter(
+            f"share of frames in {state.name}{chain.name}",
+            Part.STATE,
+            Occupancy(int((chain.states == s).sum()), occupancy_law(model, s, transitions, int(chain.states[0]))),
+            state=state.name,
+            in_file=False,
+        )
+        for s, state in enumerate(model.states)
+    ]
+
+
+def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start: int) -> Array:
+    """Probability of each number of frames in a state, exactly, shape (frames + 1,).
+
+    The characteristic function of the number is a product of matrices, one for each frame; the inverse Fourier
+    transform of its values at as many angles as there are numbers gives their probabilities.
+
+    Args:
+        model: The detector.
+        state: Whose frames are counted.
+        transitions: Number of transitions from each frame to the next.
+        start: State of the first frame.
+    """
+    frames = len(transitions) + 1
+    lengths, repeats = _runs(transitions)
+    spectrum = np.empty(frames + 1, dtype=np.complex128)
+    for first in range(0, frames + 1, _ANGLES_AT_ONCE):
+        angles = 2 * np.pi * np.arange(first, min(first + _ANGLES_AT_ONCE, frames + 1)) / (frames + 1)
+        mark = np.exp(1j * angles)
+        vector = np.zeros((len(angles), len(model.states)), dtype=np.complex128)
+        vector[:, start] = mark if start == state else 1
+        for length, repeat in zip(lengths, repeats, strict=True):
+            step = np.linalg.matrix_power(model.transition_matrix, int(length)).astype(np.complex128)
+            marked = np.tile(step, (len(angles), 1, 1))
+            marked[:, state, :] *= mark[:, None]
+            vector = np.einsum("aij,aj->ai", np.linalg.matrix_power(marked, int(repeat)), vector)
+        spectrum[first : first + len(angles)] = vector.sum(axis=1)
+    law: Array = np.clip(np.fft.fft(spectrum).real / (frames + 1), 0, 1)
+    law /= law.sum()
+    return law
+
+
+def _runs(values: Indices) -> tuple[Indices, Indices]:
+    """Runs of equal values: the values and the lengths of the runs."""
+    if not len(values):
+        return values, values
+    starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
+    return values[starts], np.diff(np.append(starts, len(values)))

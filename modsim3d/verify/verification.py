@@ -1,0 +1,53 @@
+"""Does a run obey its detector file?"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import partial
+
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, Part, used_models
+from modsim3d.verify.box_error_checks import box_error_checks
+from modsim3d.verify.class_checks import class_checks
+from modsim3d.verify.clutter_checks import clutter_checks
+from modsim3d.verify.clutter_rate_checks import RATE_CHECKS
+from modsim3d.verify.confidence_checks import SCORE_CHECKS, confidence_checks
+from modsim3d.verify.dropout_checks import EFFECT_CHECKS
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.error_likelihoods import LIKELIHOODS
+from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.parameters import Parameter, Verification, judge
+from modsim3d.verify.state_checks import state_checks
+
+CHECKED: Mapping[Part, Collection[str]] = {
+    Part.STATE: {MARKOV_CHAIN},
+    Part.CLASS: {CONFUSION} | EFFECT_CHECKS.keys(),
+    Part.BOX_ERROR: LIKELIHOODS.keys(),
+    Part.FALSE_POSITIVES: RATE_CHECKS.keys(),
+    Part.CONFIDENCE: SCORE_CHECKS.keys(),
+}
+"""The models of each part that have checks, by the names in `detector.parts.MODELS`."""
+
+
+def verify(model: DetectorModel, evidence: Evidence, table: MomentTable | None = None) -> Verification:
+    """Hold what a run shows against a detector's parameters.
+
+    Args:
+        model: The detector file.
+        evidence: The truth and the detections of the run.
+        table: Expectations of box errors; keep it between calls over the same truth to save most of the work.
+    """
+    box_errors = partial(box_error_checks, table=table or MomentTable())
+    # In the order in which the detector works.
+    parts = (state_checks, class_checks, box_errors, clutter_checks, confidence_checks)
+    parameters = [parameter for checks in parts for parameter in checks(model, evidence)]
+    return judge([*parameters, *unchecked(model)])
+
+
+def unchecked(model: DetectorModel) -> list[Parameter]:
+    """A row for each model that the detector uses and no check knows."""
+    return [
+        Parameter(used.key, used.part, None, state=used.state, note=f"no check for model '{used.name}'", checked=False)
+        for used in used_models(model)
+        if used.name not in CHECKED[used.part]
+    ]

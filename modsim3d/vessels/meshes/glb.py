@@ -1,0 +1,271 @@
+"""Binary glTF 2.0: checked against its own description, and reduced to the geometry.
+
+Section numbers are those of the glTF 2.0 specification (The Khronos Group, 2021). Materials, textures, cameras, skins
+and animations are left out of what is handed on, so that nothing can be read through them.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Annotated, BinaryIO, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.alias_generators import to_camel
+
+from modsim3d.inputs.validation import Count, Number, describe
+from modsim3d.vessels.meshes.limits import (
+    MAX_GLB_BYTES,
+    Refused,
+    check_faces,
+    check_reference,
+    check_size,
+    check_vertices,
+)
+
+MAX_DESCRIPTION_BYTES = 2**23
+MAX_NODES = 2000
+COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+POINTS_LINES = (0, 1, 2, 3)
+TRIANGLES, STRIP, FAN = 4, 5, 6
+DRAWN_ONLY = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")
+"""Extensions that change how a mesh looks, not its shape."""
+
+
+class _Part(BaseModel):
+    """The keys of an object of the description that are read; others are ignored."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, alias_generator=to_camel, populate_by_name=True)
+
+
+class _Accessor(_Part):
+    buffer_view: Count | None = None
+    byte_offset: Count = 0
+    component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
+    count: Annotated[int, Field(strict=True, ge=1)]
+    type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
+    sparse: object = None
+
+
+class _BufferView(_Part):
+    buffer: Count
+    byte_offset: Count = 0
+    byte_length: Count
+    byte_stride: Annotated[int, Field(strict=True, ge=4, le=252)] | None = None
+
+
+class _Buffer(_Part):
+    byte_length: Count
+    uri: str | None = None
+
+
+class _Attributes(_Part):
+    position: Count | None = Field(default=None, alias="POSITION")
+
+
+class _Primitive(_Part):
+    attributes: _Attributes
+    indices: Count | None = None
+    mode: Annotated[int, Field(strict=True, ge=0, le=6)] = TRIANGLES
+
+
+class _Mesh(_Part):
+    primitives: list[_Primitive]
+
+
+class _Node(_Part):
+    children: list[Count] | None = None
+    mesh: Count | None = None
+    matrix: Annotated[list[Number], Field(min_length=16, max_length=16)] | None = None
+    translation: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
+    rotation: Annotated[list[Number], Field(min_length=4, max_length=4)] | None = None
+    scale: Annotated[list[Number], Field(min_length=3, max_length=3)] | None = None
+
+
+class _Scene(_Part):
+    nodes: list[Count] = []
+
+
+class _Image(_Part):
+    uri: str | None = None
+
+
+class _Gltf(_Part):
+    asset: dict[str, object] = {}
+    scene: Count = 0
+    scenes: list[_Scene] = []
+    nodes: Annotated[list[_Node], Field(max_length=MAX_NODES)] = []
+    meshes: list[_Mesh] = []
+    accessors: list[_Accessor] = []
+    buffer_views: list[_BufferView] = []
+    buffers: list[_Buffer] = []
+    images: list[_Image] = []
+    extensions_required: list[str] = []
+
+
+def read_glb(file: BinaryIO, size: int) -> bytes:
+    """The content of a GLB file, reduced to the meshes of its scene.
+
+    Raises:
+        Refused: It is not GLB, contradicts itself, is too large, or refers to other files.
+    """
+    header = file.read(20)
+    if len(header) < 20 or header[:4] != b"glTF" or header[16:20] != b"JSON":
+        raise Refused("is not a GLB file: it does not begin as binary glTF does")
+    version, length, description_bytes = struct.unpack("<4xIII", header[:16])
+    if version != 2:
+        raise Refused(f"is glTF version {version}; version 2 is needed")
+    if length != size:
+        raise Refused(f"has {size} bytes where its header announces {length}: is it cut off?")
+    if description_bytes > MAX_DESCRIPTION_BYTES:
+        raise Refused(f"has a description of {description_bytes} bytes; {MAX_DESCRIPTION_BYTES} may be: simplify it")
+    gltf = _parse(file.read(description_bytes))
+    _check_references(gltf)
+    _check_counts(gltf)
+    check_size(size, MAX_GLB_BYTES)
+    rest = file.read(size)
+    _check_ranges(gltf, struct.unpack("<I", rest[:4])[0] if len(rest) >= 8 and rest[4:8] == b"BIN\0" else 0)
+    text = json.dumps(_geometry_only(gltf)).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + rest
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def _parse(description: bytes) -> _Gltf:
+    try:
+        return _Gltf.model_validate(json.loads(description))
+    except ValidationError as error:
+        raise Refused(f"has a faulty description: {describe(error, _Gltf)[0]}") from None
+    except (ValueError, RecursionError) as error:
+        raise Refused(f"has a description that is not JSON ({type(error).__name__}): is it damaged?") from None
+
+
+def _check_references(gltf: _Gltf) -> None:
+    """Refuse geometry in other files, and references that are remote or lead out of the folder."""
+    for image in gltf.images:
+        if image.uri is not None and not image.uri.startswith("data:"):
+            check_reference(image.uri, "image")
+    for buffer in gltf.buffers:
+        if buffer.uri is not None and not buffer.uri.startswith("data:"):
+            check_reference(buffer.uri, "buffer")
+            raise Refused(f"keeps its geometry in another file, {buffer.uri[:80]!r}: export it as one GLB file")
+    for name in gltf.extensions_required:
+        if not name.startswith(DRAWN_ONLY):
+            raise Refused(f"needs the glTF extension {name[:80]!r}, which is not read: export it without")
+
+
+def _check_counts(gltf: _Gltf) -> None:
+    """Check faces and vertices of the accessors, each mesh as often as the scene shows it (section 3.7.2)."""
+    shown = _times_shown(gltf)
+    faces = vertices = 0
+    for mesh, times in zip(gltf.meshes, shown, strict=True):
+        for primitive in mesh.primitives:
+            faces += times * _faces(gltf, primitive)
+            vertices += max(times, 1) * _position_count(gltf, primitive)
+    check_faces(faces)
+    check_vertices(vertices)
+
+
+def _times_shown(gltf: _Gltf) -> list[int]:
+    """Number of times that the scene shows each mesh; its nodes must form trees (section 3.5.2)."""
+    if gltf.scene >= len(gltf.scenes):
+        raise Refused(f"has no scene {gltf.scene}, only {len(gltf.scenes)}: export it with a scene")
+    shown = [0] * len(gltf.meshes)
+    seen: set[int] = set()
+    waiting = list(gltf.scenes[gltf.scene].nodes)
+    while waiting:
+        index = waiting.pop()
+        if index >= len(gltf.nodes):
+            raise Refused(f"has no node {index}, only {len(gltf.nodes)}: is it damaged?")
+        if index in seen:
+            raise Refused(f"has node {index} in two places of its scene; its nodes must form trees")
+        seen.add(index)
+        node = gltf.nodes[index]
+        waiting += node.children or []
+        if node.mesh is not None:
+            if node.mesh >= len(gltf.meshes):
+                raise Refused(f"has no mesh {node.mesh}, only {len(gltf.meshes)}: is it damaged?")
+            shown[node.mesh] += 1
+    return shown
+
+
+def _accessor(gltf: _Gltf, index: int, kind: str) -> _Accessor:
+    """An accessor, which must exist and hold geometry."""
+    if index >= len(gltf.accessors):
+        raise Refused(f"has no accessor {index}, only {len(gltf.accessors)}: is it damaged?")
+    accessor = gltf.accessors[index]
+    if accessor.type != kind or (kind == "SCALAR" and accessor.component_type not in (5121, 5123, 5125)):
+        raise Refused(f"has accessor {index} of a type that positions or indices cannot be: is it damaged?")
+    if accessor.sparse is not None:
+        raise Refused(f"has accessor {index} stored sparsely, which is not read: export it without")
+    return accessor
+
+
+def _position_count(gltf: _Gltf, primitive: _Primitive) -> int:
+    if primitive.attributes.position is None:
+        raise Refused("has a mesh without positions: is it damaged?")
+    return _accessor(gltf, primitive.attributes.position, "VEC3").count
+
+
+def _faces(gltf: _Gltf, primitive: _Primitive) -> int:
+    """Triangles of a primitive; points and lines are none (section 3.7.2.1)."""
+    corners = _position_count(gltf, primitive)
+    if primitive.indices is not None:
+        corners = _accessor(gltf, primitive.indices, "SCALAR").count
+    if primitive.mode == FAN:
+        raise Refused("has triangle fans, which are not read: export it with triangles")
+    if primitive.mode in POINTS_LINES:
+        return 0
+    return max(corners - 2, 0) if primitive.mode == STRIP else corners // 3
+
+
+def _used(gltf: _Gltf) -> set[int]:
+    """Accessors that hold geometry."""
+    primitives = [primitive for mesh in gltf.meshes for primitive in mesh.primitives]
+    indices = [index for p in primitives for index in (p.attributes.position, p.indices)]
+    return {index for index in indices if index is not None}
+
+
+def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
+    """Refuse accessors that reach beyond their view, and views beyond their buffer (section 3.6.2.4)."""
+    for number, view in enumerate(gltf.buffer_views):
+        buffer = gltf.buffers[view.buffer] if view.buffer < len(gltf.buffers) else None
+        limit = 0 if buffer is None else buffer.byte_length if buffer.uri else min(buffer.byte_length, binary_bytes)
+        if view.byte_offset + view.byte_length > limit:
+            raise Refused(f"has buffer view {number} reaching beyond its data of {limit} bytes: is it damaged?")
+    for number in sorted(_used(gltf)):
+        accessor = gltf.accessors[number]
+        if accessor.buffer_view is None or accessor.buffer_view >= len(gltf.buffer_views):
+            raise Refused(f"has accessor {number} without data: is it compressed or damaged?")
+        view = gltf.buffer_views[accessor.buffer_view]
+        item = COMPONENT_BYTES[accessor.component_type] * (3 if accessor.type == "VEC3" else 1)
+        end = accessor.byte_offset + (accessor.count - 1) * (view.byte_stride or item) + item
+        if end > view.byte_length:
+            raise Refused(
+                f"has accessor {number} with {accessor.count} items in {view.byte_length} bytes: is it cut off?"
+            )
+
+
+def _geometry_only(gltf: _Gltf) -> dict[str, object]:
+    """The description of the meshes; other accessors are emptied, which keeps the numbering.
+
+    Each primitive becomes a mesh and a node of its own, since trimesh gives the primitives of a mesh random names and
+    loses those whose names coincide.
+    """
+    kept = gltf.model_dump(by_alias=True, exclude_none=True, exclude={"images", "extensions_required"})
+    used = _used(gltf)
+    empty = {"componentType": 5126, "count": 1, "type": "SCALAR"}
+    kept["accessors"] = [accessor if i in used else empty for i, accessor in enumerate(kept["accessors"])]
+    parts: list[list[int]] = []
+    meshes: list[dict[str, object]] = []
+    for mesh in kept["meshes"]:
+        parts.append([len(meshes) + k for k in range(len(mesh["primitives"]))])
+        meshes += [{"primitives": [primitive]} for primitive in mesh["primitives"]]
+    nodes = kept["nodes"]
+    for node in nodes[:]:
+        if "mesh" in node:
+            own = parts[node.pop("mesh")]
+            node["children"] = [*node.get("children", []), *range(len(nodes), len(nodes) + len(own))]
+            nodes += [{"mesh": part} for part in own]
+    kept["meshes"] = meshes
+    return kept

@@ -1,0 +1,156 @@
+"""Checks of STL, PLY and OBJ files before they are parsed.
+
+Each function takes an open file of a known size and returns the content for the parser. It counts faces and vertices
+and refuses a hostile file, so that neither time nor memory grows beyond the limits.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO
+
+from modsim3d.vessels.meshes.limits import (
+    MAX_FACES,
+    MAX_SCANNED_BYTES,
+    Refused,
+    check_faces,
+    check_reference,
+    check_size,
+    check_vertices,
+)
+
+CHUNK_BYTES = 2**20
+MAX_PARTS = 1000
+MAX_LINE_BYTES = 2**16
+"""Greatest length of a header, and of a line with many corners."""
+
+
+def _count(file: BinaryIO, word: bytes) -> int:
+    """Number of times that a lower-case word occurs in the rest of a file."""
+    found, tail = 0, b""
+    while chunk := file.read(CHUNK_BYTES):
+        joined = tail + chunk.lower()
+        found += joined.count(word)
+        tail = joined[-(len(word) - 1) :]  # shorter than the word
+    return found
+
+
+def _scan(file: BinaryIO, size: int, word: bytes) -> int:
+    """Number of faces of a text file, by counting the word that each has once."""
+    if size > MAX_SCANNED_BYTES:
+        check_size(size)
+    file.seek(0)
+    return _count(file, word)
+
+
+def _whole(file: BinaryIO, size: int) -> bytes:
+    check_size(size)
+    file.seek(0)
+    return file.read(size)
+
+
+def _as_utf8(text: bytes) -> bytes:
+    """Text whose names and comments are valid UTF-8; parsers would guess the encoding."""
+    return text.decode("utf-8", "replace").encode()
+
+
+def read_stl(file: BinaryIO, size: int) -> bytes:
+    """The content of an STL file, binary or text.
+
+    Raises:
+        Refused: It is no STL file, or too large.
+    """
+    header = file.read(84)
+    claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
+    if claimed is not None and size == 84 + 50 * claimed:
+        check_faces(claimed)
+        return _whole(file, size)
+    if not header.lstrip().lower().startswith(b"solid"):
+        claim = "" if claimed is None else f", whose header would mean {claimed} faces in {84 + 50 * claimed} bytes"
+        raise Refused(f"is not an STL file: neither text that begins with 'solid' nor {size} bytes of binary{claim}")
+    check_faces(_scan(file, size, b"endfacet"))
+    content = _whole(file, size)
+    if (parts := content.lower().count(b"endsolid")) > MAX_PARTS:
+        raise Refused(f"has {parts} solids; an STL file may have at most {MAX_PARTS}: join them")
+    check_vertices(content.lower().count(b"vertex"))
+    return _as_utf8(content)
+
+
+def read_ply(file: BinaryIO, size: int) -> bytes:
+    """The content of a PLY file, text or binary.
+
+    Text is returned without blank lines and without rows beyond those that the header announces.
+
+    Raises:
+        Refused: It is not PLY, or too large.
+    """
+    header = file.read(MAX_LINE_BYTES)
+    end = header.find(b"end_header")
+    if not header.startswith(b"ply") or end < 0:
+        raise Refused("is not a PLY file: it must begin with 'ply' and a header that ends with 'end_header'")
+    counts: dict[str, int] = {}
+    for line in header[:end].decode("latin-1").splitlines():
+        words = line.split()
+        if words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdecimal() or words[1] in counts:
+                raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
+            counts[words[1]] = int(words[2])
+        elif words[:2] == ["comment", "TextureFile"]:
+            check_reference(" ".join(words[2:]), "texture")
+    check_faces(counts.get("face", 0))
+    for count in counts.values():
+        check_vertices(count)
+    content = _whole(file, size)
+    start = content.find(b"\n", end) + 1 or len(content)
+    if b"ascii" not in header[:end]:
+        return _as_utf8(content[:start]) + content[start:]
+    rows = [row for row in content[start:].splitlines() if row.strip()]
+    if len(rows) < sum(counts.values()):
+        raise Refused(f"has {len(rows)} rows of the {sum(counts.values())} that its header announces: is it cut off?")
+    return _as_utf8(content[:start]) + b"\n".join(rows[: sum(counts.values())]) + b"\n"
+
+
+def read_obj(file: BinaryIO, size: int) -> bytes:
+    """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header.
+
+    Raises:
+        Refused: It is too large, or names a material library outside its folder.
+    """
+    check_faces(max(1, _scan(file, size, b"\nf ")))  # refuses far too many early; indented ones are counted below
+    content = _whole(file, size)
+    triangles = vertices = 0
+    last = (0, 0)  # greatest vertex that a face names, and its line
+    kept: list[bytes] = []
+    for number, line in enumerate(content.replace(b"\\\n", b" ").splitlines(), start=1):
+        if len(line) > MAX_LINE_BYTES:
+            raise Refused(f"has a line of {len(line)} characters (line {number}): triangulate its faces")
+        keyword, _, rest = line.replace(b"\t", b" ").strip().partition(b" ")
+        if keyword == b"f":
+            corners = rest.split()
+            triangles += max(1, len(corners) - 2)
+            if triangles <= MAX_FACES:  # the rest is refused below
+                indices = [_corner(corner, vertices, number) for corner in corners]
+                last = max(last, (max(indices, default=0), number))
+                kept.append(b"f " + b" ".join(b"%d" % index for index in indices))
+        elif keyword == b"v":
+            vertices += 1
+            kept.append(b"v " + b" ".join(rest.split()[:3]))
+        elif keyword == b"mtllib":
+            check_reference(rest.decode("utf-8", "replace").strip(), "mtllib")
+    check_faces(triangles)
+    check_vertices(vertices)
+    if last[0] > vertices:
+        raise Refused(f"has the corner '{last[0]}' in line {last[1]}: there is no such vertex, of {vertices}")
+    return _as_utf8(b"\n".join([*kept, b""]))
+
+
+def _corner(corner: bytes, vertices: int, line: int) -> int:
+    """The vertex of a corner `vertex/texture/normal`, counted from one; a negative one counts back from the last."""
+    try:
+        index = int(corner.partition(b"/")[0])
+    except ValueError:
+        raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}; a number is needed") from None
+    index = index if index > 0 else vertices + 1 + index
+    if index < 1:
+        raise Refused(f"has the corner {corner[:40].decode('latin-1')!r} in line {line}: there is no such vertex")
+    return index

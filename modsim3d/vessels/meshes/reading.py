@@ -1,0 +1,193 @@
+"""Solids from mesh files.
+
+A mesh file may come from anywhere, so it is not trusted: its size is checked from its header before it is parsed, it is
+parsed from memory without access to folders or the network, and the result is checked again.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import stat
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
+
+import numpy as np
+from pydantic import ValidationError
+
+from modsim3d.arrays import Array
+from modsim3d.errors import InputError
+from modsim3d.inputs.shipped import data_folder
+from modsim3d.inputs.validation import Strict, describe, join_path, nearest, shown
+from modsim3d.vessels.meshes.glb import read_glb
+from modsim3d.vessels.meshes.headers import read_obj, read_ply, read_stl
+from modsim3d.vessels.meshes.limits import Refused, leads_outside
+from modsim3d.vessels.meshes.shape import Faces, to_solid
+from modsim3d.vessels.vessel import Solid
+
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+READERS: dict[str, Callable[[BinaryIO, int], bytes]] = {
+    ".glb": read_glb,
+    ".obj": read_obj,
+    ".stl": read_stl,
+    ".ply": read_ply,
+}
+GLTF_AXES: tuple[Axis, Axis] = ("+z", "+y")
+"""Forward and up in every glTF file (glTF 2.0, section 3.4)."""
+PLAIN_AXES: tuple[Axis, Axis] = ("+x", "+z")
+"""Forward and up for formats without a rule; our choice."""
+
+
+class MeshEntry(Strict):
+    """A mesh file with its axes; None for those of the format."""
+
+    file: str
+    forward: Axis | None = None
+    up: Axis | None = None
+
+
+def shipped_meshes() -> dict[str, Path]:
+    """Files of the shipped meshes, by name."""
+    return {path.stem: path for path in sorted(data_folder("meshes").glob("*.glb"))}
+
+
+def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object) -> Solid:
+    """The solid of a mesh entry of a scene.
+
+    Args:
+        entry: A shipped mesh's name, a file relative to the folder, or a mapping of `file`, `forward` and `up`.
+        folder: Folder of the files; none outside it is read.
+        source: Name of the file with the entry in errors.
+        *prefix: Keys that lead to the entry.
+
+    Returns:
+        The mesh in the unit box. If it is open (`closed` is False), both sides of its faces count as outside.
+
+    Raises:
+        InputError: The entry or the file is wrong.
+    """
+    where = prefix or ("mesh",)
+    shipped = shipped_meshes()
+    if isinstance(entry, str) and entry in shipped:
+        return to_solid(*_triangles(shipped[entry]), *GLTF_AXES)
+    if not isinstance(entry, str | dict):
+        needed = "the name of a shipped mesh, a file, or a mapping of file, forward and up is needed"
+        raise InputError(source, [f"{join_path(*where)}: {needed} (got {shown(entry)})"])
+    try:
+        parsed = MeshEntry.model_validate({"file": entry} if isinstance(entry, str) else entry)
+    except ValidationError as error:
+        raise InputError(source, describe(error, MeshEntry, *where)) from None
+    try:
+        path = _find(parsed.file, folder)
+        axes = GLTF_AXES if path.suffix.lower() == ".glb" else PLAIN_AXES
+        forward, up = parsed.forward or axes[0], parsed.up or axes[1]
+        if forward[1] == up[1]:
+            raise Refused(f"has forward {forward} and up {up}; two different axes are needed")
+        return to_solid(*_triangles(path), forward, up)
+    except Refused as problem:
+        raise InputError(source, [f"{join_path(*where)}: {shown(parsed.file)} {problem}"]) from None
+
+
+def _find(file: str, folder: Path) -> Path:
+    """The path of a mesh file, which must lie in the folder and have a known ending."""
+    if not file or not file.isprintable():
+        raise Refused("cannot be a file's name")
+    if leads_outside(file):
+        raise Refused("is remote or outside the scene's folder: put the mesh into that folder, and name it from there")
+    suffix = Path(file).suffix.lower()
+    if suffix not in READERS:
+        endings = ", ".join(READERS)
+        hint = nearest(file, shipped_meshes())
+        raise Refused(f"is no shipped mesh ({hint}), and no file that ends in one of {endings}")
+    path = folder / file
+    try:
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise Refused("is a link that leads out of the scene's folder: put the mesh itself there")
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise Refused("does not exist") from None
+    except (OSError, RuntimeError) as error:  # a loop of links is a RuntimeError before Python 3.13
+        raise Refused(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if not stat.S_ISREG(mode):
+        raise Refused(f"is {'a folder' if stat.S_ISDIR(mode) else 'no ordinary file'}; a mesh file was expected")
+    return path
+
+
+def _triangles(path: Path) -> tuple[Array, Faces]:
+    """Vertices and faces of a mesh file in its own axes, shapes (K, 3) and (F, 3)."""
+    suffix = path.suffix.lower()
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            if size == 0:
+                raise Refused("is empty")
+            content = READERS[suffix](file, size)
+    except OSError as error:
+        raise Refused(f"cannot be read: {error.strerror}") from None
+    vertices, faces = _parse(content, suffix[1:])
+    if not len(faces):
+        raise Refused("holds no faces, only points or nothing: a mesh of triangles is needed")
+    return vertices, faces
+
+
+def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
+    """All triangles of a file with the transforms of its parts applied, shapes (K, 3) and (F, 3)."""
+    import trimesh  # takes 0.4 s, and most scenes have no mesh
+
+    try:
+        with _strictly():
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, skip_materials=True, process=False)
+    except Exception as error:  # a parser may raise anything on a damaged file
+        raise Refused(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
+    vertices: list[Array] = []
+    faces: list[Faces] = []
+    count = 0
+    for name in scene.graph.nodes_geometry:
+        transform, geometry = scene.graph[name]
+        part = scene.geometry[geometry]
+        if not isinstance(part, trimesh.Trimesh) or not len(part.faces):
+            continue
+        _check_part(part.vertices, part.faces)
+        faces.append(_mirrored(part.faces, transform) + count)
+        vertices.append(trimesh.transform_points(part.vertices, transform))
+        count += len(part.vertices)
+    if not faces:
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+@contextmanager
+def _strictly() -> Iterator[None]:
+    """Make warnings errors, since NumPy only warns of invalid numbers in text; keep trimesh from logging."""
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield
+    finally:
+        log.setLevel(level)
+
+
+def _check_part(vertices: Any, faces: Any) -> None:
+    """Refuse vertices without three coordinates, and faces with vertices that do not exist."""
+    if vertices.shape[1] != 3 or faces.shape[1] != 3:
+        raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
+
+
+def _mirrored(faces: Any, transform: Array) -> Faces:
+    """Faces of a part, shape (F, 3), reversed if the transform mirrors: that turns a part inside out."""
+    plain = np.asarray(faces, dtype=np.int64)
+    return plain[:, ::-1] if np.linalg.det(transform[:3, :3]) < 0 else plain
+
+
+def _brief(error: Exception) -> str:
+    """A parser's error in one short line."""
+    text = " ".join(str(error).split()) + (" is missing" if isinstance(error, KeyError) else "")
+    return (text[:100] + "...") if len(text) > 100 else text or type(error).__name__

@@ -1,0 +1,112 @@
+"""From triangles in a file's own axes and units to a solid in units of length, beam and air draft."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.vessels.meshes.limits import MAX_COORDINATE, Refused, check_faces, check_vertices
+from modsim3d.vessels.vessel import Solid
+
+Faces = Indices
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+SAME_VERTEX = 1e-7
+"""Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""
+EXTENTS = ("length", "beam", "height")
+
+
+def axis(name: str) -> Array:
+    """The unit vector that `+x` or `-z` names, shape (3,)."""
+    direction = np.zeros(3)
+    direction["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
+    return direction
+
+
+def vehicle_R_file(forward: str, up: str) -> Array:
+    """The rotation from a file's axes to VCF, shape (3, 3)."""
+    return np.array([axis(forward), np.cross(axis(up), axis(forward)), axis(up)])
+
+
+def to_solid(vertices: Array, faces: Faces, forward: str, up: str) -> Solid:
+    """The solid of a mesh, its bounding box scaled to the unit box.
+
+    Args:
+        vertices: In the file's axes and any unit, shape (K, 3).
+        faces: Vertex indices, shape (F, 3).
+        forward: Axis of the file that points to the bow.
+        up: Axis of the file that points up.
+
+    Raises:
+        Refused: A vertex is not finite, there are no faces, or the mesh is flat along an axis.
+    """
+    check_faces(len(faces))
+    check_vertices(len(vertices))
+    bad = ~(np.abs(vertices) <= MAX_COORDINATE).all(axis=1)
+    if bad.any():
+        first = int(np.argmax(bad))
+        value = [float(x) for x in vertices[first]]
+        raise Refused(
+            f"has {int(bad.sum())} of {len(vertices)} vertices that are NaN, infinite or beyond {MAX_COORDINATE:g} "
+            f"(the first is number {first}, {value}): export it again"
+        )
+    used, corners = np.unique(faces, return_inverse=True)
+    box = _unit_box(vertices[used] @ vehicle_R_file(forward, up).T)
+    vertices, faces = _merge(box, corners.reshape(-1, 3))
+    check_faces(len(faces))
+    closed = is_closed(faces)
+    volume = signed_volume(vertices, faces) if closed else 0.0
+    if volume < 0.0:
+        faces = faces[:, ::-1].copy()
+    closed = closed and volume != 0.0
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return Solid(vertices, faces, convex=closed and _is_convex(vertices, abs(volume)), closed=closed)
+
+
+def _unit_box(vertices: Array) -> Array:
+    """Vertices, shape (K, 3), scaled and moved so that they fill the unit box exactly."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    extents = high - low
+    # A flat mesh that was rotated or stored in single precision has some rounding.
+    rounding = 1e-6 * float(extents.max())
+    if (extents <= rounding).any():
+        flat = [name for name, extent in zip(EXTENTS, extents, strict=True) if extent <= rounding]
+        raise Refused(f"has no {' and no '.join(flat)}: a solid is needed, or other axes (`forward` and `up`)")
+    unit: Array = np.clip((vertices - low) / extents, 0.0, 1.0) - np.array([0.5, 0.5, 0.0])
+    return unit
+
+
+def _merge(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Merge vertices that coincide, and drop faces that then have fewer than three corners."""
+    _, kept, where = np.unique(np.rint(vertices / SAME_VERTEX), axis=0, return_index=True, return_inverse=True)
+    faces = where.reshape(-1)[faces].astype(np.int64)
+    a, b, c = faces.T
+    return vertices[kept], faces[(a != b) & (b != c) & (a != c)]
+
+
+def is_closed(faces: Faces) -> bool:
+    """Whether faces, shape (F, 3), traverse each edge equally often in both directions: no holes, one orientation."""
+    count = int(faces.max()) + 1
+    starts, ends = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
+    return bool(np.array_equal(np.sort(starts * count + ends), np.sort(ends * count + starts)))
+
+
+def signed_volume(vertices: Array, faces: Faces) -> float:
+    """Volume of a closed mesh, negative if it is inside out, by the divergence theorem.
+
+    Args:
+        vertices: Shape (K, 3).
+        faces: Vertex indices, shape (F, 3).
+    """
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
+
+
+def _is_convex(vertices: Array, volume: float) -> bool:
+    """Whether a closed mesh fills its convex hull."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return bool(np.isclose(ConvexHull(vertices).volume, volume, rtol=1e-9, atol=0.0))
+    except QhullError:
+        return False

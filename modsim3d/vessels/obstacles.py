@@ -1,0 +1,148 @@
+"""Obstacles stand still and hide vessels: islands, breakwaters, bridges, quays. They have no box of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.geometry.curved_sea import drop_m
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.vessels.bodies import Bodies
+from modsim3d.vessels.vessel import Solid
+
+if TYPE_CHECKING:
+    import trimesh
+
+PREFIX = "obstacle:"
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """An obstacle as the scene describes it.
+
+    Attributes:
+        name: ID; the truth writes it after `PREFIX`.
+        solids: Its parts, each with vertices in WCF in metres, shape (K, 3).
+    """
+
+    name: str
+    solids: tuple[tuple[Solid, Array], ...]
+
+    @property
+    def centre_m(self) -> Array:
+        """Centre of its bounding box in WCF, in metres, shape (3,)."""
+        vertices = np.concatenate([vertices for _, vertices in self.solids])
+        centre: Array = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        return centre
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The obstacle's solids in WCF, in metres."""
+        import trimesh  # takes 0.4 s
+
+        parts = [trimesh.Trimesh(vertices, solid.faces, process=False) for solid, vertices in self.solids]
+        return trimesh.util.concatenate(parts)
+
+
+def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
+    """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex.
+
+    Args:
+        polygon_m: Corners on the sea in WCF, in either direction, shape (k, 2).
+        base_m: Height of the lower face above the sea.
+        height_m: Distance between the lower and the upper face.
+
+    Returns:
+        Solids, each with vertices in WCF in metres, shape (K, 3).
+    """
+    outline = shapely.Polygon(polygon_m)
+    hull = shapely.convex_hull(outline)
+    is_convex = shapely.area(hull) - shapely.area(outline) <= 1e-9 * shapely.area(hull)
+    pieces = [hull] if is_convex else shapely.get_parts(shapely.constrained_delaunay_triangles(outline)).tolist()
+    return tuple(
+        _prism(shapely.get_coordinates(shapely.orient_polygons(piece))[:-1], base_m, height_m) for piece in pieces
+    )
+
+
+def placed(solid: Solid, size_m: Array, position_m: Array, heading_rad: float) -> tuple[Solid, Array]:
+    """A mesh in WCF.
+
+    Args:
+        solid: The mesh in the unit box.
+        size_m: Length, beam and height to scale it to, shape (3,).
+        position_m: Centre of its bottom in WCF, shape (3,).
+        heading_rad: Counter-clockwise from w1.
+
+    Returns:
+        The solid, and its vertices in WCF in metres, shape (K, 3).
+    """
+    return solid, (solid.vertices * size_m) @ world_R_vehicle(heading_rad).T + position_m
+
+
+def _prism(ring: Array, base_m: float, height_m: float) -> tuple[Solid, Array]:
+    """The prism over a convex, counter-clockwise ring, shape (k, 2)."""
+    vertices = np.concatenate([np.column_stack([ring, np.full(len(ring), z)]) for z in (base_m, base_m + height_m)])
+    # No two sides of a triangle are parallel, so all triangles can share one solid and be handled together.
+    return (_triangular_prism() if len(ring) == 3 else Solid(vertices, _prism_faces(len(ring)))), vertices
+
+
+@cache
+def _triangular_prism() -> Solid:
+    ring = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    return Solid(np.array([(x, y, z) for z in (0.0, 1.0) for x, y in ring]), _prism_faces(3))
+
+
+def _prism_faces(sides: int) -> Indices:
+    """Triangles of a prism whose vertices are the lower corners, counter-clockwise from above, then the upper ones."""
+    walls = []
+    for low in range(sides):
+        after = (low + 1) % sides
+        walls += [(low, after, after + sides), (low, after + sides, low + sides)]
+    fan = [(0, i, i + 1) for i in range(1, sides - 1)]
+    bottom, top = [(a, c, b) for a, b, c in fan], [(a + sides, b + sides, c + sides) for a, b, c in fan]
+    return np.array([*walls, *bottom, *top], dtype=np.int64)
+
+
+def obstacle_bodies(
+    obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
+) -> list[Bodies]:
+    """The obstacles at S steps, grouped by their faces.
+
+    Args:
+        obstacles: All obstacles, in the order of the scene's occluder names.
+        first_occluder: Index of the first obstacle in the occluder names.
+        steps: Number of steps S.
+        cameras_m: Camera centres in WCF on a curved sea, shape (S, 3); each obstacle is lowered by the drop at its
+            centre. None for a flat sea.
+    """
+    solids: dict[int, tuple[Solid, list[int], list[Array]]] = {}
+    for index, obstacle in enumerate(obstacles):
+        for solid, vertices in obstacle.solids:
+            _, occluders, members = solids.setdefault(id(solid), (solid, [], []))
+            occluders.append(first_occluder + index)
+            members.append(vertices)
+    bodies = []
+    for solid, occluders, members in solids.values():
+        vertices, count = np.stack(members), len(occluders)
+        positions = np.zeros((steps, count, 3))
+        if cameras_m is not None:
+            centres = np.array([obstacles[occluder - first_occluder].centre_m for occluder in occluders])
+            positions[..., 2] -= drop_m(centres, cameras_m[:, None])
+        bodies.append(
+            Bodies(
+                solid=solid,
+                occluder=np.array(occluders),
+                boxed=False,
+                vertices_m=vertices,
+                centres_m=(vertices.min(axis=1) + vertices.max(axis=1)) / 2,
+                present=np.ones((steps, count), dtype=bool),
+                positions_m=positions,
+                world_R_body=np.broadcast_to(np.eye(3), (steps, count, 3, 3)),
+            )
+        )
+    return bodies

@@ -1,0 +1,166 @@
+"""Vessels: dimensions, label and shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field, ValidationError, field_validator
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.errors import InputError
+from modsim3d.inputs.strict_json import load_json
+from modsim3d.inputs.validation import Strict, describe, join_path, shown
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A triangle mesh in VCF units of length, beam and air draft.
+
+    Attributes:
+        vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
+        faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
+        convex: Whether the mesh is its own convex hull.
+        closed: Whether the faces enclose a volume and all point outward, so that back faces are hidden.
+    """
+
+    vertices: Array
+    faces: Indices
+    convex: bool = True
+    closed: bool = True
+
+
+@cache
+def shoebox() -> Solid:
+    """The unit shoebox: eight corners, twelve triangles; the origin is the centre of its bottom.
+
+    It equals `trimesh.creation.box`. Importing trimesh takes longer than simulating a hundred frames.
+    """
+    vertices = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+    # Counter-clockwise seen from outside; corner 4 i + 2 j + k is at the i-th x, j-th y, k-th z.
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))], dtype=np.int64)
+    vertices.setflags(write=False)
+    faces.setflags(write=False)
+    return Solid(vertices, faces)
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """A vessel as the scene describes it.
+
+    Attributes:
+        name: ID.
+        label: True class.
+        length_m: Extent along v1.
+        beam_m: Extent along v2.
+        air_draft_m: Height above the waterline, along v3.
+        solid: Shape in units of these three.
+    """
+
+    name: str
+    label: str
+    length_m: float
+    beam_m: float
+    air_draft_m: float
+    solid: Solid = field(default_factory=shoebox)
+
+    @property
+    def extents_m(self) -> Array:
+        """Length, beam and air draft in metres, shape (3,)."""
+        return np.array([self.length_m, self.beam_m, self.air_draft_m])
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The vessel's solid in VCF, scaled to length × beam × air draft, in metres."""
+        import trimesh  # takes 0.4 s
+
+        return trimesh.Trimesh(self.solid.vertices * self.extents_m, self.solid.faces.copy(), process=False)
+
+    @property
+    def has_mesh(self) -> bool:
+        """Whether its shape is not the shoebox."""
+        return self.solid is not shoebox()
+
+
+MAPPING_NEEDED = "a mapping of vessel ID to vessel is needed"
+MIN_EXTENT_M, MAX_EXTENT_M = 1e-3, 1e5
+Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_M, le=MAX_EXTENT_M)]
+
+
+class VesselEntry(Strict):
+    """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2). `mesh` is ours; `SceneMeshes` reads it."""
+
+    length_m: Extent
+    beam_m: Extent
+    air_draft_m: Extent
+    label: str
+    mesh: str | dict[str, str] | None = None
+
+    @field_validator("label")
+    @classmethod
+    def _printable(cls, label: str) -> str:
+        if not label.isprintable():
+            raise ValueError(f"a label must be printable text (got {label!r})")
+        return label
+
+
+def name_problem(name: str) -> str | None:
+    """Reason why a text cannot be a vessel's ID; None if it can."""
+    if not name:
+        return "a vessel's ID must not be empty"
+    if not name.isprintable():
+        return f"a vessel's ID must be printable text (got {name!r})"
+    if "#" in name:
+        return "a vessel's ID must not hold '#', which marks a second box of a vessel"
+    if name.startswith("false_positive_"):
+        return "a vessel's ID must not begin with 'false_positive_', which marks false positives"
+    if name.startswith("obstacle:"):
+        return "a vessel's ID must not begin with 'obstacle:', which marks obstacles"
+    return None
+
+
+def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, ...]:
+    """Vessels from the mapping of Figure 7.2: ID → length, beam, air draft, label.
+
+    Args:
+        data: The mapping.
+        source: Name of the file in errors.
+        *prefix: Keys that lead to the mapping in the file.
+
+    Raises:
+        InputError: With every problem found.
+    """
+    if not isinstance(data, dict):
+        raise InputError(source, [f"{join_path(*prefix) or 'top level'}: {MAPPING_NEEDED} (got {shown(data)})"])
+    problems = [] if data else [f"{join_path(*prefix) or 'top level'}: no vessels; a scene needs at least one"]
+    vessels = []
+    for name, raw in data.items():
+        if problem := name_problem(str(name)):
+            problems.append(f"{join_path(*prefix, str(name))}: {problem}")
+        try:
+            entry = VesselEntry.model_validate(raw)
+        except ValidationError as error:
+            problems += describe(error, VesselEntry, *prefix, str(name))
+        else:
+            vessels.append(Vessel(str(name), entry.label, entry.length_m, entry.beam_m, entry.air_draft_m))
+    if problems:
+        raise InputError(source, problems)
+    return tuple(vessels)
+
+
+def load_mapping(path: Path) -> dict[str, Any]:
+    """The mapping in a vessels file; its vessels are not checked.
+
+    Raises:
+        InputError: The file cannot be read or holds no mapping.
+    """
+    data = load_json(path, "vessels file")
+    if not isinstance(data, dict):
+        raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {shown(data)})"])
+    return data

@@ -1,0 +1,1 @@
+"""Films and single pictures of a stored run."""

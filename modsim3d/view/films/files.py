@@ -1,0 +1,181 @@
+"""Films on disk: MP4 through imageio, GIF and PNG through Pillow."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from modsim3d.errors import ModsimError
+from modsim3d.view.films.gif import TICKS_PER_S, quantised, write_gif
+
+FORMATS = ("mp4", "gif", "png")
+MOST_RATE = {"mp4": 60, "gif": 50, "png": 1_000_000}
+"""Pictures a second: what screens show, what browsers show of a GIF; of PNG files, every frame."""
+ENCODER_THREADS = 2
+"""A fixed number, as the encoder's bytes depend on it."""
+KEY_FRAME_S = 2
+FFMPEG: Any = "FFMPEG"
+"""A plugin that imageio's type hints leave out."""
+NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif and --format png do not need it"
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedFrame:
+    """A picture as its film file takes it.
+
+    Attributes:
+        step: Step of the run.
+        size: Width and height in pixels; films need even ones.
+        data: RGB values for MP4, palette indices for GIF (both row by row), a file for PNG.
+    """
+
+    step: int
+    size: tuple[int, int]
+    data: bytes
+
+    @classmethod
+    def of(cls, step: int, picture: Image.Image, kind: str, colours: Image.Image | None) -> EncodedFrame:
+        """Encode a picture; done by the process that drew it.
+
+        Args:
+            step: Step of the run.
+            picture: In RGB.
+            kind: One of `FORMATS`.
+            colours: Holds the palette of a GIF.
+        """
+        if kind == "gif" and colours is not None:
+            return cls(step, picture.size, quantised(picture, colours).tobytes())
+        if kind == "mp4":
+            return cls(step, picture.size, picture.tobytes())
+        out = io.BytesIO()
+        picture.save(out, format="PNG")
+        return cls(step, picture.size, out.getvalue())
+
+
+Frames = Iterable[tuple[EncodedFrame, int]]
+"""Frames in order of step, and for how many pictures in a row each is shown."""
+
+
+def check_encoder(kind: str) -> None:
+    """Check that a film can be encoded, before anything is drawn.
+
+    Raises:
+        ModsimError: There is no ffmpeg for an MP4.
+    """
+    if kind != "mp4":
+        return
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise ModsimError(NO_FFMPEG) from None
+
+
+@contextmanager
+def put_in_place(path: Path) -> Iterator[Path]:
+    """A path to write a file to; the file gets its final name when it is complete, and is removed on an error."""
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: Image.Image | None = None) -> None:
+    """Write a film while its frames are drawn.
+
+    Args:
+        kind: One of `FORMATS`.
+        path: The file; for PNG, the folder of the files.
+        frames: Each is asked for when those before it are written.
+        rate: Pictures a second.
+        colours: Holds the palette of a GIF.
+
+    Raises:
+        ModsimError: An MP4 could not be encoded.
+    """
+    if kind == "png":
+        _write_pngs(path, frames)
+        return
+    with put_in_place(path) as partial:
+        if kind == "gif" and colours is not None:
+            _write_gif(partial, frames, rate, colours)
+            return
+        _write_mp4(path, partial, frames, rate)
+        if not partial.exists():
+            raise ModsimError(f"{path} could not be encoded: ffmpeg wrote nothing")
+
+
+def _write_mp4(path: Path, partial: Path, frames: Frames, rate: Fraction) -> None:
+    """H.264 in 4:2:0, which every browser plays, with its index in front.
+
+    The encoder starts with the first frame. By then the workers run, which must not hold its pipe open.
+    """
+    import imageio.v3 as iio
+
+    options = [
+        *("-crf", "20", "-preset", "veryfast", "-threads", str(ENCODER_THREADS)),
+        *("-g", str(max(1, round(KEY_FRAME_S * rate)))),
+        # Without these players guess the colours' matrix by the film's size.
+        *("-vf", "scale=out_color_matrix=bt709:out_range=tv"),
+        *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv"),
+        *("-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"),
+    ]
+    with iio.imopen(partial, "w", plugin=FFMPEG) as file:
+        writer = file.legacy_get_writer(  # `file.write(frames)` would leave ffmpeg running after an error
+            fps=rate,
+            codec="libx264",
+            pixelformat="yuv420p",
+            quality=None,
+            macro_block_size=2,  # 16 by default, and then it scales frames whose sides are not multiples of it
+            output_params=options,
+        )
+        try:
+            for frame, repeats in frames:
+                width, height = frame.size
+                pixels = np.frombuffer(frame.data, np.uint8).reshape(height, width, 3)
+                for _ in range(repeats):
+                    with _encoder_errors(path):
+                        writer.append_data(pixels)
+        finally:
+            with _encoder_errors(path):
+                writer.close()
+
+
+@contextmanager
+def _encoder_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        raise ModsimError(f"{path} could not be encoded: {str(error).strip().splitlines()[0]}") from None
+
+
+def _write_gif(path: Path, frames: Frames, rate: Fraction, colours: Image.Image) -> None:
+    def timed() -> Iterator[tuple[Image.Image, int]]:
+        shown = 0
+        for frame, repeats in frames:
+            begin, shown = shown, shown + repeats
+            # Rounded from the beginning of the film, so that what is lost on one frame is gained on another.
+            ticks = round(TICKS_PER_S * shown / rate) - round(TICKS_PER_S * begin / rate)
+            yield Image.frombytes("L", frame.size, frame.data), ticks
+
+    with path.open("wb") as out:
+        write_gif(out, colours, timed())
+
+
+def _write_pngs(folder: Path, frames: Frames) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("frame_*.png"):
+        old.unlink()
+    for frame, _ in frames:
+        (folder / f"frame_{frame.step:06d}.png").write_bytes(frame.data)

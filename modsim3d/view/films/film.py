@@ -1,0 +1,133 @@
+"""Films and single pictures of a stored run, drawn from its directory alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from modsim3d.processes import Workers, open_workers
+from modsim3d.runs.selection import Selection, StepFrames
+from modsim3d.view.films.files import MOST_RATE, EncodedFrame, put_in_place, write_film
+from modsim3d.view.films.gif import film_palette
+from modsim3d.view.films.plan import FilmPlan
+from modsim3d.view.films.renderer import FilmRenderer, open_film_renderer
+from modsim3d.view.films.timetable import Timetable
+
+STEPS_TOGETHER = 4
+"""Steps that a worker draws at a time."""
+PALETTE_SAMPLES = 4
+
+IF_KILLED = "draw the film again, perhaps with fewer --workers"
+
+Piece = list[StepFrames]
+
+
+@dataclass(frozen=True)
+class DrawnFilm:
+    """A film that was drawn.
+
+    Attributes:
+        path: The file, or the folder of PNG files.
+        size: Width and height in pixels.
+        frames: Number of different frames.
+        timetable: How long each frame is shown.
+    """
+
+    path: Path
+    size: tuple[int, int]
+    frames: int
+    timetable: Timetable
+
+
+def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
+    """Draw the first step of a selection into a PNG."""
+    scene = selection.run.scene
+    with open_film_renderer(scene, plan) as film_renderer:
+        picture = film_renderer.draw(next(selection.step_frames()))
+    with put_in_place(path) as partial:
+        picture.save(partial, format="PNG")
+    return path
+
+
+def draw_film(
+    selection: Selection,
+    plan: FilmPlan,
+    kind: str,
+    path: Path,
+    *,
+    speed: float = 1.0,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> DrawnFilm:
+    """Draw a film.
+
+    Args:
+        selection: Steps and cameras.
+        plan: What every picture shows.
+        kind: One of `FORMATS`.
+        path: The file, or the folder of PNG files.
+        speed: Seconds of the run in one of the film.
+        workers: Processes that draw; the film is the same bytes whatever their number.
+        progress: Called with the number of frames done since its last call.
+
+    Raises:
+        ModsimError: The film cannot be drawn or encoded.
+    """
+    scene = selection.run.scene
+    timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
+    repeats = dict(zip(selection.steps, timetable.repeats.tolist(), strict=True))
+    drawn = [step for step in selection.steps if repeats[step] or kind == "png"]
+    with open_workers(workers, IF_KILLED, open_film_renderer, scene, plan) as renderers:
+        colours = _gif_palette(selection, drawn, renderers) if kind == "gif" else None
+
+        def frames() -> Iterator[tuple[EncodedFrame, int]]:
+            jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn)))
+            for piece in renderers.map(_draw_job, jobs):
+                for frame in piece:
+                    yield frame, repeats[frame.step]
+                    progress(1)
+
+        write_film(kind, path, frames(), timetable.rate, colours)
+    return DrawnFilm(path, plan.layout(scene).size, len(drawn), timetable)
+
+
+def _gif_palette(selection: Selection, steps: Sequence[int], renderers: Workers[FilmRenderer]) -> Image.Image:
+    """The palette of a film, from some of its pictures."""
+    chosen = dict.fromkeys(steps[i * len(steps) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
+    jobs = (_Job("mp4", None, [_shown_at(selection, step)]) for step in chosen)
+    samples = renderers.map(_draw_job, jobs)
+    return film_palette([Image.frombytes("RGB", frame.size, frame.data) for piece in samples for frame in piece])
+
+
+def _shown_at(selection: Selection, step: int) -> StepFrames:
+    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).step_frames())
+
+
+def _pieces(selection: Selection, steps: set[int]) -> Iterator[Piece]:
+    piece: Piece = []
+    for step_frames in selection.step_frames():
+        if step_frames.step in steps:
+            piece.append(step_frames)
+        if len(piece) == STEPS_TOGETHER:
+            yield piece
+            piece = []
+    if piece:
+        yield piece
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """Steps to draw, and what their pictures are to be encoded for."""
+
+    kind: str
+    colours: Image.Image | None
+    piece: Piece
+
+
+def _draw_job(film_renderer: FilmRenderer, job: _Job) -> list[EncodedFrame]:
+    pictures = [(step_frames.step, film_renderer.draw(step_frames)) for step_frames in job.piece]
+    return [EncodedFrame.of(step, picture, job.kind, job.colours) for step, picture in pictures]

@@ -1,0 +1,142 @@
+"""The contents of a film's pictures: kinds, cameras, parts of their images, layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array
+from modsim3d.errors import ModsimError
+from modsim3d.runs.selection import Selection
+from modsim3d.scene.scene import Scene
+from modsim3d.view.birds_eye import BirdsEye
+from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
+from modsim3d.view.legend import Entry, detection_entries, id_entries, vessel_entries
+from modsim3d.view.map_picture import map_height_px
+from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
+from modsim3d.view.window import Box, Window
+
+KINDS = ("detections", "scene", "ids", "corners", "map")
+ALL = ("detections", "scene", "ids")
+TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "corners": "projected corners"}
+"""Titles of panels whose kind's name says too little."""
+MOST_COLUMNS = 3
+WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
+LEAST_CROP = 0.02
+"""Share of an image that is shown around vessels, however small they are."""
+LEAST_ASPECT, MOST_ASPECT = 4 / 3, 8 / 3
+"""Width over height of the part of an image that is shown around vessels, if the image is not smaller."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilmPlan:
+    """What every picture of a film shows; the same for all of its frames.
+
+    Attributes:
+        kinds: Some of `KINDS`, shown side by side.
+        cameras: Indices into the scene's cameras.
+        width: Width of the whole picture in pixels.
+        layers: Layers of the kinds with boxes; each kind's own if None.
+        crops_px: Part of each camera's image that is shown, x_min, y_min, x_max, y_max; all of it if None.
+        style: Style of `scene`.
+        boxes_on_scene: Whether `detections` has the boxes on a picture in this style, in place of plain sea and sky.
+        steps: Number of steps of the run, for the tracks of a map.
+        columns: Panels side by side; those of a camera, or the cameras, if None.
+    """
+
+    kinds: tuple[str, ...]
+    cameras: tuple[int, ...]
+    width: int
+    layers: Layers | None = None
+    crops_px: tuple[Box | None, ...] = ()
+    style: RenderStyle = PLAIN_STYLE
+    boxes_on_scene: bool = False
+    steps: int = 0
+    columns: int | None = None
+
+    def layers_of(self, kind: str) -> Layers:
+        """The layers of a kind."""
+        return self.layers or {"detections": DETECTIONS, "corners": CORNERS, "scene": SCENE}[kind]
+
+    def panels(self) -> list[tuple[int, str]]:
+        """Place of the camera in `cameras`, and kind, of each panel."""
+        panels = [(place, kind) for place in range(len(self.cameras)) for kind in self.kinds]
+        return [panel for panel in panels if panel[1] != "map" or panel[0] == 0]  # one map has all cameras
+
+    def birds_eye(self, scene: Scene) -> BirdsEye:
+        """What a map shows."""
+        return BirdsEye(scene, self.steps, self.cameras)
+
+    def layout(self, scene: Scene) -> FilmLayout:
+        """The places of panels and legend."""
+        entries: list[Entry] = []
+        if "detections" in self.kinds:
+            entries += detection_entries(self.layers_of("detections"), scene.annotation.mode)
+        if "ids" in self.kinds:
+            entries += id_entries(scene.vessel_names, [obstacle.name for obstacle in scene.obstacles])
+        elif set(self.kinds) & {"scene", "corners"}:
+            entries += vessel_entries(scene.vessel_names)
+        panels = self.panels()
+        several = len(self.kinds) if len(self.kinds) > 1 else min(len(panels), MOST_COLUMNS)
+        aspects = tuple(self._aspect(scene, place, kind) for place, kind in panels)
+        return FilmLayout(self.width, self.columns or several, aspects, tuple(entries))
+
+    def _aspect(self, scene: Scene, place: int, kind: str) -> float:
+        if kind == "map":
+            return self.width / map_height_px(self.birds_eye(scene), self.width)
+        x0, y0, x1, y1 = self._shown(scene, place)
+        return (x1 - x0) / (y1 - y0)
+
+    def _shown(self, scene: Scene, place: int) -> Box:
+        crop = self.crops_px[place] if self.crops_px else None
+        width, height = scene.cameras[self.cameras[place]].intrinsics.image_size_px
+        return crop or (0.0, 0.0, float(width), float(height))
+
+    def window(self, scene: Scene, place: int, size: tuple[int, int]) -> Window:
+        """The part of a camera's image that its panel shows."""
+        x0, y0, x1, _ = self._shown(scene, place)
+        return Window(x0, y0, size[0] / (x1 - x0), size)
+
+
+def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
+    """The part of each camera's image in which vessels and their detections are, over all steps."""
+    boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
+    for step in selection.step_frames():
+        for found, frame in zip(boxes, step.frames, strict=True):
+            if frame is None:
+                continue
+            true = [vessel is not None for vessel in frame.detections.vessels]
+            found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
+    crops = []
+    for index, found in zip(selection.cameras, boxes, strict=True):
+        size = np.array(selection.run.scene.cameras[index].intrinsics.image_size_px, dtype=np.float64)
+        every = np.concatenate(found)
+        low, high = (every[:, :2].min(axis=0), every[:, 2:].max(axis=0)) if len(every) else (0 * size, size)
+        width, height = np.minimum(1.15 * (high - low) + LEAST_CROP * size, size)
+        shown = np.minimum([max(width, height * LEAST_ASPECT), max(height, width / MOST_ASPECT)], size)
+        corner = np.clip((low + high - shown) / 2, 0, size - shown)
+        (x, y), (right, bottom) = corner.tolist(), (corner + shown).tolist()
+        crops.append((x, y, right, bottom))
+    return tuple(crops)
+
+
+def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
+    """The same part of every camera's image, from `x_min,y_min,x_max,y_max` in pixels.
+
+    Raises:
+        ModsimError: It is no such part.
+    """
+    try:
+        x0, y0, x1, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ModsimError(
+            f"--crop {text}: give four numbers of pixels, x_min,y_min,x_max,y_max, or the word vessels"
+        ) from None
+    for index in selection.cameras:
+        camera = selection.run.scene.cameras[index]
+        width, height = camera.intrinsics.image_size_px
+        if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
+            raise ModsimError(f"--crop {text} is not inside {camera.name}'s image of {width} × {height} px")
+    return ((x0, y0, x1, y1),) * len(selection.cameras)

@@ -1,0 +1,135 @@
+"""Renders the pictures of a film from the frames of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+
+from PIL import Image
+
+from modsim3d.errors import RendererError
+from modsim3d.render.plain_ids import IdDrawer, PlainIds
+from modsim3d.runs.pipeline import open_renderer
+from modsim3d.runs.selection import StepFrames
+from modsim3d.scene.scene import Scene
+from modsim3d.view import palette
+from modsim3d.view.films.plan import TITLES, FilmPlan
+from modsim3d.view.frame_picture import CameraView, frame_picture
+from modsim3d.view.ids_picture import ids_picture
+from modsim3d.view.map_picture import map_picture
+from modsim3d.view.render_style import RenderStyle
+from modsim3d.view.shaded_picture import ShadedPictureRenderer
+from modsim3d.view.window import Window
+
+
+class FilmRenderer:
+    """Draws the pictures of a film one by one."""
+
+    def __init__(
+        self, scene: Scene, plan: FilmPlan, drawer: IdDrawer, shaded_renderer: ShadedPictureRenderer | None = None
+    ) -> None:
+        """Take what all pictures share.
+
+        Args:
+            scene: The scene.
+            plan: What every picture shows.
+            drawer: Draws ID buffers.
+            shaded_renderer: Draws the scene in light and shade, where the plan asks for it.
+        """
+        self._scene = scene
+        self._plan = plan
+        self._drawer = drawer
+        self._shaded_renderer = shaded_renderer
+        self._layout = plan.layout(scene)
+        self._birds_eye = plan.birds_eye(scene)
+
+    def draw(self, step_frames: StepFrames) -> Image.Image:
+        """The picture of a step, from what each camera of the plan shows."""
+        camera_views = [None if frame is None else CameraView.of(self._scene, frame) for frame in step_frames.frames]
+        sizes = self._layout.panel_sizes
+        panels = [
+            map_picture(self._birds_eye, step_frames.step, size)
+            if kind == "map"
+            else self._panel(camera_views[place], kind, self._plan.window(self._scene, place, size))
+            for (place, kind), size in zip(self._plan.panels(), sizes, strict=True)
+        ]
+        titles = [self._title(step_frames, place, kind) for place, kind in self._plan.panels()]
+        return self._layout.compose(self._head(step_frames), titles, panels)
+
+    def _title(self, step_frames: StepFrames, place: int, kind: str) -> str:
+        several = len(step_frames.frames) > 1 and kind != "map"
+        camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
+        age = [_age(step_frames, place)] if several and _age(step_frames, place) else []
+        name = [TITLES.get(kind, kind)] if len(self._plan.kinds) > 1 else []
+        return " · ".join(camera + name + age)
+
+    def _panel(self, camera_view: CameraView | None, kind: str, window: Window) -> Image.Image:
+        if camera_view is None:
+            return Image.new("RGB", window.size, palette.SOFT_INK)
+        nominal = self._layout.nominal_width
+        if kind == "ids":
+            return ids_picture(camera_view.solids, window, self._drawer, nominal)
+        layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
+        ground = None
+        if self._shaded_renderer is not None and kind != "corners" and on_scene:
+            ground = self._shaded_renderer.picture(camera_view.solids, window, self._scene.vessels)
+            layers = replace(layers, horizon=False, silhouettes=False)
+        return frame_picture(camera_view, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
+
+    def _head(self, step_frames: StepFrames) -> str:
+        states = dict.fromkeys(frame.state for frame in step_frames.frames if frame)
+        single = len(step_frames.frames) == 1
+        camera = [self._scene.cameras[self._plan.cameras[0]].name] if single else []
+        parts = [self._scene.name, *camera, f"{step_frames.timestamp} s", f"step {step_frames.step}"]
+        parts += [f"detector {', '.join(states)}"] if states else []
+        return "    ".join([*parts, _age(step_frames, 0)] if single and _age(step_frames, 0) else parts)
+
+
+def _age(step_frames: StepFrames, place: int) -> str:
+    """Of when a camera's picture is, where it is not of the step itself."""
+    frame = step_frames.frames[place]
+    if frame is None:
+        return "no frame yet"
+    return "" if frame.step == step_frames.step else f"frame of {frame.timestamp} s"
+
+
+@contextmanager
+def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
+    """What draws ID buffers for pictures: the renderer, or NumPy where there is none or the scene uses none."""
+    with ExitStack() as stack:
+        try:
+            renderer = stack.enter_context(open_renderer(scene))
+        except RendererError:
+            renderer = None  # a picture of a run that was made elsewhere
+        yield renderer or PlainIds()
+
+
+@contextmanager
+def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
+    """A film renderer with what it draws with: ID buffers, and pyrender in the same context for shaded pictures.
+
+    Raises:
+        RendererError: Shaded pictures are asked for and there is no OpenGL library.
+    """
+    with open_drawer(scene) as drawer, ExitStack() as stack:
+        shaded_renderer = stack.enter_context(open_shaded_picture_renderer(plan.style)) if plan.style.shaded else None
+        yield FilmRenderer(scene, plan, drawer, shaded_renderer)
+
+
+@contextmanager
+def open_shaded_picture_renderer(style: RenderStyle) -> Iterator[ShadedPictureRenderer]:
+    """What draws shaded pictures.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    from modsim3d.render.context import open_context
+    from modsim3d.render.shaded_pass import ShadedRenderer
+
+    with open_context() as context:
+        renderer = ShadedRenderer(context)
+        try:
+            yield ShadedPictureRenderer(renderer, style)
+        finally:
+            renderer.close()

@@ -1,0 +1,102 @@
+"""Horizons and silhouettes of a run's frames: what its page shows and its tables do not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.view.report.silhouettes import shapes
+
+STEPS_TOGETHER = 250
+"""Steps whose geometry is computed together: few calls, little memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouettes:
+    """Horizons and silhouettes of F frames.
+
+    A silhouette refers to an outline, so that what stands still before a camera ashore is stored once.
+
+    Attributes:
+        horizons: Sea half plane of each frame, shape (F, 3).
+        frame: Index of the frame of each silhouette, ascending, shape (s,).
+        occluder: Index into the scene's occluder names of each silhouette, shape (s,).
+        outline: Index of the outline of each silhouette, shape (s,).
+        line_count: Number of closed lines of each outline, shape (o,).
+        corner_count: Number of corners of each line, shape (l,).
+        corners: Columns and rows of the corners, line after line, as multiples of the quantum, shape (2 k,).
+    """
+
+    horizons: Array
+    frame: Indices
+    occluder: Indices
+    outline: Indices
+    line_count: Indices
+    corner_count: NDArray[np.uint32]
+    corners: NDArray[np.uint16]
+
+
+def silhouettes(
+    rows: RunRows, taken: Indices, frames: Indices, quantum_px: float, progress: Callable[[int], None]
+) -> Silhouettes:
+    """Compute the horizons and silhouettes of frames.
+
+    Args:
+        rows: The run.
+        taken: Step of the frame that each camera shows at each shown step, shape (steps, cameras).
+        frames: Numbers of those frames, ascending, shape (F,).
+        quantum_px: The unit of lengths in the image.
+        progress: Called with the number of steps done since its last call.
+    """
+    scene, cameras, occluder_count = rows.scene, len(rows.scene.cameras), len(rows.scene.occluder_names)
+    horizons, hides = np.empty((len(frames), 3)), _hides(rows, occluder_count)
+    outlines: dict[tuple[bytes, bytes], int] = {}
+    drawn: list[tuple[int, int, int]] = []
+    for index, steps in _once_each(taken, progress):
+        camera, numbers = scene.cameras[index], steps * cameras + index
+        sight = scene.sight(camera, steps)
+        horizons[np.searchsorted(frames, numbers)] = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
+        before = sight.outlines()
+        numbered = replace(before, frame=numbers[before.frame])
+        for shape in shapes(numbered, camera.intrinsics, quantum_px, occluder_count, hides):
+            key = shape.count.tobytes(), shape.corners.tobytes()
+            drawn.append((shape.frame, shape.occluder, outlines.setdefault(key, len(outlines))))
+    table = np.array(drawn, dtype=np.int64).reshape(-1, 3)
+    number, occluder, outline = table[np.argsort(table[:, 0], kind="stable")].T
+    counts, corners = (b"".join(part) for part in zip(*outlines, strict=True)) if outlines else (b"", b"")
+    return Silhouettes(
+        horizons,
+        np.searchsorted(frames, number),
+        occluder,
+        outline,
+        np.array([len(count) // 4 for count, _ in outlines], dtype=np.int64),
+        np.frombuffer(counts, np.uint32),
+        np.frombuffer(corners, np.uint16),
+    )
+
+
+def _once_each(taken: Indices, progress: Callable[[int], None]) -> Iterator[tuple[int, Indices]]:
+    """The cameras and the steps of their frames, some at a time; a frame that is shown at several steps comes once."""
+    done = [NOBODY] * taken.shape[1]
+    for first in range(0, len(taken), STEPS_TOGETHER):
+        some = taken[first : first + STEPS_TOGETHER]
+        for camera, column in enumerate(some.T):
+            steps = np.unique(column[column > done[camera]])
+            if len(steps):
+                done[camera] = int(steps[-1])
+                yield camera, steps
+        progress(len(some))
+
+
+def _hides(rows: RunRows, occluder_count: int) -> Indices:
+    """What hides what in the truth, as keys that `shapes` knows, shape (m,)."""
+    occluders = rows.occluders()
+    frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
+    keys: Indices = (frame * occluder_count + hidden) * occluder_count + occluders.name
+    return keys
