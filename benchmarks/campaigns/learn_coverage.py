@@ -24,7 +24,7 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.states import each_its_own, transitions_of
-from tests.learning.round_trip import asked_of, simulate
+from tests.learn.round_trip import asked_of, simulate
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 SCENES = {"simulation_1": (0, 1500), "harbour": (2, 400)}  # annotation mode, steps

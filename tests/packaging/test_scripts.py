@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.report import browser
+from tests.view.report import browser
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCRIPTS = ["script/setup", "script/demo", "script/test", ".ci/run"]

@@ -1,0 +1,120 @@
+"""Confidence: by state, by kind, by looks, and by the precision and recall that it has to give."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from modsim3d.detector import Detections, Targets, parse_detector
+from modsim3d.detector.scores import PrecisionRecall, QuantileScores
+from tests.detector.detector_builders import (
+    box_error,
+    centred,
+    make_frames,
+    make_targets,
+    no_error,
+    one_state_data,
+    run,
+    same_boxes,
+)
+
+CURVES = {
+    "detector": [[0.1, 1.0], [0.4, 0.98], [0.6, 0.95], [0.75, 0.9], [0.8, 0.8]],
+    "straight": [[0.8, 0.8]],
+    "poor": [[0.05, 0.5], [0.3, 0.6], [0.8, 0.55]],
+    "steep": [[0.79, 1.0], [0.8, 0.7]],
+}
+
+
+def detect(confidence: dict[str, Any], frames: int = 5000, **changes: Any) -> tuple[Targets, Detections]:
+    targets = make_targets(same_boxes(frames, 6, centred(80, 40)))
+    random = np.random.default_rng(2)
+    targets = dataclasses.replace(targets, visible_fraction=random.uniform(0, 1, len(targets)))
+    data = one_state_data(**({"box_error": no_error(), "confidence": confidence} | changes))
+    return targets, run(parse_detector(data), make_frames(frames), targets)
+
+
+def precision_recall(found: Detections, targets: Targets) -> tuple[np.ndarray, np.ndarray]:
+    """The curve of a run: what a lower and lower threshold would find, by where detections came from."""
+    order = np.argsort(-found.confidence, kind="stable")
+    true = np.cumsum(~found.false()[order])
+    return true / len(targets), true / np.arange(1, len(order) + 1)
+
+
+def area_under(curve: PrecisionRecall) -> float:
+    recall = np.linspace(0, curve.recall[-1], 100_001)
+    return float(np.trapezoid(curve.at(recall), recall))
+
+
+@pytest.mark.parametrize("name", CURVES)
+def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None:
+    points = CURVES[name]
+    asked = PrecisionRecall.through(points)
+    rate = 1 - points[-1][1]
+    targets, found = detect({"precision_recall": points}, false_discovery_rate=rate)
+    recall, precision = precision_recall(found, targets)
+    # Recall and precision end where the seed puts the rates; the shape before that is the confidence's.
+    average = np.sum(precision * np.diff(recall, prepend=0) * (~found.false())[np.argsort(-found.confidence)])
+    assert abs(average - area_under(asked)) < 0.02
+    for level in (0.2, 0.5, 0.7):
+        assert abs(precision[np.searchsorted(recall, level)] - asked.at(np.array(level))) < 0.03
+
+
+def test_true_and_false_detections_have_their_own_confidence() -> None:
+    apart = {"true": {"mean": 0.7, "std": 0.05}, "false": {"mean": 0.4, "std": 0.04}}
+    _, found = detect(apart)
+    for kind, mean, std in ((~found.false(), 0.7, 0.05), (found.false(), 0.4, 0.04)):
+        scores = found.confidence[kind]
+        assert abs(scores.mean() - mean) < 4 * std / np.sqrt(len(scores))
+        assert abs(scores.std() - std) < 4 * std / np.sqrt(2 * len(scores))
+
+
+def test_an_empirical_distribution_is_straight_between_its_quantiles() -> None:
+    quantiles = [0.2, 0.3, 0.7, 0.75, 1.0]
+    _, found = detect({"true": {"quantiles": quantiles}, "false": {"mean": 0.3, "std": 0}})
+    scores = found.confidence[~found.false()]
+    law = lambda x: np.interp(x, quantiles, np.linspace(0, 1, 5))  # noqa: E731
+    assert stats.kstest(scores, law).pvalue > 1e-4
+    assert np.all(found.confidence[found.false()] == 0.3)
+
+
+def test_confidence_falls_with_the_hidden_share() -> None:
+    same = {"mean": 0.9, "std": 0.02}
+    targets, found = detect({"true": same, "false": same, "visibility_slope": 0.5})
+    true = ~found.false()
+    hidden = 1 - targets.visible_fraction[found.target[true]]
+    slope, at_zero = np.polyfit(hidden, found.confidence[true], 1)
+    error = 4 * 0.02 / np.sqrt(true.sum() / 12)
+    assert abs(slope + 0.5) < error
+    assert abs(at_zero - 0.9) < error
+    assert abs(found.confidence[~true].mean() - 0.9) < 4 * 0.02 / np.sqrt(np.sum(~true))
+
+
+@pytest.mark.parametrize(("reference_px", "halvings"), [(320, 2.5), (160, 1.5), (20, 0)])
+def test_confidence_falls_with_each_halving_below_the_reference_size(reference_px: float, halvings: float) -> None:
+    # The boxes are 80 × 40: 40·√2 a side.
+    same = {"mean": 0.9, "std": 0.01}
+    keys = {"true": same, "false": same, "size_slope": 0.1, "size_reference_px": reference_px}
+    _, found = detect(keys)
+    scores = found.confidence[~found.false()]
+    assert abs(scores.mean() - (0.9 - 0.1 * halvings)) < 4 * 0.01 / np.sqrt(len(scores))
+
+
+def test_size_is_that_of_the_detectors_own_box() -> None:
+    keys = {"mean": 0.9, "std": 0.0, "size_slope": 0.1, "size_reference_px": 1024}
+    _, found = detect(keys, box_error=box_error([0, 0, 40, 40], [[0] * 4] * 4), false_discovery_rate=0)
+    np.testing.assert_allclose(found.confidence, 0.9 - 0.1 * np.log2(1024 / np.sqrt(120 * 80)))
+
+
+def test_curves_that_no_detector_can_have_are_found() -> None:
+    assert PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]]).falls() is not None
+    assert all(PrecisionRecall.through(points).falls() is None for points in CURVES.values())
+
+
+def test_quantiles_at_the_ends_are_reached() -> None:
+    scores = QuantileScores(np.array([0.2, 0.5, 1.0])).at(np.array([0.0, 0.5, 1 - 2.0**-53]))
+    np.testing.assert_allclose(scores, [0.2, 0.5, 1.0])

@@ -1,0 +1,216 @@
+"""Misses that follow what a vessel looks like, and hard limits."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import special
+
+from modsim3d.detector import (
+    TRUE,
+    CameraFrames,
+    Detections,
+    Detector,
+    Targets,
+    parse_detector,
+    take_census,
+)
+from modsim3d.detector.classification import ConfusionClassifier
+from tests.detector.detector_builders import (
+    all_bytes,
+    make_frames,
+    make_targets,
+    no_error,
+    one_state_data,
+    run,
+    same_boxes,
+)
+
+FRAMES, VESSELS = 4000, 10
+LOGISTIC = {
+    "model": "logistic",
+    "visible_fraction": {"per_unit": -3, "reference": 1},
+    "size_px": {"per_doubling": -1, "reference": 50},
+    "distance_m": {"per_doubling": 0.5, "reference": 100},
+}
+TABLE = {"model": "table", "size_px": {"edges": [20, 60], "odds": [4, 2, 1]}}
+
+
+def varied_targets(frames: int = FRAMES) -> Targets:
+    random = np.random.default_rng(1)
+    side = 2 ** random.uniform(2, 9, (frames, VESSELS, 1))
+    boxes = np.concatenate([1000 - side, 1000 - side / 2, 1000 + side, 1000 + side / 2], axis=-1)
+    targets = make_targets(boxes, np.arange(VESSELS) % 2)
+    depths, seen = 10 ** random.uniform(1, 3.3, len(targets)), random.uniform(0, 1, len(targets))
+    return dataclasses.replace(targets, visible_fraction=seen, depth_m=depths)
+
+
+def model_data(**changes: Any) -> dict[str, Any]:
+    return one_state_data(box_error=no_error(), false_discovery_rate=0) | changes
+
+
+def detect(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detections:
+    model = parse_detector(data)
+    return Detector(model, 1, take_census(model, [(frames, targets)])).detect(frames, targets)
+
+
+def labels_of(found: Detections, targets: Targets) -> np.ndarray:
+    labels = np.full(len(targets), -1)
+    true = found.kind == TRUE
+    labels[found.target[true]] = found.label[true]
+    return labels
+
+
+def log_odds(targets: Targets) -> np.ndarray:
+    """The logistic model once more, by hand."""
+    width, height = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).T
+    side = np.sqrt(width * height)
+    seen = -3 * (targets.visible_fraction - 1)
+    return seen - np.log2(side / 50) + 0.5 * np.log2(targets.depth_m / 100)
+
+
+def test_logistic_misses_have_the_probability_of_their_looks() -> None:
+    targets = varied_targets()
+    missed = labels_of(detect(model_data(dropout=LOGISTIC), make_frames(FRAMES), targets), targets) < 0
+    rate = special.expit(special.logit(np.where(targets.label == 0, 0.2, 0.3)) + log_odds(targets))
+    for low in np.arange(0, 1, 0.1):
+        rows = (rate >= low) & (rate < low + 0.1)
+        assert rows.sum() > 300
+        error = np.sqrt(np.mean(rate[rows] * (1 - rate[rows])) / rows.sum())
+        assert abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
+
+
+def test_table_multiplies_the_odds_in_each_range() -> None:
+    targets = varied_targets()
+    missed = labels_of(detect(model_data(dropout=TABLE), make_frames(FRAMES), targets), targets) < 0
+    width, height = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).T
+    side = np.sqrt(width * height)
+    for low, high, odds in ((0, 20, 4), (20, 60, 2), (60, 9999, 1)):
+        for label, p in ((0, 0.2), (1, 0.3)):
+            rows = (side >= low) & (side < high) & (targets.label == label)
+            rate = odds * p / (1 - p + odds * p)
+            assert abs(missed[rows].mean() - rate) < 4 * np.sqrt(rate * (1 - rate) / rows.sum())
+
+
+@pytest.mark.parametrize("dropout", [LOGISTIC, TABLE], ids=["logistic", "table"])
+def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout: dict[str, Any]) -> None:
+    targets, frames = varied_targets(), make_frames(FRAMES)
+    model = parse_detector(model_data(dropout=dropout | {"anchor": "state_rate"}))
+    classifier = ConfusionClassifier.from_model(model, take_census(model, [(frames, targets)]))
+    rates = classifier.miss_rates(np.zeros(len(targets), dtype=np.int64), targets)
+    for label, asked in ((0, 0.2), (1, 0.3)):
+        assert abs(rates[targets.label == label].mean() - asked) < 3.1e-5
+        assert rates[targets.label == label].std() > 0.05
+    missed = labels_of(detect(model_data(dropout=dropout | {"anchor": "state_rate"}), frames, targets), targets) < 0
+    assert abs(missed.mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / len(missed))
+
+
+def test_labels_of_what_is_detected_keep_their_shares() -> None:
+    targets = varied_targets()
+    labels = labels_of(detect(model_data(dropout=LOGISTIC), make_frames(FRAMES), targets), targets)
+    hard = log_odds(targets) > 1
+    for rows in (hard, ~hard):
+        for label, share in ((0, 1 / 8), (1, 1 / 7)):  # 0.1 of 0.1 + 0.7; 0.1 of 0.1 + 0.6
+            seen = labels[rows & (targets.label == label) & (labels >= 0)]
+            assert abs(np.mean(seen != label) - share) < 4 * np.sqrt(share * (1 - share) / len(seen))
+
+
+def test_effects_of_nothing_leave_the_chain_as_it_is() -> None:
+    targets, frames = varied_targets(400), make_frames(400)
+    none = {"model": "logistic", "size_px": {"per_doubling": 0, "reference": 1}}
+    assert np.array_equal(
+        labels_of(detect(model_data(dropout=none), frames, targets), targets),
+        labels_of(detect(model_data(), frames, targets), targets),
+    )
+
+
+def test_a_slope_may_start_at_nothing_seen() -> None:
+    only = {"model": "logistic", "visible_fraction": {"per_unit": -3, "reference": 0}}
+    targets = varied_targets(50)
+    added = parse_detector(model_data(dropout=only)).dropout.log_odds(targets)
+    np.testing.assert_allclose(added, -3 * targets.visible_fraction)
+
+
+def test_an_unknown_visible_fraction_changes_nothing() -> None:
+    targets = dataclasses.replace(varied_targets(400), visible_fraction=np.full(400 * VESSELS, np.nan))
+    only = {"model": "logistic", "visible_fraction": {"per_unit": -9, "reference": 1}}
+    frames = make_frames(400)
+    assert np.array_equal(
+        labels_of(detect(model_data(dropout=only), frames, targets), targets),
+        labels_of(detect(model_data(), frames, targets), targets),
+    )
+
+
+def test_a_detector_cannot_be_made_without_a_census() -> None:
+    with pytest.raises(TypeError, match="census"):
+        Detector(parse_detector(model_data()), 1)  # type: ignore[call-arg]
+
+
+def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_census() -> None:
+    parts = iter([(make_frames(50), varied_targets(50))])
+    assert not len(take_census(parse_detector(model_data(dropout=LOGISTIC)), parts).sides.counts)
+    assert len(list(parts)) == 1
+
+
+def gated(**gates: float) -> tuple[Targets, Detections]:
+    targets = varied_targets(500)
+    data = model_data(gates=gates, states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
+    return targets, run(parse_detector(data), make_frames(500), targets)
+
+
+def test_gates_keep_out_what_is_far_small_or_hidden() -> None:
+    targets, found = gated(max_range_m=500, min_box_px=12, max_occlusion=0.8)
+    sides = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).min(axis=1)
+    out = (targets.depth_m > 500) | (sides < 12) | (targets.visible_fraction < 0.2)
+    assert 0.3 < out.mean() < 0.9
+    assert np.array_equal(found.gated, out)
+    assert not out[found.target[found.kind == TRUE]].any()
+
+
+def test_gates_change_nothing_in_what_passes() -> None:
+    targets, some = gated(max_range_m=500)
+    _, every = gated()
+    near = lambda found: (found.kind == TRUE) & (targets.depth_m[found.target] <= 500)  # noqa: E731
+    assert np.array_equal(some.boxes_px[near(some)], every.boxes_px[near(every)])
+
+
+def test_the_surest_detections_of_a_frame_are_put_out() -> None:
+    _, every = gated()
+    _, some = gated(max_detections=4)
+    assert np.bincount(some.frame).max() == 4
+    for frame in range(500):
+        surest = np.sort(every.confidence[every.frame == frame])[::-1][:4]
+        assert np.array_equal(np.sort(some.confidence[some.frame == frame])[::-1], surest)
+    lost = np.setdiff1d(every.target[every.kind == TRUE], some.target[some.kind == TRUE])
+    assert np.array_equal(np.flatnonzero(some.gated), lost)
+
+
+@pytest.mark.parametrize(("first_step", "time_step_s"), [(0, 0.2), (7, 0.2), (3, 0.7), (0, 1.3)])
+def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each(first_step: int, time_step_s: float) -> None:
+    frames, targets = make_frames(200, first_step=first_step, time_step_s=time_step_s), varied_targets(200)
+    found = run(parse_detector(model_data(gates={"update_interval_s": 0.6})), frames, targets)
+    before = -1 if frames.previous_s == -np.inf else int(frames.previous_s / 0.6 + 1e-6)
+    due = []
+    for frame, time_s in enumerate(frames.times_s):
+        if int(time_s / 0.6 + 1e-6) > before:
+            due.append(frame)
+            before = int(time_s / 0.6 + 1e-6)
+    assert set(found.frame) <= set(due)
+    assert len(set(found.frame)) > 0.9 * len(due)
+    assert np.array_equal(found.gated, ~np.isin(targets.frame, due))
+
+
+def test_a_detector_without_gates_passes_everything() -> None:
+    targets, found = gated()
+    assert not found.gated.any()
+    plain = model_data(states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
+    assert all_bytes(found) == all_bytes(run(parse_detector(plain), make_frames(500), targets))
+
+
+def test_thin_and_near_targets_have_finite_odds() -> None:
+    targets = make_targets(same_boxes(5, 1, [10, 10, 10, 10.5]))
+    targets.depth_m[:] = -3
+    assert len(detect(model_data(dropout=LOGISTIC), make_frames(5), targets).gated) == 5

@@ -1,0 +1,132 @@
+"""Duplicates, merged boxes and boxes in two parts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.boxes import sizes, unions
+from modsim3d.detector import KINDS, TRUE, Detections, Targets, parse_detector
+from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
+from tests.detector.detector_builders import (
+    centred,
+    make_frames,
+    make_targets,
+    no_error,
+    one_state_data,
+    run,
+    same_boxes,
+)
+
+ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
+FRAMES = 4000
+LONG, SQUARE = centred(400, 40), [100.0, 1000.0, 200.0, 1080.0]
+PAIR = [[1000.0, 1000.0, 1100.0, 1050.0], [1050.0, 1000.0, 1250.0, 1060.0]]  # half of the smaller is in both
+
+
+def detect(boxes: list[list[float]], false_positives: dict[str, Any], **state: Any) -> tuple[Targets, Detections]:
+    data = one_state_data(**({"confusion": ALL_SEEN, "box_error": no_error(), "false_discovery_rate": 0.2} | state))
+    targets = make_targets(np.tile(np.array(boxes), (FRAMES, 1, 1)))
+    data["false_positives"] = {"model": "calibrated"} | false_positives
+    return targets, run(parse_detector(data), make_frames(FRAMES), targets)
+
+
+def near(count: int, trials: int, p: float) -> bool:
+    return abs(count / trials - p) < 4 * np.sqrt(p * (1 - p) / trials)
+
+
+def test_duplicates_come_as_often_as_asked_with_errors_of_their_own() -> None:
+    covariance = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([9.0, 9, 4, 4]).tolist()}
+    targets, found = detect([LONG, SQUARE], {"duplicates": 0.1}, box_error=covariance)
+    second = found.kind == DUPLICATE
+    assert near(int(second.sum()), len(targets), 0.1)
+    own = np.full(len(targets), -1)
+    own[found.target[found.kind == TRUE]] = np.flatnonzero(found.kind == TRUE)
+    pairs = own[found.target[second]]
+    assert np.all(found.label[pairs] == found.label[second])
+    assert np.all(np.abs(np.cov(found.errors_px[second].T) - covariance["covariance"]) < 2)
+    correlation = np.corrcoef(found.errors_px[second][:, 0], found.errors_px[pairs][:, 0])[0, 1]
+    assert abs(correlation) < 4 / np.sqrt(second.sum())
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.4])
+def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
+    keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5}
+    _, found = detect([LONG, SQUARE, *PAIR], keys, false_discovery_rate=rate)
+    assert {KINDS[kind] for kind in found.kind} == {
+        "true",
+        "false_positive",
+        "duplicate",
+        "merged",
+        "split",
+        "fragment",
+    }
+    n_true = np.sum(~found.false())
+    error = np.sqrt(n_true * rate / (1 - rate)) * n_true / len(found) ** 2
+    assert abs(found.false().mean() - rate) < 4 * error
+
+
+def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
+    targets, found = detect([LONG, SQUARE], {"splits": 0.2})
+    split, fragment = (np.flatnonzero(found.kind == kind) for kind in (SPLIT, FRAGMENT))
+    assert near(len(split), FRAMES, 0.2)
+    assert np.array_equal(np.sort(found.target[split]), np.sort(found.target[fragment]))
+    assert np.all(targets.vessel[found.target[split]] == 0)
+    larger = found.boxes_px[split[np.argsort(found.target[split])]]
+    smaller = found.boxes_px[fragment[np.argsort(found.target[fragment])]]
+    np.testing.assert_allclose(unions(larger, smaller), np.tile(LONG, (len(split), 1)))
+    width = sizes(larger)[:, 0]
+    assert np.all((width >= 200 - 1e-9) & (width <= 0.7 * 400 + 1e-9))
+    np.testing.assert_allclose(width + sizes(smaller)[:, 0], 400)
+    assert not np.any(found.kind[found.target == 1] == SPLIT)
+
+
+def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
+    targets, found = detect([*PAIR, SQUARE], {"merges": 0.3}, false_discovery_rate=0)
+    merged = found.kind == MERGED
+    assert near(int(merged.sum()), FRAMES, 0.3)
+    np.testing.assert_allclose(found.boxes_px[merged], np.tile([1000, 1000, 1250, 1060], (merged.sum(), 1)))
+    assert np.all(targets.vessel[found.target[merged]] == 1)  # the larger
+    assert np.all(targets.vessel[found.partner[merged]] == 0)
+    assert np.all(found.partner[~merged] == -1)
+    together = np.sort(np.concatenate([found.target, found.partner[merged]]))
+    assert np.array_equal(together, np.arange(len(targets)))
+
+
+def test_vessels_that_hardly_overlap_are_not_merged() -> None:
+    _, found = detect(PAIR, {"merges": 1.0, "merge_overlap": 0.51})
+    assert not np.any(found.kind == MERGED)
+    _, found = detect(PAIR, {"merges": 1.0, "merge_overlap": 0.49})
+    assert np.all(found.kind[found.kind != 1] == MERGED)
+
+
+def test_a_vessel_is_in_one_merged_box_only() -> None:
+    three = [[0.0, 0, 100, 50], [20.0, 0, 120, 50], [40.0, 0, 140, 50]]
+    targets, found = detect(three, {"merges": 1.0}, false_discovery_rate=0)
+    assert np.sum(found.kind == MERGED) == FRAMES
+    assert np.sum(found.kind == TRUE) == FRAMES
+    sources = np.concatenate([found.target, found.partner[found.partner >= 0]])
+    assert len(np.unique(sources)) == len(sources) == len(targets)
+
+
+def test_a_merge_belongs_to_two_vessels_whoever_is_larger() -> None:
+    boxes = same_boxes(200, 2, PAIR[0])
+    boxes[:, 1] = PAIR[1]
+    swapped = boxes.copy()
+    swapped[::2] = boxes[::2, ::-1]
+    data = one_state_data(confusion=ALL_SEEN, box_error=no_error()) | {
+        "false_positives": {"model": "calibrated", "merges": 0.5}
+    }
+    one, two = (run(parse_detector(data), make_frames(200), make_targets(b)) for b in (boxes, swapped))
+    assert np.array_equal(one.frame[one.kind == MERGED], two.frame[two.kind == MERGED])
+
+
+def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> None:
+    keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5, "persistence": {"lifetime_s": 1, "share": 0.5}}
+    apart = {"true": {"mean": 0.8, "std": 0}, "false": {"mean": 0.4, "std": 0}}
+    _, found = detect([LONG, SQUARE, *PAIR], keys | {"size": {"model": "fixed", "px": [9, 9]}}, confidence=apart)
+    assert set(found.kind) == set(range(len(KINDS)))
+    assert np.array_equal(found.confidence == 0.4, found.false())
+    assert np.array_equal(found.confidence == 0.8, ~found.false())

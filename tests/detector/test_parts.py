@@ -1,0 +1,88 @@
+"""Every model of every part is registered once, and `verify` checks it or says that it does not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from modsim3d.arrays import Array
+from modsim3d.detector import Detector, TargetCensus, parse_detector
+from modsim3d.detector.clutter_models import CLUTTER_MODELS, ClutterRates, FrameCounts, PerImage
+from modsim3d.detector.parts import MODELS, Part, model_name, used_models
+from modsim3d.verify.evidence import CameraEvidence, Evidence
+from modsim3d.verify.parameters import UNCHECKED
+from modsim3d.verify.verification import CHECKED, unchecked, verify
+from tests.detector.detector_builders import make_frames, make_targets, one_state_data, same_boxes
+from tests.detector_variants import CHANGES, variant
+
+DRAWING = {
+    Part.STATE: "at",
+    Part.CLASS: ("classify", "of"),
+    Part.BOX_ERROR: "scales",
+    Part.FALSE_POSITIVES: "draw",
+    Part.CONFIDENCE: "at",
+}
+
+
+def test_every_part_has_models_and_checks() -> None:
+    assert set(MODELS) == set(CHECKED) == set(Part)
+    assert all(MODELS.values())
+
+
+@pytest.mark.parametrize(("part", "name"), [(part, name) for part, models in MODELS.items() for name in models])
+def test_every_registered_model_draws_and_has_checks(part: Part, name: str) -> None:
+    names = DRAWING[part]
+    assert any(hasattr(MODELS[part][name], method) for method in ([names] if isinstance(names, str) else names))
+    assert name in CHECKED[part]
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_the_models_of_a_detector_are_registered(name: str) -> None:
+    used = list(used_models(parse_detector(variant(name))))
+    assert {each.part for each in used} == set(Part)
+    assert all(each.name in MODELS[each.part] for each in used)
+
+
+def test_a_model_that_is_not_registered_is_an_error_that_names_the_others() -> None:
+    with pytest.raises(LookupError, match=r"str is not registered: known are normal, quantiles"):
+        model_name(cast(Mapping[str, type], MODELS[Part.CONFIDENCE]), "uniform")
+
+
+class EverySecondFrame(PerImage):
+    """A model that nobody has checks for."""
+
+    def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
+        return super().means(rates, frames) * (np.arange(len(frames.states)) % 2)
+
+
+def seen(model: Any) -> Evidence:
+    frames, targets = make_frames(200), make_targets(same_boxes(200, 2, [100, 100, 300, 200]))
+    return Evidence.of([CameraEvidence(frames, targets, Detector(model, 1, TargetCensus()).detect(frames, targets))])
+
+
+def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cast(dict[str, Any], CLUTTER_MODELS), "fourth", EverySecondFrame())
+    sizes = {"model": "fixed", "px": [20, 10]}
+    data = one_state_data() | {"false_positives": {"model": "fourth", "rate": 2.0, "size": sizes}}
+    model = parse_detector(data)
+    evidence = seen(model)
+    assert evidence.frames.n_false[::2].sum() == 0 < evidence.frames.n_false[1::2].sum()
+    verdicts = verify(model, evidence).verdicts
+    (verdict,) = [each for each in verdicts if each.verdict == UNCHECKED]
+    assert verdict.parameter.name == "false_positives.model"
+    assert verdict.parameter.group == Part.FALSE_POSITIVES
+    assert "'fourth'" in verdict.parameter.note
+    names = [each.parameter.name for each in verdicts]
+    assert not [name for name in names if "false discovery rate" in name or "false_positives_per_image" in name]
+
+
+@pytest.mark.parametrize("part", [Part.BOX_ERROR, Part.CONFIDENCE])
+def test_parts_of_a_state_without_checks_are_listed_state_by_state(part: Part, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cast(dict[Part, Any], CHECKED), part, frozenset())
+    model = parse_detector(variant("plain"))
+    found = unchecked(model)
+    assert [parameter.state for parameter in found] == [state.name for state in model.states]
+    assert {parameter.group for parameter in found} == {part}

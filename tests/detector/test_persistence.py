@@ -1,0 +1,192 @@
+"""Noise that stays: rates and covariances hold exactly, whatever the correlation time and the frame rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
+from modsim3d.detector.persistence import Clock
+from modsim3d.errors import ModsimError
+from tests.detector.detector_builders import (
+    COVARIANCE_PX2,
+    MEAN_PX,
+    all_bytes,
+    centred,
+    detect_in_chunks,
+    detector_data,
+    make_frames,
+    make_targets,
+    one_state_data,
+    same_boxes,
+)
+
+VESSELS, TAU_S = 40, 0.9
+
+
+def clock(step_s: float) -> Clock:
+    return lambda first, stop: np.arange(first, stop) * step_s
+
+
+def detect(data: dict[str, Any], targets: Targets, frames: int, step_s: float, seed: int = 1) -> Detections:
+    detector = Detector(parse_detector(data), seed, TargetCensus(), clock(step_s))
+    return detector.detect(make_frames(frames, time_step_s=step_s), targets)
+
+
+def labels_over_time(found: Detections, frames: int, vessels: int = VESSELS) -> np.ndarray:
+    """Label of each vessel at each frame, −1 where it was missed."""
+    labels = np.full(frames * vessels, -1)
+    true = found.kind == TRUE
+    labels[found.target[true]] = found.label[true]
+    return labels.reshape(frames, vessels)
+
+
+def all_seen(frames: int) -> Targets:
+    return make_targets(same_boxes(frames, VESSELS, centred(600, 600)))
+
+
+@pytest.fixture(scope="module", params=[0.1, 0.3])
+def step_s(request: pytest.FixtureRequest) -> float:
+    return float(request.param)
+
+
+@pytest.fixture(scope="module")
+def found(step_s: float) -> Detections:
+    """One fixed state; rates of the first label: 0.7, 0.1, missed 0.2."""
+    data = one_state_data(false_discovery_rate=0) | {"persistence": {"class_s": TAU_S, "box_s": TAU_S}}
+    return detect(data, all_seen(3000), 3000, step_s)
+
+
+def test_rates_hold_although_misses_persist(found: Detections, step_s: float) -> None:
+    labels, kept = labels_over_time(found, 3000), np.exp(-step_s / TAU_S)
+    for label, rate in ((0, 0.7), (1, 0.1), (-1, 0.2)):
+        # Correlated by kept^lag, so that (1 − kept) / (1 + kept) of the numbers are worth as much as independent ones.
+        standard_error = np.sqrt(rate * (1 - rate) / labels.size * (1 + kept) / (1 - kept))
+        assert abs(np.mean(labels == label) - rate) < 4 * standard_error
+
+
+def test_misses_have_the_correlation_time_asked_for(found: Detections, step_s: float) -> None:
+    missed = (labels_over_time(found, 3000) < 0).astype(float) - 0.2
+    for lag in (1, 2, 5):
+        correlation = np.mean(missed[lag:] * missed[:-lag]) / 0.16
+        assert abs(correlation - np.exp(-lag * step_s / TAU_S)) < 0.04
+
+
+def test_runs_of_misses_in_a_fixed_state_have_their_law(found: Detections, step_s: float) -> None:
+    # A miss stays one if its number is kept (ρ), or if a new one is a miss again: a run goes on with probability
+    # ρ + (1 − ρ)·p, whatever its length so far, so lengths are geometric.
+    missed = labels_over_time(found, 3000) < 0
+    kept, p = np.exp(-step_s / TAU_S), 0.2
+    goes_on = kept + (1 - kept) * p
+    lengths = np.concatenate([_complete_runs(column) for column in missed.T])
+    assert len(lengths) > 1500
+    assert abs(lengths.mean() - 1 / (1 - goes_on)) < 4 * np.sqrt(goes_on) / (1 - goes_on) / np.sqrt(len(lengths))
+    edges = [1, 2, 3, 5, 8, 13, 21]
+    seen = np.histogram(lengths, [*edges, np.inf])[0]
+    law = -np.diff([goes_on ** (edge - 1) for edge in edges], append=0)
+    assert stats.chisquare(seen, law * len(lengths)).pvalue > 1e-3
+
+
+def _complete_runs(values: np.ndarray) -> np.ndarray:
+    """Lengths of the runs of True that neither begin nor end the record."""
+    borders = np.flatnonzero(np.diff(values.astype(int)))
+    lengths = np.diff(borders)
+    return lengths[0 if values[borders[0] + 1] else 1 :: 2]
+
+
+def test_a_miss_in_a_state_without_misses_is_impossible_however_long_misses_persist() -> None:
+    states = detector_data()["states"]
+    states["clear"]["confusion"] = [[1, 0], [0, 1], [0, 0]]
+    states["fog"]["confusion"] = [[0, 0], [0, 0], [1, 1]]
+    data = detector_data(states=states, persistence={"class_s": 100})
+    result = detect(data, all_seen(300), 300, 0.1)
+    missed = (labels_over_time(result, 300) < 0).mean(axis=1)
+    assert np.array_equal(missed, result.states)
+    assert 0 < missed.mean() < 1
+
+
+def test_rates_hold_in_states_that_change_much_faster_than_misses_do() -> None:
+    data = detector_data(transition_matrix=[[0.3, 0.7], [0.7, 0.3]], persistence={"class_s": 2})
+    result = detect(data, all_seen(3000), 3000, 0.1)
+    missed, kept = labels_over_time(result, 3000) < 0, np.exp(-0.1 / 2)
+    for state, rate in ((0, 0.2), (1, 0.4)):
+        ours = missed[result.states == state]
+        worth = 3000 * VESSELS * (1 - kept) / (1 + kept)
+        assert abs(ours.mean() - rate) < 4 * np.sqrt(rate * (1 - rate) / worth)
+
+
+def test_box_errors_keep_their_mean_and_covariance(found: Detections, step_s: float) -> None:
+    errors, kept = found.errors_px[found.kind == TRUE], np.exp(-step_s / TAU_S)
+    worth = len(errors) * (1 - kept) / (1 + kept)
+    c = np.array(COVARIANCE_PX2, dtype=float)
+    assert not found.redrawn.any()
+    assert np.all(np.abs(errors.mean(axis=0) - MEAN_PX) < 4 * np.sqrt(np.diag(c) / worth))
+    # Products of two correlated normal numbers are correlated by kept²: more of them are worth something.
+    worth = len(errors) * (1 - kept**2) / (1 + kept**2)
+    standard_error = np.sqrt((np.outer(np.diag(c), np.diag(c)) + c**2) / worth)
+    assert np.all(np.abs(np.cov(errors.T) - c) < 4 * standard_error)
+
+
+def test_box_errors_have_the_correlation_time_asked_for(found: Detections, step_s: float) -> None:
+    errors = np.full((3000 * VESSELS, 4), np.nan)
+    true = found.kind == TRUE
+    errors[found.target[true]] = (found.errors_px[true] - MEAN_PX) / np.sqrt(np.diag(COVARIANCE_PX2))
+    series = errors.reshape(3000, VESSELS, 4)
+    for lag in (1, 3, 6):
+        correlation = np.nanmean(series[lag:] * series[:-lag], axis=(0, 1))
+        assert np.all(np.abs(correlation - np.exp(-lag * step_s / TAU_S)) < 0.04)
+
+
+def test_box_errors_are_jointly_normal_over_time(found: Detections, step_s: float) -> None:
+    # Of a first-order autoregressive process, and not of a number that is kept: what is new is normal, too.
+    errors = np.full((3000 * VESSELS, 4), np.nan)
+    true = found.kind == TRUE
+    errors[found.target[true]] = (found.errors_px[true] - MEAN_PX)[:, [0] * 4] / np.sqrt(COVARIANCE_PX2[0][0])
+    series, kept = errors.reshape(3000, VESSELS, 4)[..., 0], np.exp(-step_s / TAU_S)
+    new = (series[1:] - kept * series[:-1]) / np.sqrt(1 - kept**2)
+    assert stats.kstest(new[~np.isnan(new)][::7], "norm").pvalue > 1e-4
+
+
+def test_a_vessel_that_was_hidden_comes_back_with_the_noise_it_would_have_had() -> None:
+    data = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]])
+    data |= {"persistence": {"class_s": 2, "box_s": 2}}
+    boxes = same_boxes(200, 3, centred(600, 600))
+    whole = detect(data, make_targets(boxes), 200, 0.1)
+    boxes[50:120, 1] = np.nan
+    gap = detect(data, make_targets(boxes), 200, 0.1)
+    late = whole.boxes_px[whole.frame >= 120]
+    assert np.array_equal(gap.boxes_px[gap.frame >= 120], late)
+
+
+def test_a_redraw_leaves_the_latent_numbers_alone() -> None:
+    data = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]]) | {"persistence": {"box_s": 2}}
+    boxes = same_boxes(300, 1, centred(600, 600))
+    large = detect(data, make_targets(boxes), 300, 0.1)
+    boxes[::2] = centred(5, 5)
+    mixed = detect(data, make_targets(boxes), 300, 0.1)
+    assert mixed.redrawn[::2].mean() > 0.5
+    assert np.array_equal(mixed.errors_px[1::2], large.errors_px[1::2])
+
+
+def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
+    plain = one_state_data()
+    targets = all_seen(200)
+    brief = detect(plain | {"persistence": {"class_s": 1e-4, "box_s": 1e-4}}, targets, 200, 0.1)
+    assert all_bytes(brief) == all_bytes(detect(plain, targets, 200, 0.1))
+
+
+@pytest.mark.parametrize("borders", [[0, 1, 513, 514, 1200], [0, 700, 1200]])
+def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> None:
+    data = detector_data(persistence={"class_s": 3, "box_s": 0.7})
+    targets, frames = make_targets(same_boxes(1200, 4, centred(300, 200))), make_frames(1200)
+    whole = Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)).detect(frames, targets)
+    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock(0.1)), frames, targets, borders)
+    assert all_bytes(split) == all_bytes(whole)
+
+
+def test_persistence_without_a_clock_is_an_error() -> None:
+    with pytest.raises(ModsimError, match="give the Detector a clock"):
+        Detector(parse_detector(detector_data(persistence={"box_s": 1})), 1, TargetCensus())

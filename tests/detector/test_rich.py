@@ -1,0 +1,105 @@
+"""All models at once, as the shipped example has them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.boxes import sizes
+from modsim3d.detector import (
+    FALSE_KINDS,
+    KINDS,
+    CameraFrames,
+    Detections,
+    Detector,
+    Targets,
+    load_detector,
+    take_census,
+)
+from tests.detector.detector_builders import all_bytes, detect_in_chunks, make_frames, make_targets
+
+RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
+STEPS, VESSELS, STEP_S = 600, 9, 0.2
+MODEL = load_detector(RICH)
+
+
+def clock(first: int, stop: int) -> np.ndarray:
+    return np.arange(first, stop) * STEP_S
+
+
+def rich_frames() -> CameraFrames:
+    return make_frames(STEPS, time_step_s=STEP_S, sea=(0.02, 1.0, -800.0))
+
+
+def rich_targets(seed: int = 3) -> Targets:
+    """Boxes that drift, some long, some overlapping, some hidden, some absent for a while."""
+    random = np.random.default_rng(seed)
+    centre = random.uniform([200, 900], [3400, 1200], (VESSELS, 2)) + random.normal(0, 5, (STEPS, VESSELS, 2)).cumsum(0)
+    side = np.exp(random.normal(np.log([120, 30]), 0.6, (VESSELS, 2)))
+    boxes = np.clip(np.concatenate([centre - side / 2, centre + side / 2], axis=-1), 0, [3600, 2400, 3600, 2400])
+    boxes[100:200, 4] = np.nan
+    boxes[random.random((STEPS, VESSELS)) < 0.1] = np.nan
+    targets = make_targets(boxes, np.arange(VESSELS) % 3)
+    targets.visible_fraction[:] = random.uniform(0, 1, len(targets))
+    targets.depth_m[:] = random.uniform(50, 3300, len(targets))
+    return targets
+
+
+@pytest.fixture(scope="module")
+def whole() -> Detections:
+    return detector().detect(rich_frames(), rich_targets())
+
+
+def detector(seed: int = 5) -> Detector:
+    return Detector(MODEL, seed, take_census(MODEL, [(rich_frames(), rich_targets())]), clock)
+
+
+def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections) -> None:
+    assert len(RICH.read_text().splitlines()) < 60
+    assert set(whole.kind) == set(range(len(KINDS)))
+    assert whole.gated.any()
+
+
+@pytest.mark.parametrize("borders", [[0, 1, 2, 250, 250, 599, 600], [0, 600], [*range(0, 601, 37), 600]])
+def test_chunk_borders_change_nothing_with_every_model_on(whole: Detections, borders: list[int]) -> None:
+    found = detect_in_chunks(detector(), rich_frames(), rich_targets(), borders)
+    assert all_bytes(found) == all_bytes(whole)
+
+
+def test_chunks_may_come_in_any_order_with_every_model_on(whole: Detections) -> None:
+    ours = detector()
+    late = detect_in_chunks(ours, rich_frames(), rich_targets(), [400, 600])
+    early = detect_in_chunks(ours, rich_frames(), rich_targets(), [0, 400])
+    assert np.array_equal(np.concatenate([early.boxes_px, late.boxes_px]), whole.boxes_px)
+
+
+def test_every_detection_is_in_the_image_and_at_least_a_pixel_with_every_model_on(whole: Detections) -> None:
+    assert sizes(whole.boxes_px).min() >= 1 - 1e-9
+    assert whole.boxes_px.min() >= 0
+    assert np.all(whole.boxes_px[:, 2:] <= [3600, 2400])
+    assert np.all((whole.confidence >= 0.2) & (whole.confidence <= 1))
+
+
+def test_a_vessel_has_one_detection_that_is_not_false(whole: Detections) -> None:
+    own = ~np.isin(whole.kind, FALSE_KINDS)
+    sources = np.concatenate([whole.target[own], whole.partner[whole.partner >= 0]])
+    assert len(np.unique(sources)) == len(sources)
+    assert not whole.gated[sources].any()
+
+
+def test_census_does_not_depend_on_how_the_scene_is_split() -> None:
+    targets = rich_targets()
+    halves = []
+    for first, stop in ((0, 333), (333, STEPS)):
+        rows = np.flatnonzero((targets.frame >= first) & (targets.frame < stop))
+        columns = {field.name: getattr(targets, field.name)[rows] for field in fields(Targets)[:-1]}
+        columns["frame"] = columns["frame"] - first
+        frames = make_frames(stop - first, first_step=first, time_step_s=STEP_S)
+        halves.append(take_census(MODEL, [(frames, Targets(**columns, vessel_ids=targets.vessel_ids))]))
+    joined, one = halves[0] + halves[1], take_census(MODEL, [(rich_frames(), targets)])
+    for name in ("log_odds", "sides"):
+        assert np.array_equal(getattr(joined, name).rows, getattr(one, name).rows)
+        assert np.array_equal(getattr(joined, name).counts, getattr(one, name).counts)

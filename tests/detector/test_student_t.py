@@ -1,0 +1,267 @@
+"""Box errors of Student's t law: mean and covariance are the law's own, tails are heavier, and `verify` holds it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from modsim3d.boxes import inside_image, move
+from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, parse_detector
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.error_distributions import StudentT
+from modsim3d.detector.truncation import truncated_errors
+from modsim3d.errors import InputError
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step
+from modsim3d.verify.error_parameters import ErrorParameters
+from modsim3d.verify.many_seeds import ManyDetections
+from modsim3d.verify.verification import verify
+from tests.detector.detector_builders import (
+    COVARIANCE_PX2,
+    IMAGE_PX,
+    MEAN_PX,
+    all_bytes,
+    centred,
+    detect_in_chunks,
+    detector_data,
+    make_frames,
+    make_targets,
+    one_state_data,
+    run,
+    same_boxes,
+    state_data,
+)
+from tests.detector_variants import variant
+
+NU = 6.0
+SEEN = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
+C = np.array(COVARIANCE_PX2, dtype=float)
+LARGE = centred(2400, 1800)
+
+
+def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
+    error = {"law": "student_t", "degrees_of_freedom": nu, "unit": "px", "mean": MEAN_PX, "covariance": COVARIANCE_PX2}
+    return error | changes
+
+
+def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
+    model = parse_detector(one_state_data(**SEEN, box_error=error) | sections)
+    detector = Detector(model, 1, TargetCensus(), lambda first, stop: np.arange(first, stop) * 0.1)
+    return detector.detect(make_frames(frames), make_targets(same_boxes(frames, 20, box_px)))
+
+
+@pytest.fixture(scope="module", params=[{}, {"persistence": {"box_s": 0.05}}], ids=["independent", "persistent"])
+def errors(request: pytest.FixtureRequest) -> np.ndarray:
+    found = drawn(t_error(), **request.param)
+    assert found.redrawn.mean() < 1e-4
+    return found.errors_px
+
+
+def test_errors_have_the_mean_and_the_covariance_of_the_file(errors: np.ndarray) -> None:
+    worth = len(errors) / 1.4  # those that persist for 0.05 s count for fewer
+    assert np.all(np.abs(errors.mean(axis=0) - MEAN_PX) < 4 * np.sqrt(np.diag(C) / worth))
+    fourth = (NU - 2) / (NU - 4)  # of a t law over that of a normal one
+    variance = fourth * (2 * C**2 + np.outer(np.diag(C), np.diag(C))) - C**2
+    assert np.all(np.abs(np.cov(errors.T) - C) < 4 * np.sqrt(variance / worth))
+
+
+def test_squared_lengths_have_the_law_of_a_t_variate(errors: np.ndarray) -> None:
+    moved = errors - MEAN_PX
+    q = np.einsum("ni,ij,nj->n", moved, np.linalg.inv(C * (NU - 2) / NU), moved)
+    sample = q[::401]  # of other vessels and far from each other in time
+    assert stats.kstest(q[::7] / 4, stats.f(4, NU).cdf).statistic < 0.02
+    assert stats.kstest(sample / 4, stats.f(4, NU).cdf).pvalue > 1e-4
+
+
+def test_each_component_has_the_kurtosis_of_its_law() -> None:
+    nu, moved = 20.0, drawn(t_error(nu=20.0)).errors_px - MEAN_PX
+    eighth = 105 * (nu - 2) ** 3 / ((nu - 4) * (nu - 6) * (nu - 8))  # moment of a t number with variance one
+    standard_error = np.sqrt(eighth / len(moved))
+    for j in range(4):
+        kurtosis = stats.kurtosis(moved[:, j])
+        assert kurtosis == pytest.approx(6 / (nu - 4), abs=4 * standard_error)
+        assert kurtosis > 2 * standard_error
+
+
+def test_scales_are_those_of_a_chi_square_number() -> None:
+    extra = special.ndtri((np.arange(2000) + 0.5) / 2000)[:, None]
+    scales = StudentT(NU).scales(extra)
+    np.testing.assert_allclose(np.sort((NU - 2) / scales**2), stats.chi2(NU).ppf((np.arange(2000) + 0.5) / 2000))
+    assert np.mean(StudentT(NU).scales(np.random.default_rng(0).standard_normal((400_000, 1))) ** 2) == pytest.approx(
+        1, abs=0.02
+    )
+
+
+def test_the_normal_numbers_are_those_of_a_normal_law() -> None:
+    normal = drawn(t_error() | {"law": "normal", "degrees_of_freedom": None}, frames=200).errors_px
+    heavy = drawn(t_error(), frames=200).errors_px
+    scale = (heavy - MEAN_PX) / (normal - MEAN_PX)
+    np.testing.assert_allclose(scale, scale[:, :1] * np.ones(4), rtol=1e-6)
+    almost = drawn(t_error(nu=1e7), frames=200).errors_px
+    np.testing.assert_allclose(almost, normal, rtol=1e-2, atol=0.3)
+
+
+def test_a_t_law_in_one_state_leaves_the_bytes_of_another_state_alone() -> None:
+    small = {"unit": "px", "mean": MEAN_PX, "covariance": COVARIANCE_PX2}
+    data = detector_data()
+    both = data | {"states": {"clear": state_data(), "fog": state_data(box_error=t_error())}}
+    data = data | {"states": {"clear": state_data(), "fog": state_data(box_error=small)}}
+    frames, targets = make_frames(300), make_targets(same_boxes(300, 3, centred(30, 20)))
+    plain, mixed = run(parse_detector(data), frames, targets), run(parse_detector(both), frames, targets)
+    clear = plain.states[plain.frame] == 0
+    assert np.array_equal(plain.errors_px[clear], mixed.errors_px[clear], equal_nan=True)
+    assert plain.redrawn[clear].any()
+    assert not np.array_equal(plain.errors_px[~clear], mixed.errors_px[~clear], equal_nan=True)
+
+
+def test_scales_persist_like_the_errors_do() -> None:
+    found = drawn(t_error(), frames=1500, persistence={"box_s": 1.0})
+    moved = np.full((1500 * 20, 4), np.nan)
+    true = found.kind == TRUE
+    moved[found.target[true]] = found.errors_px[true] - MEAN_PX
+    lengths = np.log(np.einsum("ni,ij,nj->n", moved, np.linalg.inv(C), moved)).reshape(1500, 20)
+    near = np.corrcoef(lengths[1:].ravel(), lengths[:-1].ravel())[0, 1]
+    far = np.corrcoef(lengths[60:].ravel(), lengths[:-60].ravel())[0, 1]
+    assert near > 0.8
+    assert abs(far) < 0.1
+
+
+@pytest.mark.parametrize("borders", [[0, 1, 513, 514, 900], [0, 700, 900]])
+def test_chunk_borders_change_nothing(borders: list[int]) -> None:
+    data = detector_data(persistence={"box_s": 0.7}) | {"states": {"clear": state_data(), "fog": state_data()}}
+    data["states"]["fog"]["box_error"] = t_error()
+    clock = lambda first, stop: np.arange(first, stop) * 0.1  # noqa: E731
+    targets, frames = make_targets(same_boxes(900, 3, centred(60, 40))), make_frames(900)
+    whole = Detector(parse_detector(data), 1, TargetCensus(), clock).detect(frames, targets)
+    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock), frames, targets, borders)
+    assert all_bytes(split) == all_bytes(whole)
+
+
+@pytest.mark.parametrize("box_px", [centred(20, 20), [0, 1000, 60, 1040]])
+def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
+    found = drawn(t_error(), box_px, frames=2000)
+    source = BoxErrorSource.from_model(parse_detector(one_state_data(**SEEN, box_error=t_error())))
+    asked = truncated_errors(source, 0, np.array([box_px]), IMAGE_PX)
+    std = np.sqrt(np.diag(asked.covariances()[0]))
+    assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < 0.04 * std)
+    assert np.all(np.abs(found.errors_px.std(axis=0) / std - 1) < 0.08)  # of heavy tails, which stray farther
+    assert abs((1 - found.redrawn.mean()) - asked.accepted[0]) < 0.015
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"degrees_of_freedom": 2}, "is 2, must be above 2: with 2 or fewer Student's t has no covariance"),
+        ({"degrees_of_freedom": None}, "degrees_of_freedom goes with law student_t"),
+        ({"law": "normal"}, "degrees_of_freedom does not go with law normal"),
+        ({"law": "studnet_t"}, "unknown law 'studnet_t'"),
+    ],
+)
+def test_a_law_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse_detector(one_state_data(box_error=t_error(**changes)))
+
+
+BOXES = np.array([[1800.0, 1200, 1840, 1212], [1800.0, 1200, 2200, 1500], [0.0, 700, 15, 790]])
+
+
+def law_of(nu: float) -> ErrorParameters:
+    state = parse_detector(one_state_data(box_error=t_error(nu))).states[0]
+    return ErrorParameters.of(state.box_error)
+
+
+@pytest.mark.parametrize("parameter", range(15))
+def test_scores_are_derivatives_of_the_t_density(parameter: int) -> None:
+    law, h = law_of(NU), 1e-5
+    x = np.random.default_rng(8).standard_normal((20, 4)) * 1.5
+    step = np.zeros(15)
+    step[parameter] = h
+
+    def log_density(moved: ErrorParameters) -> np.ndarray:
+        nu = moved.numbers()[-1]
+        scale = moved.std / law.std
+        shape = moved.correlation * np.outer(scale, scale) * (nu - 2) / nu
+        return np.asarray(stats.multivariate_t((moved.mean - law.mean) / law.std, shape, df=nu).logpdf(x))
+
+    slope = (log_density(law.moved(step)) - log_density(law.moved(-step))) / (2 * h)
+    weights, _ = law.score_weights(BOXES[:1])
+    found = law.statistics(x) @ weights[parameter]
+    np.testing.assert_allclose(found - found[0], slope - slope[0], rtol=1e-4, atol=1e-4)
+
+
+def samples_of(law: ErrorParameters, copies: int, count: int) -> list[ErrorSample]:
+    """Truncated errors of three boxes, so many of each, so many times over."""
+    boxes = np.repeat(BOXES, copies, axis=0)
+    images, rng, pools = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1)), np.random.default_rng(3), []
+    nu = law.numbers()[-1]
+    for box in BOXES:
+        shape = law.correlation * np.outer(law.std, law.std) * (nu - 2) / nu
+        draws = stats.multivariate_t(law.mean, shape, df=nu).rvs(12 * copies * count, random_state=rng)
+        pools.append(draws[inside_image(move(box, draws), IMAGE_PX)])
+    return [
+        ErrorSample(
+            np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
+            np.arange(len(boxes)),
+            boxes,
+            images,
+        )
+        for k in range(count)
+    ]
+
+
+def test_steps_of_honest_errors_have_mean_zero_and_their_standard_error() -> None:
+    law, table, z = law_of(4.0), MomentTable(), []
+    for sample in samples_of(law, 60, 40):
+        step = fit_step(law, sample, table)
+        assert step is not None
+        z.append(step.step / step.errors)
+    assert np.abs(np.mean(z, axis=0)).max() < 4.2 / np.sqrt(40)
+    assert np.abs(np.std(z, axis=0) - 1).max() < 4.2 / np.sqrt(80)
+
+
+@pytest.fixture(scope="module")
+def many() -> ManyDetections:
+    return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
+
+
+def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, Any]:
+    data = variant("plain") | sections
+    for state in data["states"].values():
+        error = state["box_error"]
+        error.update(law="student_t", degrees_of_freedom=nu)
+        error["covariance"] = [[spread * value for value in row] for row in error["covariance"]]
+    return data
+
+
+def test_twenty_honest_seeds_obey(many: ManyDetections) -> None:
+    model, table = parse_detector(t_data()), MomentTable()
+    for seed in range(20):
+        found = verify(model, many.detect(model, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+
+
+def test_honest_errors_that_persist_obey(many: ManyDetections) -> None:
+    model, table = parse_detector(t_data(persistence={"box_s": 0.5})), MomentTable()
+    for seed in range(3):
+        found = verify(model, many.detect(model, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+        persistence = next(v for v in found.verdicts if v.parameter.name == "persistence.box_s")
+        assert persistence.measured == pytest.approx(np.exp(-0.1 / 0.5), abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"), [({"nu": 60.0}, "degrees_of_freedom"), ({"spread": 2.0}, "std")], ids=["nu", "covariance"]
+)
+def test_a_wrong_law_is_noticed_and_named(many: ManyDetections, changes: dict[str, float], named: str) -> None:
+    asked, made_with = parse_detector(t_data()), parse_detector(t_data(**changes))
+    found = verify(asked, many.detect(made_with, 1))
+    assert found.failed
+    assert any(f"box_error.{named}" in verdict.parameter.name for verdict in found.failed)
+
+
+def test_heavy_tails_are_noticed_by_a_file_with_normal_errors(many: ManyDetections) -> None:
+    found = verify(parse_detector(variant("plain")), many.detect(parse_detector(t_data(nu=2.5)), 1))
+    assert any("box_error" in verdict.parameter.name for verdict in found.failed)

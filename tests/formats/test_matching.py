@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.errors import ModsimError
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import PAIRS_AT_ONCE, Rule, image_pairs, match
+from tests.formats.labelled_sets import found, images, random_boxes, random_set, truth
+
+
+def slow_iou(a, b, crowd):
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
+    if width <= 0 or height <= 0:
+        return 0.0
+    area = (a[2] - a[0]) * (a[3] - a[1])
+    common = width * height
+    return common / (area if crowd else area + (b[2] - b[0]) * (b[3] - b[1]) - common)
+
+
+def slow_match(labelled, rule, least_confidence):
+    """One image, one detection, one truth after another."""
+    found, truth = labelled.results, labelled.annotations
+    matches = [-1] * len(found)
+    for image in range(len(labelled.images)):
+        rows = [d for d in range(len(found)) if found.image[d] == image and found.confidence[d] >= least_confidence]
+        taken = set()
+        for d in sorted(rows, key=lambda d: (-found.confidence[d], d)):
+            best = None
+            for t in range(len(truth)):
+                if truth.image[t] != image or (t in taken and not truth.crowd[t]):
+                    continue
+                if rule.by_label and truth.label[t] != found.label[d]:
+                    continue
+                value = slow_iou(found.boxes_px[d], truth.boxes_px[t], truth.crowd[t])
+                rank = (not truth.ignored[t], value, t)
+                if value >= rule.least_iou and (best is None or rank > best[0]):
+                    best = (rank, t)
+            if best:
+                matches[d] = best[1]
+                taken.add(best[1])
+    return matches
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), by_label=st.booleans(), ties=st.booleans())
+def test_matches_are_those_of_a_slow_walk_through_every_pair(seed, by_label, ties):
+    labelled = random_set(seed, ties=ties)
+    rule = Rule(by_label=by_label, least_iou=0.4)
+    matched = match(labelled, rule, 0.15)
+    slow = np.array(slow_match(labelled, rule, 0.15), dtype=int)
+    ignored = np.append(labelled.annotations.ignored, False)[slow]
+    assert matched.annotation.tolist() == np.where(ignored, -1, slow).tolist()
+    assert matched.counts.tolist() == ((labelled.results.confidence >= 0.15) & ~ignored).tolist()
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_the_optimal_assignment_is_the_best_of_all(seed):
+    rng = np.random.default_rng(seed)
+    boxes = random_boxes(rng, 4, 60)
+    moved = boxes[rng.permutation(4)] + rng.normal(0, 6, (4, 4))
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0] * 4, [0] * 4, boxes),
+                        found([0] * 4, [0] * 4, moved, rng.random(4)))  # fmt: skip
+    matched = match(labelled, Rule("optimal", least_iou=0.3))
+    value = [[slow_iou(a, b, False) for b in boxes] for a in moved]
+
+    def worth(choice):
+        good = [value[d][t] for d, t in enumerate(choice) if value[d][t] >= 0.3]
+        return len(good), sum(good)
+
+    best = max(worth(choice) for choice in itertools.permutations(range(4)))
+    rows, targets = matched.pairs
+    assert len(rows) == best[0]
+    assert sum(value[d][t] for d, t in zip(rows, targets, strict=True)) == pytest.approx(best[1])
+
+
+def two_boats(seen):
+    boats = [[0, 0, 100, 100], [20, 0, 120, 100]]
+    return LabelledSet(
+        ("a",), ("all",), images(1), truth([0, 0], [0, 0], boats), found([0, 0], [0, 0], seen, [0.9, 0.8])
+    )
+
+
+def test_the_optimal_assignment_finds_a_match_that_order_of_confidence_loses():
+    labelled = two_boats([[15, 0, 115, 100], [35, 0, 135, 100]])  # the surer one is nearer to what the other needs
+    assert match(labelled, Rule(least_iou=0.6)).annotation.tolist() == [1, -1]
+    assert match(labelled, Rule("optimal", least_iou=0.6)).annotation.tolist() == [0, 1]
+
+
+def test_centres_match_where_boxes_do_not_overlap():
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0], [0], [[0, 0, 10, 10]]),
+                        found([0, 0], [0, 0], [[20, 0, 30, 10], [0, 30, 10, 40]], [0.9, 0.8]))  # fmt: skip
+    assert match(labelled, Rule()).annotation.tolist() == [-1, -1]
+    assert match(labelled, Rule("centre", most_distance_px=20)).annotation.tolist() == [0, -1]
+    assert match(labelled, Rule("centre", most_distance_px=19)).annotation.tolist() == [-1, -1]
+
+
+def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
+    there = truth([0, 0], [0, 0], [[0, 0, 200, 200], [300, 300, 350, 350]], [True, False], [True, False])
+    seen = [[10, 10, 40, 40], [60, 60, 90, 90], [400, 0, 450, 50]]
+    labelled = LabelledSet(("a",), ("all",), images(1), there, found([0] * 3, [0] * 3, seen, [0.9, 0.8, 0.7]))
+    for method in ("confidence", "optimal"):
+        matched = match(labelled, Rule(method))
+        assert matched.counts.tolist() == [False, False, True]  # a crowd takes as many as there are
+        assert matched.sought.tolist() == [False, True]
+
+
+def test_provenance_needs_a_run():
+    labelled = random_set(3)
+    with pytest.raises(ModsimError, match="needs simulated runs"):
+        match(labelled, Rule("provenance"))
+
+
+@pytest.mark.parametrize("at_once", [1, 7, PAIRS_AT_ONCE])
+def test_pairs_of_images_are_all_there_however_they_are_split(at_once, monkeypatch):
+    monkeypatch.setattr("modsim3d.formats.matching.PAIRS_AT_ONCE", at_once)
+    rng = np.random.default_rng(1)
+    first, second = np.sort(rng.integers(0, 9, 20)), np.sort(rng.integers(0, 9, 15))
+    pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]
+    every = [(i, j) for i in range(20) for j in range(15) if first[i] == second[j]]
+    assert pairs == every
+
+
+def test_of_equal_truths_the_later_is_taken_as_cocos_tools_do():
+    same = [[0, 0, 50, 50]] * 3
+    labelled = LabelledSet(("a",), ("all",), images(1), truth([0] * 3, [0] * 3, same), found([0], [0], same[:1], [0.9]))
+    assert match(labelled, Rule()).annotation.tolist() == [2]

@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import json
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.errors import InputError
+from modsim3d.formats.labelled import joined
+from modsim3d.formats.reading.pair import ReadOptions, read_pair
+from tests.formats.labelled_sets import random_set
+
+TRUTH = {
+    "images": [{"id": 30, "width": 640, "height": 480, "file_name": "b.png"}, {"id": 7, "width": 640, "height": 480}],
+    "categories": [{"id": 90, "name": "ferry"}, {"id": 4, "name": "kayak"}],
+    "annotations": [
+        {"image_id": 30, "category_id": 4, "bbox": [10, 20, 30, 40], "segmentation": {"counts": "abc", "size": [4, 4]}},
+        {"image_id": 30, "category_id": 90, "bbox": [100, 20, 30.5, 40], "iscrowd": 1, "track_id": 5},
+        {"image_id": 7, "category_id": 90, "bbox": [0, 0, 5, 5], "visible_fraction": 0.25, "distance_m": 80},
+    ],
+}
+RESULTS = [
+    {"image_id": 30, "category_id": 90, "bbox": [11, 20, 30, 40], "score": 0.75, "segmentation": {"counts": "x"}},
+    {"image_id": 7, "category_id": 4, "bbox": [1, 2, 3, 4], "score": 1, "probabilities": [0.1, 0.9]},
+]
+
+
+def written(tmp_path, truth=TRUTH, results=RESULTS):
+    gt, dt = tmp_path / "gt.json", tmp_path / "dt.json"
+    gt.write_text(truth if isinstance(truth, str) else json.dumps(truth))
+    dt.write_text(results if isinstance(results, str) else json.dumps(results))
+    return gt, dt
+
+
+def read(tmp_path, truth=TRUTH, results=RESULTS, **given):
+    return read_pair("day", *written(tmp_path, truth, results), ReadOptions(**given))
+
+
+def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
+    labelled = read(tmp_path)
+    assert labelled.labels == ("ferry", "kayak")
+    assert labelled.images.names == ("7", "b.png")  # in the order of the IDs, as COCO's tools have it
+    assert labelled.annotations.image.tolist() == [0, 1, 1]
+    assert labelled.annotations.label.tolist() == [0, 1, 0]
+    assert labelled.annotations.boxes_px[1].tolist() == [10, 20, 40, 60]
+    assert labelled.annotations.crowd.tolist() == labelled.annotations.ignored.tolist() == [False, False, True]
+    assert labelled.annotations.identity.tolist() == [-1, -1, 0]
+    assert labelled.annotations.visible_fraction[0] == 0.25 and labelled.annotations.depth_m[0] == 80
+    assert labelled.results.label.tolist() == [1, 0]
+    assert labelled.results.confidence.tolist() == [1, 0.75]
+    assert labelled.results.probabilities[0].tolist() == [0.1, 0.9]
+    assert np.isnan(labelled.results.probabilities[1]).all()
+
+
+def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
+    images = [{**TRUTH["images"][0], "condition": None}, {**TRUTH["images"][1], "condition": "fog"}]
+    assert read(tmp_path, {**TRUTH, "images": images}).conditions == ("fog", "day")
+
+
+def test_images_without_annotations_and_without_results_are_there(tmp_path):
+    empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
+    assert len(empty.images) == 2 and len(empty.annotations) == 0 and len(empty.results) == 0
+
+
+def changed(where, **keys):
+    truth, results = deepcopy(TRUTH), deepcopy(RESULTS)
+    entry = results[where] if isinstance(where, int) else truth[where[0]][where[1]]
+    for key, value in keys.items():
+        if value is None:
+            del entry[key]
+        else:
+            entry[key] = value
+    return truth, results
+
+
+BAD = [
+    (changed(1, image_id=99), r"detections .*\n  \[1\]: unknown image_id 99"),
+    (changed(0, category_id=0), r"\[0\]: unknown category_id 0"),
+    (changed(1, score=None), r"\[1\]: score must be from 0 to 1 \(got None\)"),
+    (changed(1, score=1.5), r"\[1\]: score must be from 0 to 1 \(got 1.5\)"),
+    (changed(1, bbox=[1, 2, 0, 4]), r"\[1\]: bbox has no area: width 0, height 4"),
+    (changed(1, bbox=[1, 2, 3]), r"\[1\]: bbox must be \[x, y, width, height\]"),
+    (changed(1, probabilities=[1]), r"\[1\]: probabilities must be 2 numbers"),
+    (changed(("annotations", 2), bbox=[0, 0, 5, -1]), r"ground truth .*\n  annotations\[2\]: bbox has no area"),
+    (changed(("annotations", 0), bbox=None), r"annotations\[0\]: bbox must be"),
+    (changed(("annotations", 0), image_id=None), r"annotations\[0\]: image_id is missing"),
+    (changed(("annotations", 1), category_id=5), r"annotations\[1\]: unknown category_id 5"),
+    (changed(("images", 1), id=30), r"images\[1\]: id 30 appears twice"),
+    (changed(("images", 0), width=0), r"images\[0\]: width and height must be pixels, above 0"),
+    (
+        changed(("images", 0), width="640"),
+        r"images\[0\]: width and height must be pixels, above 0 \(got '640' and 480\)",
+    ),
+    (changed(("images", 1), sequence=[1]), r"images\[1\]: sequence must be a whole number or text \(got \[1\]\)"),
+    (changed(("images", 1), time_s="noon"), r"images\[1\]: time_s and frame_id must be numbers \(got 'noon'\)"),
+    (changed(("annotations", 2), bbox=[0, 0, 1e200, 5]), r"annotations\[2\]: bbox must be in pixels, at most 1e\+07"),
+    (changed(("categories", 1), name="ferry"), r"categories\[1\]: .* appears twice"),
+    (changed(("categories", 1), name=""), r"categories\[1\]: must have an id, a whole number, and a name"),
+    (changed(("annotations", 2), distance_m="far"), r"annotations\[2\]: distance_m must be a number"),
+    (changed(("annotations", 2), distance_m=-4), r"annotations\[2\]: distance_m must be 0 or more \(got -4\)"),
+    (changed(("annotations", 2), visible_fraction=25), r"\[2\]: visible_fraction must be from 0 to 1 \(got 25\)"),
+    ((TRUTH, {"annotations": []}), "must be a list of results"),
+    ((RESULTS, RESULTS), "a list: is it the results file?"),
+    (({"images": []}, RESULTS), "annotations: missing\n  categories: missing"),
+    ((json.dumps(TRUTH)[:150], RESULTS), r"line 1, column \d+: .*is it cut off"),
+    ((TRUTH, "[{]"), "line 1, column 3"),
+]
+
+
+@pytest.mark.parametrize(("files", "message"), BAD, ids=[message for _, message in BAD])
+def test_coco_that_is_wrong_is_refused_with_the_index_of_the_entry(files, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, *files)
+
+
+def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
+    results = [{**RESULTS[0], "image_id": k} for k in range(30)] + RESULTS
+    with pytest.raises(InputError) as raised:
+        read(tmp_path, results=results)
+    assert len(raised.value.problems) == 21 and "9 more" in raised.value.problems[-1]
+    labelled = read(tmp_path, results=results, skip_bad=True)
+    assert len(labelled.results) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
+
+
+@pytest.mark.parametrize(("where", "keys"), [(("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})])
+def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
+    truth, results = changed(where, **keys)
+    results = [entry for entry in results if entry["image_id"] == 30]
+    labelled = read(tmp_path, truth, results, skip_bad=True)
+    assert len(labelled.annotations) == 2 and labelled.annotations.depth_m.tolist() == pytest.approx(
+        [np.nan] * 2, nan_ok=True
+    )
+    assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
+    labelled = random_set(seed)
+    box = lambda corners: [corners[0], corners[1], corners[2] - corners[0], corners[3] - corners[1]]  # noqa: E731
+    truth, found = labelled.annotations, labelled.results
+    gt = {
+        "images": [{"id": k, "width": 600, "height": 600} for k in range(len(labelled.images))],
+        "categories": [{"id": k, "name": name} for k, name in enumerate(labelled.labels)],
+        "annotations": [
+            {"image_id": int(truth.image[t]), "category_id": int(truth.label[t]),
+             "bbox": box(truth.boxes_px[t].tolist()), "iscrowd": int(truth.crowd[t]), "ignore": int(truth.ignored[t])}
+            for t in range(len(truth))
+        ],
+    }  # fmt: skip
+    dt = [
+        {"image_id": int(found.image[d]), "category_id": int(found.label[d]), "bbox": box(found.boxes_px[d].tolist()),
+         "score": float(found.confidence[d])}
+        for d in range(len(found))
+    ]  # fmt: skip
+    again = read(tmp_path_factory.mktemp("coco"), gt, dt)
+    for part in ("annotations", "results"):
+        for name, column in vars(getattr(labelled, part)).items():
+            if isinstance(column, np.ndarray):
+                np.testing.assert_allclose(getattr(getattr(again, part), name), column, atol=1e-9)
+
+
+def test_mot(tmp_path):
+    folder = tmp_path / "gt"
+    folder.mkdir()
+    (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=1920\nimHeight=1080\nseqLength=4\nframeRate=5\n")
+    (folder / "gt.txt").write_text("1,3,10,20,30,40,1,1,0.5\n2,3,11,20,30,40,1,1,1\n2,4,0,0,9,9,0,1,1\n")
+    (tmp_path / "det.txt").write_text("2,-1,12,20,30,40,0.9,-1,-1,-1\n1,-1,300,20,30,40,0.3\n")
+    labelled = read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions(labels=("boat",)))
+    assert labelled.labels == ("boat",)
+    assert labelled.images.time_s.tolist() == pytest.approx([0, 0.2, 0.4, 0.6])
+    assert labelled.images.sizes_px[0].tolist() == [1920, 1080]
+    assert labelled.annotations.identity.tolist() == [0, 0, 1]
+    assert labelled.annotations.ignored.tolist() == [False, False, True]
+    assert labelled.annotations.visible_fraction.tolist() == [0.5, 1, 1]
+    assert labelled.results.image.tolist() == [0, 1]
+    (tmp_path / "det.txt").write_text(
+        "0,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
+    )
+    with pytest.raises(InputError) as raised:
+        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
+    assert [line.partition(":")[0] for line in raised.value.problems] == [
+        f"det.txt line {k}" for k in (3, 4, 1, 2, 5)
+    ]  # fmt: skip
+    (tmp_path / "seqinfo.ini").unlink()
+    with pytest.raises(InputError, match="give --image-size"):
+        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
+
+
+def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
+    (tmp_path / "gt.txt").write_text(truth)
+    (tmp_path / "det.txt").write_text(detections)
+    return read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(labels, size))
+
+
+def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
+    assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").results) == 1
+    with pytest.raises(InputError, match=r"det.txt line 1: must be numbers \(got '1,-1,,12"):
+        mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
+
+
+def test_mot_frames_that_are_times_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"gt.txt line 1: frame must be a whole number from 1 to"):
+        mot(tmp_path, truth="1700000000000,3,10,20,30,40,1,1,0.5\n")
+
+
+@pytest.mark.parametrize("entry", ["frameRate=0", "frameRate=nan", "imWidth=0", "imHeight=-5", "seqLength=-1"])
+def test_a_sequence_without_size_or_rate_is_refused(entry, tmp_path):
+    values = {"imWidth": "640", "imHeight": "480", "frameRate": "5", "seqLength": "3"} | dict([entry.split("=")])
+    lines = "\n".join(f"{key}={value}" for key, value in values.items())
+    (tmp_path / "seqinfo.ini").write_text(f"[Sequence]\n{lines}\n")
+    with pytest.raises(InputError, match="must be above 0"):
+        mot(tmp_path)
+
+
+def test_mot_with_classes(tmp_path):
+    (tmp_path / "gt.txt").write_text("1,3,10,20,30,40,1,2,1\n1,4,100,20,30,40,1,5,1\n")
+    (tmp_path / "det.txt").write_text("1,-1,12,20,30,40,0.9,5,-1,-1\n")
+    labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(("a", "b"), (640, 480)))
+    assert labelled.labels == ("b", "class_5")
+    assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [1]
+
+
+def test_yolo(tmp_path):
+    truth, predictions = tmp_path / "set", tmp_path / "predictions"
+    (truth / "labels").mkdir(parents=True)
+    predictions.mkdir()
+    (truth / "labels" / "a.txt").write_text("0 0.5 0.5 0.25 0.5\n1 0.25 0.25 0.1 0.1\n")
+    (truth / "labels" / "b.txt").write_text("")
+    (truth / "labels" / "images.txt").write_text("images/d.png\n")
+    (truth / "data.yaml").write_text("names: {0: sailboat, 1: ferry}\n")
+    (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2 0.75\n")
+    given = ReadOptions(image_size_px=(800, 400))
+    labelled = read_pair("day", truth, predictions, given)
+    assert labelled.labels == ("sailboat", "ferry")
+    assert labelled.images.names == ("a", "b", "c", "d")
+    assert labelled.annotations.boxes_px[0].tolist() == [300, 100, 500, 300]
+    assert labelled.results.image.tolist() == [2] and labelled.results.confidence.tolist() == [0.75]
+    (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2\n0.5 0.1 0.1 0.1 0.1 0.9\n0 400 300 20 20 0.9\n")
+    with pytest.raises(InputError, match=r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares"):
+        read_pair("day", truth, predictions, given)
+    with pytest.raises(InputError, match="give --image-size"):
+        read_pair("day", truth, predictions, ReadOptions())
+
+
+def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=()):
+    truth, predictions = tmp_path / "labels", tmp_path / "predictions"
+    truth.mkdir(exist_ok=True)
+    predictions.mkdir(exist_ok=True)
+    (truth / "a.txt").write_text(line)
+    (tmp_path / "data.yaml").write_text(data)
+    return read_pair("day", truth, predictions, ReadOptions(labels, (800, 400)))
+
+
+def test_yolo_names_are_those_of_their_numbers(tmp_path):
+    assert yolo(tmp_path, data="names: {2: kayak, 1: ferry}\n").labels == ("class_0", "ferry", "kayak")
+    for names in ("{0: ferry, x: kayak}", "{-1: ferry}", "{1000000000: ferry}"):
+        with pytest.raises(InputError, match="names: must be numbered"):
+            yolo(tmp_path, data=f"names: {names}\n")
+
+
+def test_yolo_classes_that_are_none_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"a.txt line 1: class must be a whole number from 0 to"):
+        yolo(tmp_path, line="900000000 0.5 0.5 0.25 0.5\n")
+
+
+def test_labels_of_the_same_name_are_refused(tmp_path):
+    for files in ({"data": "names: [ferry, ferry]\n"}, {"labels": ("ferry", "ferry")}):
+        with pytest.raises(InputError, match="'ferry' names more than one class"):
+            yolo(tmp_path, **files)
+
+
+def test_what_is_not_there_is_not_taken_for_another_kind(tmp_path):
+    yolo(tmp_path)
+    with pytest.raises(InputError) as raised:
+        read_pair("day", tmp_path / "labels", tmp_path / "nowhere", ReadOptions())
+    assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
+
+
+def test_two_kinds_of_files_do_not_go_together(tmp_path):
+    gt, _ = written(tmp_path)
+    (tmp_path / "det.txt").touch()
+    with pytest.raises(InputError, match=r"looks like COCO and .* like MOT"):
+        read_pair("day", gt, tmp_path / "det.txt", ReadOptions())
+
+
+def test_joined_sets_keep_their_rows_apart():
+    first, second = random_set(1, labels=2), random_set(2, labels=3)
+    both = joined([first, second])
+    assert both.labels == ("a", "b", "c") and both.conditions == ("all",)
+    assert len(both.images) == len(first.images) + len(second.images)
+    np.testing.assert_array_equal(
+        both.annotations.image[len(first.annotations) :], second.annotations.image + len(first.images)
+    )
+    assert set(both.images.source.tolist()) == {0, 1}
+    assert np.all(np.diff(both.results.image) >= 0)

@@ -1,0 +1,323 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
+from modsim3d.formats.labelled import LabelledSet, joined
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.dropout_fit import Effect, fit_misses
+from modsim3d.learn.error_moments import covariance
+from modsim3d.learn.error_shares import ErrorKind, error_shares
+from modsim3d.learn.figures import Matches
+from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.observed import ErrorSource, Observed
+from modsim3d.learn.persistence_fit import Consecutive, correlation_time, relative_error
+from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
+from modsim3d.learn.states import transitions_of
+from modsim3d.learn.transitions import Transitions, count_transitions
+from tests.formats.labelled_sets import found, images, random_set, truth
+
+
+def figures_of(labelled, replicates=50, threshold=0.0, beta=2.0):
+    matched = match(labelled, Rule(), threshold)
+    by_label = match(labelled, Rule(by_label=True))
+    everything = np.ones(len(labelled.images), dtype=bool)
+    return Matches(labelled, matched, by_label, resample(labelled.images, replicates, 1), beta).figures(
+        "all", everything
+    )
+
+
+def sailboats_and_kayaks():
+    """The counts of Table 5.4: 15 and 16 right, 4 and 1 mixed up, 1 and 3 missed, 2 and 2 of nothing."""
+    cells = [(0, 0)] * 15 + [(0, 1)] * 4 + [(0, None)] + [(1, 0)] + [(1, 1)] * 16 + [(1, None)] * 3
+    boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(len(cells))]
+    seen = [(box, label) for box, (_, label) in zip(boxes, cells, strict=True) if label is not None]
+    seen += [([100.0 * k, 500, 100.0 * k + 50, 550], k // 2) for k in range(4)]
+    count, scores = len(cells), np.linspace(0.9, 0.5, len(seen)).tolist()
+    return LabelledSet(
+        ("sailboat", "kayak"),
+        ("all",),
+        images(1, (9000, 900)),
+        truth([0] * count, [label for label, _ in cells], boxes),
+        found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores),
+    )
+
+
+def test_confusion_matrix_is_tables_5_4_and_5_5():
+    got = figures_of(sailboats_and_kayaks())
+    assert got.counts.tolist() == [[15, 1, 2], [4, 16, 2], [1, 3, 0]]
+    table = [[0.75, 0.05], [0.2, 0.8], [0.05, 0.15]]
+    np.testing.assert_allclose(got.confusion.estimate, table)
+    assert got.false_labels.estimate.tolist() == [0.5, 0.5]
+    # "the false positives ... for class sailboat amount to 1 + 2 = 3", "false negatives ... 4 + 1 = 5"
+    np.testing.assert_allclose(got.of_labels.precision.estimate[0], 15 / 18)
+    np.testing.assert_allclose(got.of_labels.false_discovery_rate.estimate[0], 3 / 18)
+    np.testing.assert_allclose(got.of_labels.false_negative_rate.estimate[0], 5 / 20)
+    np.testing.assert_allclose(got.any_label.false_negative_rate.estimate, 4 / 40)
+    np.testing.assert_allclose(got.any_label.false_discovery_rate.estimate, 4 / 40)
+    precision, recall = 15 / 18, 15 / 20
+    np.testing.assert_allclose(got.of_labels.f1.estimate[0], 2 * precision * recall / (precision + recall))
+    np.testing.assert_allclose(got.of_labels.f_beta.estimate[0], 5 * precision * recall / (4 * precision + recall))
+    np.testing.assert_allclose(got.mean.recall.estimate, (15 / 20 + 16 / 20) / 2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_columns_of_confusion_sum_to_one_and_rates_complete_each_other(seed):
+    got = figures_of(random_set(seed), replicates=5)
+    total = got.confusion.values.sum(axis=1)
+    assert np.all(np.isclose(total, 1) | np.isnan(total))
+    rates = got.of_labels
+    for one, other in ((rates.precision, rates.false_discovery_rate), (rates.recall, rates.false_negative_rate)):
+        both = one.values + other.values
+        assert np.all(np.isclose(both, 1) | np.isnan(both))
+    for column in got.average_precision.columns:
+        values = column.values
+        assert np.all(np.isnan(values) | ((values >= 0) & (values <= 1 + 1e-12)))
+
+
+def test_error_moments_are_those_of_numpy():
+    rng = np.random.default_rng(3)
+    boxes = np.tile([1000.0, 1000, 1400, 1300], (300, 1))
+    moved = boxes + rng.normal(0, 5, (300, 4)) @ rng.normal(0, 1, (4, 4))
+    image = np.repeat(np.arange(60), 5)
+    boxes[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
+    moved[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
+    labelled = LabelledSet(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
+                        found(image, image * 0, moved, np.full(300, 0.9)))  # fmt: skip
+    got = figures_of(labelled, 200)
+    change = moved - boxes
+    errors = np.concatenate([(change[:, :2] + change[:, 2:]) / 2, change[:, 2:] - change[:, :2]], axis=1)
+    np.testing.assert_allclose(got.errors.mean.estimate, errors.mean(axis=0))
+    whole = covariance(got.errors.std.estimate, got.errors.correlation.estimate)
+    np.testing.assert_allclose(whole, np.cov(errors.T), rtol=1e-9)
+    upper = np.triu_indices(4)
+    np.testing.assert_allclose(got.error_covariance.estimate, np.cov(errors.T)[upper], rtol=1e-9)
+    np.testing.assert_allclose(got.errors_of_labels[0].mean.estimate, errors.mean(axis=0))
+    np.testing.assert_allclose(got.errors_of_labels[0].std.estimate, errors.std(axis=0, ddof=1))
+    low, high = got.errors.mean.interval(0.95, got.units)
+    width = 1.96 * errors.std(axis=0) / np.sqrt(300)
+    np.testing.assert_allclose(high - low, 2 * width, rtol=0.25)  # replicates: 5 %, images: 9 %
+
+
+def test_cross_entropy_of_labels_where_probabilities_are_given():
+    boxes = [[0, 0, 10, 10], [50, 0, 60, 10], [0, 50, 10, 60]]
+    chances = np.array([[0.5, 0.5], [0.9, 0.1], [np.nan, np.nan]])
+    labelled = LabelledSet(("a", "b"), ("all",), images(1), truth([0] * 3, [0, 1, 0], boxes),
+                        found([0] * 3, [0, 0, 0], boxes, [0.8, 0.7, 0.6], chances))  # fmt: skip
+    got = figures_of(labelled)
+    assert got.label_entropy.estimate == pytest.approx(-(np.log(0.5) + np.log(0.1)) / 2)
+    assert got.confidence_entropy.estimate == pytest.approx(-np.log([0.8, 0.7, 0.6]).mean())
+
+
+def test_intervals_of_shares_of_few_are_jeffreys_and_end_where_they_must():
+    values = np.concatenate([[[0.0, 0.5, 1.0]], np.tile([0.0, 0.5, 1.0], (40, 1))])
+    low, high = Column(values, "share", np.full(3, 10.0)).interval(0.95, 10**9)
+    # Brown, Cai & DasGupta (2001), Jeffreys interval of 5 in 10: 0.224 to 0.776; of 0 in 10: 0 to 0.217
+    np.testing.assert_allclose(low, [0, 0.224, 0.783], atol=6e-4)
+    np.testing.assert_allclose(high, [0.217, 0.776, 1], atol=6e-4)
+
+
+@given(value=st.floats(0.001, 0.999), kind=st.sampled_from(["share", "fraction", "mean", "positive", "correlation"]))
+def test_scales_go_there_and_back(value, kind):
+    assert from_scale(to_scale(np.array(value), kind), kind) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(("value", "end"), [(1.0, 1), (0.0, 0)])
+def test_a_fraction_that_is_one_or_zero_is_known_as_well_as_a_share(value, end):
+    alike = np.full(50, value)
+    fraction, share = (Column(alike, kind, np.array(8.0)).interval(0.95, 30) for kind in ("fraction", "share"))
+    assert fraction == share
+    assert fraction[end] == value and abs(fraction[1 - end] - value) > 0.1
+
+
+@pytest.mark.parametrize("kind", ["mean", "positive", "correlation", "fraction"])
+def test_of_a_single_image_nothing_is_known_but_the_number(kind):
+    low, high = Column(np.full(50, 0.5), kind, np.array(8.0)).interval(0.95, 1)
+    least, most = {"mean": (-np.inf, np.inf), "positive": (0, np.inf), "correlation": (-1, 1), "fraction": (0, 1)}[kind]
+    assert (low, high) == (least, most)
+
+
+def test_runs_of_frames_are_drawn_together():
+    frames = images(40, time_s=np.arange(40) * 0.5)
+    drawn = resample(frames, 30, 0, run_s=5.0)
+    assert drawn.weights.shape == (31, 40) and np.all(drawn.weights[0] == 1)
+    assert np.all(drawn.weights[1:].reshape(30, 4, 10).std(axis=2) == 0)
+    assert np.all(drawn.weights.sum(axis=1) == 40)
+    assert np.any(resample(frames, 30, 0).weights[1:].reshape(30, 4, 10).std(axis=2) > 0)
+
+
+def test_clipped_scores_have_the_normal_behind_them():
+    rng = np.random.default_rng(4)
+    values = np.clip(rng.normal(0.45, 0.2, 40_000), 0.2, 1)
+    mean, std = fit_clipped(clipped_sums(values, 0.2, 1.0).sum(axis=0)[None], 0.2, 1.0)
+    assert mean[0] == pytest.approx(0.45, abs=4 * 0.2 / 200)
+    assert std[0] == pytest.approx(0.2, abs=4 * 0.2 / 200)
+    assert values.mean() - 0.45 > 0.005  # which the mean of the clipped ones is not
+
+
+def missed_by_size(seed, slope=-1.0, count=6000):
+    """Truths of two labels in images of one state, missed by their size."""
+    rng = np.random.default_rng(seed)
+    side = 2 ** rng.uniform(3, 7, count)
+    label = rng.integers(0, 2, count)
+    chance = 1 / (1 + np.exp(-(np.array([-1.5, -0.8])[label] + slope * np.log2(side / 32))))
+    seen = rng.random(count) > chance
+    place = np.arange(count) % 10 * 300.0
+    boxes = np.stack([place, 0 * place, place + side, side], axis=1)
+    image = np.arange(count) // 10
+    labelled = LabelledSet(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
+                        found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9)))  # fmt: skip
+    state = np.zeros(count // 10, dtype=np.int64)
+    return Observed(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
+
+
+def test_misses_follow_size_as_they_were_made_to():
+    observed, chance = missed_by_size(5)
+    fit = fit_misses(observed, (Effect("size_px", 32.0),), resample(observed.labelled.images, 200, 0))
+    assert abs(fit.slopes[0, 0] + 1.0) < 4 * fit.errors[0]
+    assert fit.slopes[1:].std() == pytest.approx(fit.errors[0], rel=0.25)
+    for label in range(2):
+        ours = observed.label == label
+        assert fit.rates[0, 0, label] == pytest.approx(observed.missed[ours].mean(), abs=1e-6)
+    assert np.abs(fit.chance - chance).max() < 0.06
+
+
+def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
+    rng, runs, pairs = np.random.default_rng(3), 10, 40
+    place, gaps = np.repeat(np.arange(runs), pairs), np.full(runs * pairs, 0.2)
+    products = np.tile(rng.normal(0.7, 1, pairs), runs) * np.linspace(0.99, 1.01, runs).repeat(pairs)
+    resampling = resample(images(runs), 400, 0)
+    plain = correlation_time(resampling, place, products, np.ones(len(place)), gaps)
+    column = Consecutive(products, np.ones(len(place)), gaps, place).column(resampling)
+    least = relative_error(products, np.ones(len(place)), gaps, plain[0])
+    assert column.values[0] == pytest.approx(plain[0])
+    assert np.log(plain[1:]).std() < 0.1 * least
+    assert np.log(column.values[1:]).std() == pytest.approx(least, rel=0.01)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_a_correlation_time_comes_back(even):
+    rng, n = np.random.default_rng(6), 20_000
+    gaps = np.full(n, 0.2) if even else rng.uniform(0.1, 0.6, n)
+    kept = np.exp(-gaps / 0.8)
+    value = np.empty(n + 1)
+    value[0] = rng.normal()
+    fresh = rng.normal(size=n)
+    for k in range(n):
+        value[k + 1] = kept[k] * value[k] + np.sqrt(1 - kept[k] ** 2) * fresh[k]
+    products = value[1:] * value[:-1]
+    place = np.zeros(n, dtype=np.int64)
+    once = resample(images(1), 0, 0)
+    time = correlation_time(once, place, products, np.ones(n), gaps)
+    assert time[0] == pytest.approx(0.8, rel=0.09)  # four standard errors
+    # Bartlett (1946): the variance of a correlation of neighbours is (1 − ρ²) / n.
+    error = relative_error(products, value[:-1] ** 2, gaps, 0.8)
+    theory = np.sqrt((1 - kept**2).mean() / n) / kept.mean() * 0.8 / np.median(gaps)
+    assert error == pytest.approx(theory, rel=0.05 if even else 0.25)
+
+
+def test_transitions_are_counted_with_one_made_up_of_each():
+    chain = count_transitions([np.array([0, 0, 1, 1, 1, 0])], 2)
+    assert chain.counts.tolist() == [[1, 1], [1, 2]]  # to the row from the column
+    np.testing.assert_allclose(chain.matrix, [[2 / 4, 2 / 5], [2 / 4, 3 / 5]])
+    np.testing.assert_allclose(chain.matrix.sum(axis=0), 1)
+    interval = chain.interval(0.9, ("a", "b"))
+    low, high = interval.low, interval.high
+    assert np.all((low < chain.matrix) & (chain.matrix < high))
+    nothing = count_transitions([], 2)
+    assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
+    assert isinstance(chain, Transitions)
+
+
+def test_a_state_that_is_the_only_one_surely_stays():
+    interval = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
+    assert interval.low == interval.high == 1
+
+
+def test_cameras_that_share_a_chain_count_once():
+    frames = images(8, time_s=np.tile(np.arange(4) * 0.5, 2))
+    frames = type(frames)(**{**vars(frames), "sequence": np.repeat([0, 1], 4)})
+    state = np.array([0, 0, 1, 1, 0, 0, 1, 1])
+    assert transitions_of(frames, state, 2).counts.tolist() == [[1, 0], [1, 1]]
+    assert transitions_of(frames, state, 2, interval_s=1.0).counts.tolist() == [[0, 0], [1, 0]]
+    assert not transitions_of(frames, np.zeros(8, dtype=int), 2).observed
+
+
+def test_error_shares_name_each_kind():
+    boxes = [[1000.0 * k, 0, 1000.0 * k + 100, 100] for k in range(6)]
+    seen = [
+        (boxes[0], 0, 0.9),  # right
+        (boxes[1], 1, 0.8),  # another label
+        ([2000, 0, 2030, 100], 0, 0.7),  # ill placed
+        ([3000, 0, 3030, 100], 1, 0.6),  # both
+        (boxes[0], 0, 0.5),  # again
+        ([9000, 0, 9100, 100], 0, 0.4),  # of nothing
+    ]
+    labelled = LabelledSet(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
+                        found([0] * 6, [label for _, label, _ in seen], [box for box, _, _ in seen],
+                              [score for _, _, score in seen]))  # fmt: skip
+    shares = error_shares(labelled, match(labelled, Rule(by_label=True)), np.ones(1, dtype=bool))
+    assert {each.kind: each.count for each in shares.shares} == dict.fromkeys(ErrorKind, 1) | {ErrorKind.MISSED: 3}
+    gains = {each.kind.value: each.gain_points for each in shares.shares}
+    assert shares.average_precision == pytest.approx(1 / 6)
+    assert gains["classification"] == pytest.approx(100 / 6)
+    # mended, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
+    assert gains["localisation"] == pytest.approx(100 / 6)
+    assert gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
+    assert gains["duplicate"] == gains["background"] == gains["both"] == 0
+
+
+def test_transitions_are_between_frames_that_follow_each_other_and_have_their_interval():
+    # A little early or late; between the fourth and the fifth, three are missing.
+    frames = images(6, time_s=np.array([10.0, 10.52, 10.99, 11.5, 13.5, 14.0]))
+    chain = transitions_of(frames, np.array([0, 0, 1, 1, 0, 1]), 2)
+    assert chain.counts.tolist() == [[1, 0], [2, 1]]
+    assert chain.interval_s == pytest.approx(0.5, abs=0.02)
+    assert transitions_of(frames, np.array([0, 0, 1, 1, 0, 1]), 2, 1.0).counts.tolist() == [[0, 0], [2, 0]]
+    alone = images(2, time_s=np.array([3.0, 3.0]))
+    assert not transitions_of(alone, np.array([0, 1]), 2).observed
+
+
+@pytest.mark.parametrize("rate_hz", [24, 27, 30])
+def test_transitions_are_all_there_where_times_are_rounded(rate_hz):
+    times = np.round(np.arange(300) / rate_hz, 2)
+    state = np.arange(300) % 2
+    assert transitions_of(images(300, time_s=times), state, 2).counts.tolist() == [[0, 149], [150, 0]]
+
+
+def at_the_edge(inner, outer, seed=2):
+    """Boats in the middle and at the left edge of images, found with errors of 3 px."""
+    rng = np.random.default_rng(seed)
+    count = inner + outer
+    boxes = np.tile([300.0, 300, 380, 360], (count, 1))
+    boxes[inner:] = [0.0, 300, 80, 360]
+    moved = boxes + rng.normal(0, 3, boxes.shape)
+    moved[inner:, 0] = np.maximum(moved[inner:, 0], 0)
+    image = np.arange(count)
+    return LabelledSet(("a",), ("all",), images(count), truth(image, image * 0, boxes),
+                    found(image, image * 0, moved, np.full(count, 0.9)))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("inner", "source", "whose"),
+    [(30, ErrorSource.OWN_STATE, None), (2, ErrorSource.ALL_STATES, "that of all states; had 2 matches"),
+     (0, ErrorSource.ALL_PAIRS, "that of all states, with boxes at the image's edge; had 0 matches")],
+)  # fmt: skip
+def test_box_errors_are_learned_from_boxes_that_the_edge_has_not_cut_as_far_as_there_are_any(inner, source, whose):
+    labelled = at_the_edge(inner, 40)
+    state = np.zeros(len(labelled.images), dtype=np.int64)
+    names = ("usual",)
+    if source is ErrorSource.ALL_STATES:  # the other state has enough
+        labelled = joined([labelled, at_the_edge(30, 0, seed=3)])
+        state, names = np.repeat([0, 1], [42, 30]), ("usual", "other")
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), names, state, 0.2)
+    learned = learn(observed, Transitions(np.zeros((len(names), len(names)))), Settings(replicates=20))
+    assert learned.form.box_errors.states[0].source is source
+    stated = [note for note in learned.notes if note.startswith("states.usual.box_error")]
+    assert len(stated) == (whose is not None) and all(whose in note for note in stated)
+    written = np.array(learned.detector()["states"]["usual"]["box_error"]["covariance"])
+    assert np.all(np.diag(written) > 0)

@@ -1,0 +1,417 @@
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modsim3d.cli import app
+from modsim3d.detector import load_detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.formats.coco import write_coco
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.reading.coco import read_coco
+from modsim3d.learn.entries import entries_of
+from modsim3d.learn.gate_bias import bias_of, simulated
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
+from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.observed import Observed
+from modsim3d.learn.states import each_its_own, transitions_of
+from modsim3d.learn.transitions import Transitions
+from modsim3d.runs.stored_run import open_run
+from modsim3d.verify.verify_run import verify_run
+from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return simulate("simulation_1", tmp_path_factory.mktemp("run"), mode=0, steps=700)
+
+
+@pytest.fixture(scope="module")
+def exported(run):
+    folder = run.parent / "coco"
+    result = CliRunner().invoke(app, ["export", str(run), "--coco", str(folder)], catch_exceptions=False)
+    assert "gt.json" in result.output
+    return folder
+
+
+def observe(labelled, names, state, rule=None):
+    return Observed(labelled, match(labelled, rule or Rule(), 0.2), names, state, 0.2)
+
+
+def command(*parts):
+    return CliRunner().invoke(app, ["learn", *map(str, parts)], catch_exceptions=False, env={"COLUMNS": "300"})
+
+
+def test_exported_coco_is_the_run(run, exported):
+    first, _ = labelled_run(run)
+    again = read_coco("all", exported / "gt.json", exported / "dt.json")
+    assert again.conditions == ("clear", "haze") or again.conditions == ("haze", "clear")
+    names = [again.conditions[k] for k in again.images.condition]
+    assert names == [first.conditions[k] for k in first.images.condition]
+    np.testing.assert_array_equal(again.annotations.identity >= 0, True)
+    for part in ("annotations", "results"):
+        for column in ("image", "label", "boxes_px"):
+            np.testing.assert_allclose(
+                getattr(getattr(again, part), column), getattr(getattr(first, part), column), atol=1e-6
+            )
+    np.testing.assert_array_equal(again.images.time_s, first.images.time_s)
+
+
+@pytest.mark.parametrize("method", ["confidence", "optimal", "provenance"])
+def test_every_number_comes_back_inside_its_interval(method, run, exported):
+    labelled = labelled_run(run)[0]
+    if method != "provenance":
+        labelled = read_coco("all", exported / "gt.json", exported / "dt.json")
+    states = each_its_own(("clear", "haze"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
+    learned = learn(
+        observe(labelled, states.names, image_state, Rule(method)), transitions, Settings(Rule(method), replicates=150)
+    )
+    asked = asked_of()
+    total = sum(value.size for value in asked.values())
+    assert total == 90
+    assert outside(asked, learned.intervals(1 - 0.01 / total)) == {}
+    model = parse_detector(learned.detector())
+    assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and model.dropout.anchored
+    # And not because they are as wide as can be.
+    intervals = {each.key.path: each for each in learned.intervals(0.95)}
+    for path, most in (("states.clear.box_error_std", 1.25), ("persistence.class_s", 1.7), ("persistence.box_s", 1.2)):
+        assert np.all(intervals[path].high / intervals[path].low < most)
+
+
+def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(tmp_path):
+    simulate("harbour", tmp_path, mode=2, steps=400)
+    labelled = read_coco("all", *write_coco(labelled_run(tmp_path / "run")[0], tmp_path / "coco"))
+    states = each_its_own(("clear", "haze"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
+    learned = learn(observe(labelled, states.names, image_state), transitions, Settings(replicates=100))
+    asked = asked_of()
+    assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
+
+
+def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
+    out = tmp_path / "detector.yaml"
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
+    result = command(*files, "--out", out, "--replicates", 40, "--correct")
+    assert result.exit_code == 0
+    model = load_detector(out)
+    assert {state.name for state in model.states} == {"clear", "haze"}
+    assert model.transition_interval_s == 1
+    text = out.read_text()
+    assert text.startswith("# Learned by modsim3d learn. 700 images, ")
+    assert "Corrected once for the bias of the matching." in text
+    for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
+                  "points gained if mended", "Bias of the matching", "Left simple", "Never learned"):  # fmt: skip
+        assert title in result.output
+    page = out.with_suffix(".html").read_text()
+    assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
+    assert "e_x in widths" in page and "e_h in heights" in page  # as the file has them
+
+
+def test_the_same_data_give_the_same_bytes(exported, tmp_path):
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--replicates", 20]
+    for name in ("first", "second"):
+        command(*files, "--out", tmp_path / f"{name}.yaml")
+    assert (tmp_path / "first.yaml").read_bytes() == (tmp_path / "second.yaml").read_bytes()
+    assert (tmp_path / "first.html").read_bytes() == (tmp_path / "second.html").read_bytes()
+
+
+def false_of_states(run):
+    labelled = labelled_run(run)[0]
+    false = labelled.results.image[(labelled.results.origin < 0) & (labelled.results.confidence >= 0.2)]
+    return np.bincount(labelled.images.condition[false], minlength=len(labelled.conditions))
+
+
+def test_a_run_is_learned_by_provenance(run, tmp_path):
+    result = command("--run", run, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
+    assert result.exit_code == 0 and "matched by provenance" in result.output
+    images, false = np.bincount(labelled_run(run)[0].images.condition), false_of_states(run)
+    for state, rate in zip(labelled_run(run)[0].conditions, false / images, strict=True):
+        assert f"states.{state}.false_positives_per_image (not written)  {rate:.4g}" in re.sub(
+            r" {2,}", "  ", result.output
+        )
+    assert "per_image" not in (tmp_path / "d.yaml").read_text()
+    assert load_detector(tmp_path / "d.yaml").transition_interval_s == 1  # the run knows
+
+
+def pairs_of_conditions(tmp_path, count):
+    """Conditions with ever more misses."""
+    rng = np.random.default_rng(8)
+    arguments = []
+    for number in range(count):
+        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (60, 1))
+        image = np.repeat(np.arange(60), 2)
+        seen = rng.random(120) > 0.05 + 0.1 * number
+        moved = boxes + rng.normal(0, 2, boxes.shape)
+        sure = 0.5 + rng.random(sum(seen)) / 2
+        labelled = LabelledSet(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
+                            found(image[seen], image[seen] * 0, moved[seen], sure))  # fmt: skip
+        gt, dt = write_coco(labelled, tmp_path / f"c{number}")
+        arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
+    return arguments
+
+
+def test_states_from_conditions_and_from_clusters(tmp_path):
+    out, arguments = tmp_path / "d.yaml", pairs_of_conditions(tmp_path, 4)
+    named = command(*arguments, "--state", "good=c0,c1", "--state", "bad=c2", "--out", out, "--replicates", 30)
+    assert "States: good = c0, c1" in out.read_text()
+    model = load_detector(out)
+    assert [state.name for state in model.states] == ["good", "bad"]
+    assert model.transition_matrix.tolist() == [[1, 0], [0, 1]]
+    assert "had 0 transitions" in named.output
+    assert "persistence: none; had 0 sightings" in named.output
+    (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
+    command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
+            "--replicates", 30)  # fmt: skip
+    model = load_detector(out)
+    assert [state.name for state in model.states] == ["excellent", "good", "bad"]
+    assert model.transition_interval_s == 5
+    np.testing.assert_allclose(model.transition_matrix[:, 0], [11 / 23, 1 / 23, 11 / 23], atol=1e-7)
+
+
+def test_conditions_that_no_image_has_make_no_state():
+    labelled = replace(random_set(4), conditions=("all", "unseen"))
+    settings = Settings(replicates=20)
+    assert dict(learn_detector(labelled, settings, LearnOptions(clusters=1)).state_map.states) == {"usual": ("all",)}
+    with pytest.raises(InputError, match="there are only 1 conditions"):
+        learn_detector(labelled, settings, LearnOptions(clusters=2))
+
+
+def test_intervals_rest_on_the_images_of_their_own_state_whatever_its_name():
+    labelled = random_set(4, image_count=40)
+    states = np.repeat([0, 1], [30, 10])
+    named = [
+        learn(observe(labelled, names, states), Transitions(np.zeros((2, 2))), Settings(replicates=20)).intervals(0.95)
+        for names in (("day", "night"), ("all", "all.night"))
+    ]
+    for first, second in zip(*named, strict=True):
+        assert first.key.names == second.key.names
+        np.testing.assert_array_equal((first.low, first.high), (second.low, second.high))
+    assert {each.key.state for each in named[1]} == {"all", "all.night", None}
+
+
+def test_what_does_not_fit_together_is_refused(tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 2)
+    out = ["--out", tmp_path / "d.yaml"]
+    with pytest.raises(ModsimError, match="nothing to learn from"):
+        command(*out)
+    with pytest.raises(ModsimError, match="--truth is given 1 and --detections 0 times"):
+        command("--truth", arguments[3], *out)
+    with pytest.raises(ModsimError, match="--condition is given 1 times, with 2 pairs"):
+        command(*arguments[2:], *out)
+    with pytest.raises(ModsimError, match="give --state, which names"):
+        command(*arguments, "--state", "a=c0", "--states", 2, *out)
+    with pytest.raises(ModsimError, match="needs simulated runs"):
+        command(*arguments, "--match", "provenance", *out)
+    with pytest.raises(InputError, match=r"must be W,H in pixels"):
+        command(*arguments, "--image-size", "big", *out)
+    assert command(*arguments, "--distance", -1, *out).exit_code == 2
+    with pytest.raises(InputError, match="the page would be written over the detector file"):
+        command(*arguments, "--out", tmp_path / "d.html")
+    empty = tmp_path / "empty.json"
+    empty.write_text(json.dumps({"images": [], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}))
+    nothing = tmp_path / "nothing.json"
+    nothing.write_text("[]")
+    with pytest.raises(ModsimError, match="there is no truth"):
+        command("--truth", empty, "--detections", nothing, *out)
+
+
+def blank(count=1500, side=60.0):
+    """Two boats in every image, and nothing detected."""
+    image = np.repeat(np.arange(count), 2)
+    boxes = np.tile([[200.0, 200, 200 + side, 200 + side], [500.0, 500, 500 + side, 500 + side]], (count, 1))
+    return LabelledSet(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
+                    found([], [], [], []))  # fmt: skip
+
+
+def one_state(std_px):
+    return {
+        "labels": ["boat"],
+        "confidence_threshold": 0.2,
+        "initial_state": "usual",
+        "transition_matrix": [[1.0]],
+        "states": {
+            "usual": {
+                "confusion": [[0.85], [0.15]],
+                "false_positive_labels": [1.0],
+                "false_discovery_rate": 0.1,
+                "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": (std_px**2 * np.eye(4)).tolist()},
+                "confidence": {"mean": 0.6, "std": 0.1},
+            }
+        },
+    }
+
+
+def learn_usual(labelled, settings):
+    state = np.zeros(len(labelled.images), dtype=np.int64)
+    return learn(observe(labelled, ("usual",), state, settings.rule), Transitions(np.zeros((1, 1))), settings)
+
+
+def estimates(learned):
+    return {entry.key.path: entry.estimate for entry in entries_of(learned.numbers)}
+
+
+def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
+    state = np.zeros(1500, dtype=np.int64)
+    settings = Settings(Rule(), replicates=20, clutter="calibrated")
+    labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=3)
+    labelled = replace(labelled, results=replace(labelled.results, origin=None))
+    learned = learn_usual(labelled, settings)
+    bias = bias_of(learned, settings, repeats=5)
+    values, corrected = estimates(learned), estimates(bias.corrected())
+    for path, asked in (
+        ("states.usual.confusion", [[0.85], [0.15]]),
+        ("states.usual.box_error_std", [8.0] * 4),
+        ("states.usual.false_discovery_rate", 0.1),
+    ):
+        before = np.abs(values[path] - asked).mean()
+        assert before > 0.02  # the gate cuts off errors, and makes a miss and a false detection of each
+        assert np.abs(corrected[path] - asked).mean() < 0.75 * before
+    (confusion,) = (shift for shift in bias.shifts if shift.entry.key.names == ("confusion",))
+    assert np.all(bias.significant(confusion))
+
+
+def test_without_a_gate_there_is_no_bias():
+    state = np.zeros(1500, dtype=np.int64)
+    settings = Settings(Rule("provenance"), replicates=20, clutter="calibrated")
+    labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=4)
+    learned = learn_usual(labelled, settings)
+    bias = bias_of(learned, settings, repeats=5)
+    asked = {"confusion": [[0.85], [0.15]], "false_discovery_rate": 0.1, "box_error_mean": 0, "box_error_std": 8}
+    shifts = {shift.entry.key.path: shift for shift in bias.shifts}
+    intervals = {each.key.path: each for each in learned.intervals(0.9999)}
+    for name, value in asked.items():
+        interval = intervals[f"states.usual.{name}"]
+        assert not np.any(bias.significant(shifts[f"states.usual.{name}"]))
+        assert np.all((interval.low <= value) & (value <= interval.high))
+
+
+def test_the_detector_of_the_round_trip_can_be_read():
+    assert load_detector(DETECTOR).dropout.anchored
+
+
+def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(run, exported, tmp_path):
+    files = ["--truth", exported / "gt.json", "--detections", exported / "dt.json", "--interval", 1]
+    command(*files, "--out", tmp_path / "learned.yaml", "--replicates", 20)
+    # Shorter than what was learned from: verify counts the noise of the run alone, not that of learning.
+    again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=tmp_path / "learned.yaml")
+    verified = verify_run(open_run(again), DETECTOR).verification
+    assert [verdict.parameter.name for verdict in verified.failed] == []
+    assert len(verified.verdicts) > 80
+
+
+TRUTH = {
+    "images": [{"id": 1, "width": 640, "height": 480}],
+    "categories": [{"id": 3, "name": "boat"}, {"id": 9, "name": "buoy"}],
+    "annotations": [{"image_id": 1, "category_id": 3, "bbox": [10, 10, 50, 40]}],
+}
+
+
+@pytest.mark.parametrize(
+    "results",
+    [
+        [],
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.9}],
+        [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
+        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
+    ],
+    ids=["nothing", "one", "only false ones", "below the threshold"],
+)
+def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(results, tmp_path):
+    for name, content in (("gt", TRUTH), ("dt", results)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(content))
+    files = ["--truth", tmp_path / "gt.json", "--detections", tmp_path / "dt.json", "--replicates", 20]
+    result = command(*files, "--out", tmp_path / "d.yaml")
+    assert result.exit_code == 0 and "needs 20" in result.output
+    model = load_detector(tmp_path / "d.yaml")
+    np.testing.assert_allclose(model.states[0].confusion.sum(axis=0), 1)
+    assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()
+
+
+@pytest.mark.parametrize("width", [80, 130, 300])
+def test_tables_fit_the_terminal_and_lose_nothing(width, tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 2)
+    arguments[3].write_text(arguments[3].read_text().replace('"c0"', '"c [red]0"'))
+    files = [*arguments, "--states", 1, "--out", tmp_path / "d.yaml", "--replicates", 20]
+    output = CliRunner().invoke(app, ["learn", *map(str, files)], env={"COLUMNS": str(width)}).output
+    assert max(len(line) for line in output.splitlines() if not line.startswith("written")) <= width
+    for column in ("precision", "recall", "F-2", "FDR", "height"):
+        assert column in output
+    words = output.split()
+    assert "[red]0" in words and "…" not in output
+    assert "states.usual.box_error_mean[e_x]" in words and "transition_matrix[usual" in words
+
+
+def test_the_page_has_the_labels_of_every_condition(tmp_path):
+    rng, arguments = np.random.default_rng(3), []
+    for name in ("day", "fog"):
+        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (40, 1))
+        image, label = np.repeat(np.arange(40), 2), np.tile([0, 1], 40)
+        moved = boxes + rng.normal(0, [1, 1, 1, 1], boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
+        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
+                            found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
+        gt, dt = write_coco(labelled, tmp_path / name)
+        arguments += ["--condition", name, "--truth", gt, "--detections", dt]
+    result = command(*arguments, "--state", "all=day,fog", "--out", tmp_path / "d.yaml", "--replicates", 20)
+    page = (tmp_path / "d.html").read_text()
+    for group in ("day", "fog", "state all"):
+        for title in ("Labels in {}:", "Confusion matrix of {}:", "Box errors in pixels by what was there, in {}<"):
+            assert title.format(group) in page
+    assert "Labels in day" not in result.output and "Labels in state all" in result.output
+    assert "Covariances of the box errors in square pixels" in page
+
+
+def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remarked(tmp_path):
+    state = np.zeros(1500, dtype=np.int64)
+    settings = Settings(replicates=20, clutter="calibrated")
+
+    def remarks(std_px, method="confidence", shift=0):
+        labelled = simulated(blank(), state, parse_detector(one_state(std_px)), seed=3)
+        labelled = replace(labelled, labels=("boat", "buoy"))
+        found = replace(labelled.results, label=labelled.results.label + shift)
+        return learn_detector(
+            replace(labelled, results=found), replace(settings, rule=Rule(method)), LearnOptions()
+        ).remarks
+
+    assert remarks(2.0) == ()
+    assert len(remarks(8.0)) == 1 and "of the matches have an IoU of less than 0.6" in remarks(8.0)[0]
+    assert remarks(8.0, "provenance") == ()
+    assert "100% of the matches have the label after" in remarks(2.0, shift=1)[0]
+    assert "(--category-offset -1)" in remarks(2.0, shift=1)[0]
+    assert "nothing matches" in learn_detector(blank(20), settings, LearnOptions()).remarks[0]
+
+
+def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_all_are_near_the_gate():
+    rng, image = np.random.default_rng(3), np.repeat(np.arange(200), 2)
+    haze = np.arange(200) >= 188
+    boxes = np.tile([[100.0, 100, 160, 160], [300.0, 300, 360, 360]], (200, 1))
+    moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
+    labelled = LabelledSet(
+        ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
+        truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
+    )  # fmt: skip
+    settings = Settings(replicates=20, clutter="calibrated")
+    (remark,) = learn_detector(labelled, settings, LearnOptions()).remarks
+    assert "of the matches in haze have an IoU of less than 0.6" in remark
+    assert learn_detector(labelled, settings, LearnOptions(states=("all=clear,haze",))).remarks == ()
+
+
+def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
+    arguments = pairs_of_conditions(tmp_path, 1)
+    results = json.loads(arguments[5].read_text())
+    arguments[5].write_text(json.dumps([*results, {"image_id": 99999}]))
+    result = command(*arguments, "--skip-bad", "--out", tmp_path / "d.yaml", "--replicates", 20)
+    for text in (result.output, (tmp_path / "d.yaml").read_text(), (tmp_path / "d.html").read_text()):
+        assert "1 entries left out, the first because" in text
+    assert "Left simple: det" not in (tmp_path / "d.yaml").read_text()

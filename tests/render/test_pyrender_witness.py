@@ -1,0 +1,165 @@
+"""pyrender's SEG image as the third witness of which vessel a pixel shows.
+
+pyrender draws boxes of its own making (trimesh) with its own camera, matrices and shaders, in single precision, with a
+24-bit depth buffer and eight-bit colours; the ID pass is given triangles in pixels.
+
+Edges shared by two triangles: OpenGL's fill rule gives a pixel whose centre lies exactly on such an edge to one of the
+two and never to both or neither, so the diagonal of a face loses no pixel and doubles none, in either renderer. What
+may differ is a pixel whose centre is so near a silhouette's edge that single precision, or rounding corners to 1/256
+px, puts it on the other side.
+"""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import shapely
+
+from modsim3d.geometry.camera_poses import Mount, poses_ashore
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.render.id_pass import Region
+from modsim3d.truth.analytic import image_silhouettes
+from modsim3d.truth.pixel_masks import ROUNDING_PX
+from modsim3d.truth.triangles import triangles_of
+from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, cyclic_beams, outlines_at, random_places, vessel
+
+WHOLE = Region(0, 0, *INTRINSICS.image_size_px)
+CV_TO_GL = np.diag([1.0, -1.0, -1.0])
+LEVEL = Mount((0.0, 0.0, CAMERA_HEIGHT_M))
+RANDOM = range(8)
+
+
+def scenes():
+    """Boxes and a camera, by name."""
+    wall = vessel("wall", 1, 10, 10)
+    beams, from_above = cyclic_beams()
+    found = {
+        # 100 × 100 px, corners on whole pixels: the diagonal between its triangles meets 100 pixel centres.
+        "face": ([(wall, (100.5, 0.0, 0.0), 0.0)], LEVEL),
+        "side by side": ([(wall, (100.5, 5.0, 0.0), 0.0), (wall, (100.5, -5.0, 0.0), 0.0)], LEVEL),
+        "one before the other": ([(wall, (200.5, 1.0, 0.0), 0.0), (wall, (100.5, -4.0, 0.0), 0.0)], LEVEL),
+        "corner on": (
+            [(vessel("a", 20, 10, 4), (90.3, 3.1, 0.0), 0.6), (vessel("b", 8, 3, 9), (60.2, -2.7, 0.0), 2.1)],
+            LEVEL,
+        ),
+        "long ship and boat": (
+            [
+                (vessel("ship", 210, 8, 15), (198.0, 10.4, 0.0), -0.196),
+                (vessel("boat", 2, 4, 4), (220.0, -2.0, 0.0), 0.0),
+            ],
+            LEVEL,
+        ),
+        "cyclic beams": (beams, from_above),
+    }
+    for seed in RANDOM:
+        places = random_places(np.random.default_rng(seed), 20, far_m=1500)
+        found[f"random {seed}"] = ([(v, (*place, 0.0), heading) for v, place, heading in places], LEVEL)
+    return found
+
+
+def seg_image(pyrender, trimesh, boxes, mount):
+    """Vessel index + 1 at each pixel, as pyrender draws it."""
+    scene = pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1, 1, 1])
+    camera_pose, pose = np.eye(4), poses_ashore(mount, 1)
+    camera_pose[:3, :3] = pose.camera_R_world[0].T @ CV_TO_GL
+    camera_pose[:3, 3] = pose.positions_m[0]
+    camera = pyrender.IntrinsicsCamera(*INTRINSICS.focal_px, *INTRINSICS.principal_point_px, znear=1.0, zfar=4000)
+    scene.add(camera, pose=camera_pose)
+    colours = {}
+    for number, (ship, place, heading) in enumerate(boxes, start=1):
+        box_pose = np.eye(4)
+        box_pose[:3, :3] = world_R_vehicle(heading)
+        box_pose[:3, 3] = np.add(place, [0, 0, ship.air_draft_m / 2])
+        mesh = pyrender.Mesh.from_trimesh(trimesh.creation.box(extents=ship.extents_m), smooth=False)
+        colours[scene.add(mesh, pose=box_pose)] = (number >> 16 & 255, number >> 8 & 255, number & 255)
+    drawer = pyrender.OffscreenRenderer(*INTRINSICS.image_size_px)
+    colour = drawer.render(scene, flags=pyrender.RenderFlags.SEG, seg_node_map=colours)[0].astype(np.uint32)
+    drawer.delete()
+    return colour[..., 0] << 16 | colour[..., 1] << 8 | colour[..., 2]
+
+
+def write_seg_images(file):
+    """Draw all scenes with pyrender, in a process that has no other OpenGL context."""
+    from modsim3d.render.shaded import import_pyrender
+
+    pyrender = import_pyrender()
+    import trimesh
+
+    np.savez(file, **{name: seg_image(pyrender, trimesh, *scene) for name, scene in scenes().items()})
+
+
+@pytest.fixture(scope="module")
+def seg_images(tmp_path_factory):
+    file = tmp_path_factory.mktemp("seg") / "seg.npz"
+    script = f"from tests.render.test_pyrender_witness import write_seg_images; write_seg_images({str(file)!r})"
+    environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with np.load(file) as images:
+        return dict(images)
+
+
+def id_image(renderer, name, faces=None):
+    """Vessel index + 1 at each pixel, as the ID pass draws it; of some triangles only, on request."""
+    boxes, mount = scenes()[name]
+    outlines = outlines_at(boxes, INTRINSICS, mount)
+    triangles = triangles_of(outlines, INTRINSICS)
+    some = slice(None) if faces is None else faces
+    return renderer.draw(
+        triangles.corners_px[some],
+        triangles.inverse_depth[some],
+        (outlines.occluder[triangles.row] + 1)[some],
+        WHOLE,
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in scenes() if not name.startswith("random")])
+def test_id_pass_equals_the_seg_image_pixel_for_pixel(renderer, seg_images, name):
+    image = id_image(renderer, name)
+    assert (image > 0).sum() > 1000
+    np.testing.assert_array_equal(image, seg_images[name])
+
+
+def test_face_of_two_triangles_has_every_pixel_of_it_in_both(renderer, seg_images):
+    """Columns 350–450, rows 300–400."""
+    expected = np.zeros((600, 800), dtype=bool)
+    expected[300:400, 350:450] = True
+    np.testing.assert_array_equal(id_image(renderer, "face") == 1, expected)
+    np.testing.assert_array_equal(seg_images["face"] == 1, expected)
+
+
+def test_pixels_on_the_edge_that_two_triangles_share_belong_to_one_of_them(renderer):
+    outlines = outlines_at(scenes()["face"][0])
+    inverse_depth = triangles_of(outlines, INTRINSICS).inverse_depth
+    front = np.flatnonzero((inverse_depth == inverse_depth.max()).all(axis=1))
+    assert len(front) == 2
+    one, two = (id_image(renderer, "face", [triangle]) == 1 for triangle in front)
+    assert one.sum() + two.sum() == 100 * 100
+    assert not (one & two).any()
+    diagonal = np.eye(100, dtype=bool)
+    shares = [part[300:400, 350:450][corner].sum() for part in (one, two) for corner in (diagonal, diagonal[::-1])]
+    assert 100 in shares  # one of them has the whole diagonal
+
+
+def test_boxes_side_by_side_share_no_pixel_and_leave_none_between_them(renderer, seg_images):
+    """They meet at column 400."""
+    for image in (id_image(renderer, "side by side"), seg_images["side by side"]):
+        assert (image[300:400, 300:400] == 1).all()
+        assert (image[300:400, 400:500] == 2).all()
+
+
+def test_seg_images_of_random_scenes_differ_only_where_an_edge_is_within_rounding_of_the_centre(renderer, seg_images):
+    differing, shown = 0, []
+    for seed in RANDOM:
+        name = f"random {seed}"
+        image = id_image(renderer, name)
+        rows, columns = np.nonzero(image != seg_images[name])
+        outlines = outlines_at(scenes()[name][0])
+        edges = shapely.union_all(shapely.boundary(image_silhouettes(outlines, INTRINSICS)))
+        assert (shapely.distance(edges, shapely.points(columns + 0.5, rows + 0.5)) <= ROUNDING_PX).all()
+        shown.append(len(np.unique(image)) - 1)
+        differing += len(rows)
+    assert sum(shown) > 50
+    assert differing <= 5  # of 3.8 million; measured: 1

@@ -1,0 +1,190 @@
+"""Runs with a detector that must know its whole scene before it begins."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import modsim3d
+from modsim3d import cli
+from modsim3d.detector import KINDS
+from modsim3d.runs import pipeline as simulate
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.scene import Scene
+
+DETECTORS = Path(__file__).resolve().parents[2] / "scenes" / "detectors"
+SCENE = """
+steps: 500
+time_step_s: 0.2
+seed: 3
+vessels:
+  a: {length_m: 14, beam_m: 4, air_draft_m: 2, label: sailboat}
+  b: {length_m: 30, beam_m: 5, air_draft_m: 3, label: motorboat}
+  c: {length_m: 60, beam_m: 9, air_draft_m: 6, label: ferry}
+  d: {length_m: 9, beam_m: 3, air_draft_m: 2, label: sailboat}
+poses: {circular: {centre_m: [300, 0], radius_m: [5, 150], rotation_rate_rad_s: [0.02, 0.06]}}
+cameras:
+  C0: &camera
+    focal_length_m: 0.02
+    pixel_size_m: [1.0e-5, 1.0e-5]
+    principal_point_px: [1000, 500]
+    image_size_px: [2000, 1000]
+    pose: {position_m: [0, 0, 12], pitch_rad: 0.04}
+  C1:
+    <<: *camera
+    pose: {position_m: [0, 50, 12], pitch_rad: 0.04, roll_rad: 0.1}
+annotation: {mode: 0, source: analytic}
+detector: rich.yaml
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rich")
+    (folder / "scene.yaml").write_text(SCENE)
+    shutil.copy(DETECTORS / "rich.yaml", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(folder: Path) -> Scene:
+    return modsim3d.load_scene(folder / "scene.yaml")
+
+
+@pytest.fixture(scope="module")
+def run(folder: Path, scene: Scene) -> Path:
+    modsim3d.run_scene(scene, folder / "run")
+    return folder / "run"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != "run.log"}
+
+
+def test_every_kind_of_detection_is_labelled(run: Path) -> None:
+    table = pq.read_table(run / "detections.parquet")
+    assert set(table["kind"].to_pylist()) == set(KINDS)
+
+
+def test_blocks_of_another_length_change_no_byte(
+    folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 37)
+    modsim3d.run_scene(scene, folder / "short_blocks")
+    assert contents(folder / "short_blocks") == contents(run)
+
+
+def test_two_workers_write_the_bytes_of_one(folder: Path, run: Path) -> None:
+    command = [sys.executable, "-m", "modsim3d.cli", "run", str(folder / "scene.yaml"), "--no-sheet"]
+    done = subprocess.run(
+        [*command, "--workers", "2", "--out", str(folder / "two")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert contents(folder / "two") == contents(run)
+    assert "gated" in done.stdout
+    assert "resumed" not in done.stdout
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes(
+    folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(steps: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        modsim3d.run_scene(scene, folder / "resumed", progress=stop)
+    result = modsim3d.run_scene(scene, folder / "resumed", resume=True)
+    assert result.resumed_steps == 250
+    assert contents(folder / "resumed") == contents(run)
+
+
+def test_frames_in_memory_are_those_of_the_run(run: Path, scene: Scene) -> None:
+    confidence = np.concatenate([frame.detections.confidence for frame in modsim3d.simulate_frames(scene)])
+    assert np.array_equal(confidence, pq.read_table(run / "detections.parquet")["confidence"].to_numpy())
+
+
+def test_a_second_box_of_a_vessel_has_a_numbered_name_and_its_own_detection_the_plain_one(run: Path) -> None:
+    table = pq.read_table(run / "detections.parquet").to_pylist()
+    content = json.loads((run / "detections_C0.json").read_bytes())
+    second = [row for row in table if row["camera"] == "C0" and row["kind"] in ("duplicate", "fragment")]
+    assert second
+    for row in second:
+        assert content[row["timestamp"]][f"{row['vessel']}#2"]["confidenceScore"] == row["confidence"]
+    for row in table:
+        if row["camera"] == "C0" and row["kind"] in ("true", "split", "merged"):
+            assert content[row["timestamp"]][row["vessel"]]["confidenceScore"] == row["confidence"]
+
+
+def test_both_vessels_of_a_merged_box_count_as_detected(run: Path) -> None:
+    counts = json.loads((run / "run.json").read_bytes())["counts"]
+    kinds = pq.read_table(run / "detections.parquet")["kind"].to_pylist()
+    own = sum(kind in ("true", "split", "merged") for kind in kinds)
+    assert counts["merged"] == kinds.count("merged") > 0
+    assert counts["detected"] == own + counts["merged"]
+    assert counts["detected"] == sum(pq.read_table(run / "truth.parquet")["detected"].to_pylist())
+    assert counts["false_positives"] == len(kinds) - own
+    assert 0 < counts["missed_by_gate"] <= counts["missed"]
+
+
+def test_the_bias_of_truncation_is_in_the_run_file(tmp_path: Path) -> None:
+    scene = modsim3d.load_scene("simulation_1", source="analytic", steps=400)
+    result = modsim3d.run_scene(scene, tmp_path / "run")
+    truncation = json.loads((tmp_path / "run" / "run.json").read_bytes())["truncation"]
+    assert truncation == result.truncation
+    excellent = truncation["excellent"]
+    rows = pq.read_table(tmp_path / "run" / "detections.parquet").to_pylist()
+    errors = np.array([row["e_w_px"] for row in rows if row["state"] == "excellent" and row["kind"] == "true"])
+    # Sampling of errors, sampling of boxes, integration.
+    error = 4 * errors.std() / np.sqrt(len(errors)) + 3 * excellent["mean_standard_error"][2] + 0.03 * errors.std()
+    assert abs(errors.mean() - excellent["mean"][2]) < error
+    assert excellent["mean_shift"][2] > 30
+    assert excellent["detections"] == len(errors)
+
+
+def test_a_contact_sheet_shows_the_detections_of_the_run(folder: Path) -> None:
+    command = [sys.executable, "-m", "modsim3d.cli", "run", str(folder / "scene.yaml"), "--steps", "100"]
+    done = subprocess.run(
+        [*command, "--out", str(folder / "drawn")], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (folder / "drawn" / "contact_sheet.png").stat().st_size > 10_000
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def test_the_contact_sheet_of_a_finished_run_can_be_drawn_again(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert command(monkeypatch, "view", str(run), "--sheet") == 0
+    (run / "contact_sheet.png").unlink()
+
+
+def test_an_interrupted_run_has_a_page_whose_tables_are_those_of_its_frames(
+    folder: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop_at_once(steps: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        modsim3d.run_scene(scene, folder / "cut", progress=stop_at_once)
+    assert command(monkeypatch, "report", str(folder / "cut")) == 0
+    assert (folder / "cut" / "report.html").is_file()
+    cut = open_run(folder / "cut")
+    assert 0 < cut.steps < scene.steps
+    confidence = np.concatenate([frame.detections.confidence for frame in cut.frames()])
+    assert np.array_equal(confidence, cut.tables()["detections"]["confidence"].to_numpy())

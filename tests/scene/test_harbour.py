@@ -1,0 +1,61 @@
+"""The harbour scene: dense, made by a script, and fit to compare sources of truth on."""
+
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.runs.pipeline import truth_block
+from modsim3d.scene.reading import data_folder, load_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("harbour", source="analytic")
+
+
+def test_script_writes_the_very_scene_that_is_shipped(tmp_path):
+    written = tmp_path / "harbour.yaml"
+    subprocess.run([sys.executable, ROOT / "script" / "make_harbour", written], check=True)
+    assert written.read_bytes() == (data_folder("scenes") / "harbour.yaml").read_bytes()
+
+
+def test_thirty_vessels_from_kayak_to_large_ship_are_there_throughout(scene):
+    assert len(scene.vessels) == 30
+    lengths = [vessel.length_m for vessel in scene.vessels]
+    assert min(lengths) < 5
+    assert 200 < max(lengths) <= 300
+    assert {vessel.name.rstrip("0123456789") for vessel in scene.vessels} >= {"kayak", "yacht", "tug", "ferry", "ship"}
+    assert scene.poses.poses(0, scene.steps).present.all()
+
+
+def test_no_two_vessels_ever_touch(scene):
+    steps = np.arange(0, scene.steps, 5)
+    poses = scene.poses.poses(0, scene.steps)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
+    extents = np.array([vessel.extents_m[:2] for vessel in scene.vessels])
+    turns = world_R_vehicle(poses.headings_rad[steps])[..., :2, :2]
+    places = poses.positions_m[steps][..., None, :2]
+    footprints = shapely.polygons((corners * extents[:, None]) @ np.swapaxes(turns, -1, -2) + places)
+    assert footprints.shape == (80, 30)
+    np.testing.assert_allclose(shapely.area(footprints), np.tile(extents.prod(axis=1), (80, 1)))
+    first, second = np.array(list(combinations(range(30), 2))).T
+    apart = shapely.distance(footprints[:, first], footprints[:, second])
+    assert apart.min() > 1.0
+
+
+def test_at_least_a_third_of_the_vessel_frames_are_partly_hidden(scene):
+    fractions = np.concatenate(
+        [truth_block(scene, step, step + 1, None).visible_fraction for step in range(0, scene.steps, 10)]
+    )
+    assert len(fractions) > 500
+    partly = (fractions > 0) & (fractions < 1)
+    assert partly.mean() >= 1 / 3
+    assert (fractions == 0).any()

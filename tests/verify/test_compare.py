@@ -1,0 +1,283 @@
+"""`modsim3d compare`: what it finds, writes and says; and that it finds errors that are planted for it."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d import cli
+from modsim3d.truth import full_frame, rendered
+from modsim3d.truth.occlusion import HiddenPixels
+from modsim3d.verify import compare_sources as compare
+from modsim3d.verify.comparison import EXPLANATIONS, Agreement
+from tests.scenes import crossing, write_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def call(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return stopped.value.code
+
+
+def figures_of(monkeypatch, folder, *arguments):
+    """Exit status and compare.json of a comparison."""
+    status = call(monkeypatch, "compare", *arguments, "--out", folder)
+    return status, json.loads((folder / "compare.json").read_text())
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return crossing(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def few_pictures(monkeypatch):
+    monkeypatch.setattr(compare, "WORST", 3)  # drawing them is most of the time
+
+
+def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_the_scene(monkeypatch, tmp_path, scene):
+    status, found = figures_of(monkeypatch, tmp_path / "out", scene)
+    assert status == 0
+    assert found["unexplained"] == 0
+    assert found["steps"] == found["frames"] == 12
+    # The ship is there for eleven of the twelve steps and in the image for some of them.
+    assert 24 < found["vessel_frames"] < 36
+    assert 4 <= found["occluded"] < 24
+    for kind in ("full_box", "visible_box"):
+        assert sum(found[kind]["verdicts"].values()) == found["vessel_frames"]
+        assert 0 < found[kind]["side_p99_px"] <= found[kind]["side_max_px"] < 1
+    assert list(found["full_box"]["verdicts"]) == list(EXPLANATIONS.values())
+    assert 0 < found["visible_fraction"]["largest_share_of_bound"] <= 1
+    assert found["visible_fraction"]["above_bound"] == 0
+    assert found["intersecting"] == {}
+    assert set(found["ms_per_frame"]) == {"rendered", "analytic", "rectangles"}
+    assert all(milliseconds > 0 for milliseconds in found["ms_per_frame"].values())
+    rule = found["rectangles_against_rendered"]
+    assert rule["occluded"] == found["occluded"]
+    wrong = rule["box_off_by_more_than_2_px"] + rule["hidden_vessel_kept"] + rule["visible_vessel_dropped"]
+    assert rule["wrong_share"] == wrong / rule["occluded"]
+    assert wrong > 0  # the ship lies askew: its box hides more of the sail than it does itself
+
+
+def test_page_is_self_contained_and_shows_the_largest_differences(monkeypatch, tmp_path, scene):
+    figures_of(monkeypatch, tmp_path / "out", scene)
+    page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?://|\bsrc=\"(?!data:)|\bhref=|<script|<link|@import|url\(", page)
+    pictures = re.findall(r'<img src="data:image/png;base64,([A-Za-z0-9+/=]+)"', page)
+    assert len(pictures) == page.count("<img") == compare.WORST + 1  # and the rule's worst mistake
+    assert all(picture.startswith("iVBORw0KGgo") and len(picture) > 2000 for picture in pictures)
+    for word in ("Rendered against analytic", "rectangle rule", "UNEXPLAINED", "Time per frame"):
+        assert word in page
+
+
+def test_terminal_says_the_same_as_the_file(monkeypatch, tmp_path, scene, capsys):
+    _, found = figures_of(monkeypatch, tmp_path / "out", scene)
+    said = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
+    assert "UNEXPLAINED 0" in said
+    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
+    assert "compare.json" in said
+
+
+def test_nothing_is_written_unasked(monkeypatch, tmp_path, scene):
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert call(monkeypatch, "compare", scene, "--steps", 2) == 0
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "steps"), [(["--every", 5], 3), (["--steps", 4], 4), (["--steps", 7, "--every", 3], 3), ([], 12)]
+)
+def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, options, steps):
+    looked_at = []
+    compare_frames = compare._compare_frames
+
+    def watched(*arguments):
+        looked_at.extend(arguments[-1])
+        return compare_frames(*arguments)
+
+    monkeypatch.setattr(compare, "_compare_frames", watched)
+    _, found = figures_of(monkeypatch, tmp_path / "out", scene, *options)
+    assert found["steps"] == steps
+    named = dict(zip(options[::2], options[1::2], strict=True))
+    assert looked_at == list(range(0, named.get("--steps", 12), named.get("--every", 1)))
+
+
+def test_every_step_of_many_is_looked_at_in_blocks(monkeypatch, tmp_path, scene):
+    whole = figures_of(monkeypatch, tmp_path / "a", scene)[1]
+    monkeypatch.setattr(compare, "BLOCK_STEPS", 5)
+    parts = figures_of(monkeypatch, tmp_path / "b", scene)[1]
+    del whole["ms_per_frame"], parts["ms_per_frame"]
+    assert parts == whole
+
+
+def test_supersampling_brings_the_boxes_nearer_to_the_exact_ones(monkeypatch, tmp_path, scene):
+    coarse = figures_of(monkeypatch, tmp_path / "a", scene)[1]
+    status, fine = figures_of(monkeypatch, tmp_path / "b", scene, "--supersample", 4)
+    assert (status, fine["supersample"]) == (0, 4)
+    assert fine["full_box"]["side_max_px"] <= 0.25
+    assert fine["full_box"]["side_max_px"] < 0.5 * coarse["full_box"]["side_max_px"]
+
+
+def seen_partly(seen):
+    """A row that is seen in part, and another that is seen whole."""
+    fraction = seen.visible_fraction()
+    partly, whole = np.flatnonzero((fraction > 0.1) & (fraction < 0.9)), np.flatnonzero(fraction == 1)
+    return partly[0], whole[0]
+
+
+def swapped_counts(seen):
+    rows = list(seen_partly(seen))
+    visible = seen.visible_px.copy()
+    visible[rows] = visible[rows[::-1]]
+    return replace(seen, visible_px=visible)
+
+
+def shifted(name, by_px):
+    def plant(seen):
+        boxes = getattr(seen, name).copy()
+        boxes[seen_partly(seen)[0]] += by_px
+        return replace(seen, **{name: boxes})
+
+    return plant
+
+
+def nobody_hides(seen):
+    none = np.empty(0, dtype=np.int64)
+    return replace(
+        seen,
+        visible_px=seen.silhouette_px,
+        visible_boxes_px=seen.full_boxes_px,
+        hidden=HiddenPixels(none, none, none.astype(float)),
+    )
+
+
+def hidden_one_is_seen(seen):
+    row = np.flatnonzero(seen.visible_px == 0)[0]
+    visible, boxes = seen.visible_px.copy(), seen.visible_boxes_px.copy()
+    visible[row], boxes[row] = 3, seen.full_boxes_px[row]
+    return replace(seen, visible_px=visible, visible_boxes_px=boxes)
+
+
+def silhouette_counted_twice(seen):
+    return replace(seen, silhouette_px=seen.silhouette_px * np.where(np.arange(len(seen.visible_px)) == 0, 2, 1))
+
+
+def counts_times(factor):
+    """Both counts wrong alike: the fraction stays."""
+    return lambda seen: replace(seen, silhouette_px=factor * seen.silhouette_px, visible_px=factor * seen.visible_px)
+
+
+PLANTED = {
+    "counts of two vessels swapped": swapped_counts,
+    "full box 3 px to the right": shifted("full_boxes_px", [3, 0, 3, 0]),
+    "visible box 3 px too high": shifted("visible_boxes_px", [0, -3, 0, -3]),
+    "visible box 3 px too wide": shifted("visible_boxes_px", [0, 0, 3, 0]),
+    "nobody hides anybody": nobody_hides,
+    "a hidden vessel is seen": hidden_one_is_seen,
+    "a silhouette counted twice": silhouette_counted_twice,
+    "every count doubled": counts_times(2.0),
+    "every count halved": counts_times(0.5),
+}
+
+
+@pytest.mark.parametrize("plant", PLANTED.values(), ids=PLANTED.keys())
+def test_planted_error_in_what_was_counted_is_unexplained(monkeypatch, tmp_path, scene, plant):
+    """The pixels, drawn again, are right: that explains nothing if the truth does not come from them."""
+    monkeypatch.setattr(
+        compare, "rendered_occlusion", lambda *arguments: plant(rendered.rendered_occlusion(*arguments))
+    )
+    status, found = figures_of(monkeypatch, tmp_path / "out", scene)
+    assert status == 1
+    assert found["unexplained"] >= 1
+    assert found["unexplained"] == sum(
+        found[kind]["verdicts"][EXPLANATIONS[Agreement.UNEXPLAINED]] for kind in ("full_box", "visible_box")
+    )
+    page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+    assert "are unexplained" in page
+    assert "unexplained: " in page  # the pictures begin with it
+
+
+def behind_is_before(outlines):
+    """The same outlines in the image with 1 / c3 turned about, which is what a reversed depth test draws."""
+    (part,) = outlines.parts
+    depth = part.vertices_camera[..., 2]
+    turned = 1 / (1 / depth.min() + 1 / depth.max() - 1 / depth)
+    return replace(outlines, parts=(replace(part, vertices_camera=part.vertices_camera * (turned / depth)[..., None]),))
+
+
+def test_reversed_depth_test_is_unexplained(monkeypatch, tmp_path, scene):
+    monkeypatch.setattr(
+        compare, "rendered_occlusion", lambda o, *rest: rendered.rendered_occlusion(behind_is_before(o), *rest)
+    )
+    monkeypatch.setattr(compare, "pixel_masks", lambda o, *rest: full_frame.pixel_masks(behind_is_before(o), *rest))
+    status, found = figures_of(monkeypatch, tmp_path / "out", scene)
+    assert status == 1
+    assert found["unexplained"] >= 4
+    assert found["full_box"]["verdicts"][EXPLANATIONS[Agreement.UNEXPLAINED]] == 0
+
+
+def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_path, capsys):
+    boats = {
+        "rafted1": ([12, 4, 3], [[0, 100, -5], [10, 100, 5]]),
+        "rafted2": ([12, 4, 5], [[0, 101, -5], [10, 101, 5]]),
+        "alone": ([12, 4, 5], [[0, 200, 5], [10, 200, 4]]),
+    }
+    status, found = figures_of(monkeypatch, tmp_path / "out", write_scene(tmp_path, boats, 4))
+    assert status == 0
+    assert found["unexplained"] == 0
+    assert found["intersecting"] == {"rafted1 and rafted2": 4}
+    assert found["visible_box"]["verdicts"][EXPLANATIONS[Agreement.INTERSECTING]] == 8
+    assert found["visible_at_all_differs"] == 0
+    assert "rafted1 and rafted2" in capsys.readouterr().out
+    assert "rafted1 and rafted2" in (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
+
+
+def test_scene_that_is_wrong_or_not_there_is_exit_status_two(monkeypatch, tmp_path, scene, capsys):
+    assert call(monkeypatch, "compare", "no_such_scene") == 2
+    assert "no_such_scene" in capsys.readouterr().err
+    data = json.loads(scene.read_text())
+    data["annotation"]["mode"] = 7
+    scene.write_text(json.dumps(data))
+    assert call(monkeypatch, "compare", scene, "--out", tmp_path / "out") == 2
+    assert "annotation.mode" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert call(monkeypatch, "compare", scene, "--every", 0) == 2
+
+
+def campaign(*arguments):
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    return subprocess.run(
+        [ROOT / "script" / "campaign", *arguments], capture_output=True, text=True, env=environment, check=False
+    )
+
+
+def test_campaign_writes_the_same_bytes_again_and_the_script_names_it(tmp_path):
+    assert "compare: " in campaign().stdout
+    assert campaign("no_such").returncode == 2
+    for name, processes in (("a", "1"), ("b", "2")):
+        done = campaign("compare", "--scenes", "2", "--processes", processes, "--out", str(tmp_path / name))
+        assert done.returncode == 0, done.stderr
+    for file in ("compare.json", "compare.md"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    found = json.loads((tmp_path / "a" / "compare.json").read_text())["supersample"]
+    assert {factor: column["scenes"] for factor, column in found.items()} == {"1": 2, "4": 2}
+    assert all(sum(column["full"].values()) == column["vessel_frames"] > 0 for column in found.values())
+
+
+def test_committed_campaign_is_that_of_two_thousand_scenes_without_anything_unexplained():
+    found = json.loads((ROOT / "docs" / "campaigns" / "compare.json").read_text())["supersample"]
+    assert [column["scenes"] for column in found.values()] == [2000, 300]
+    for factor, column in found.items():
+        assert column["unexplained"] == []
+        assert column["largest_agreed_full_side_px"] <= {"1": 1.0, "4": 0.3}[factor]

@@ -1,0 +1,59 @@
+"""Runs to report on, and a browser to look at the pages with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view.report.report import write_report
+from tests.scenes import write_scene
+from tests.view.report.browser import Browser, open_browser
+
+STEPS = 260
+HOSTILE = "<script>window.hacked = 1</script>"
+
+
+@pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two cameras, waves, occlusion, several performance states; without OpenGL, as no test here is about pixels."""
+    folder = tmp_path_factory.mktemp("report") / "run"
+    run_scene(load_scene("simulation_3", mode=2, seed=5, steps=STEPS, source="analytic"), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def hostile_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Vessels whose names are HTML, script and template."""
+    folder = tmp_path_factory.mktemp("hostile")
+    boats = {
+        HOSTILE: ([10.0, 4.0, 3.0], [[0, 150, 10], [100, 150, 12]]),
+        "</script><img src=x onerror='window.hacked = 2'>": ([30.0, 8.0, 9.0], [[0, 100, 30], [12, 100, -30]]),
+        "{{columns}} & ${name}": ([8.0, 3.0, 2.0], [[0, 220, -10], [100, 200, -10]]),
+    }
+    scene = load_scene(str(write_scene(folder, boats, steps=12)), source="analytic")
+    run_scene(scene, folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="session")
+def page(run_folder: Path) -> Path:
+    return write_report(open_run(run_folder))
+
+
+@pytest.fixture(scope="session")
+def shared_browser() -> Iterator[Browser]:
+    with open_browser() as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(shared_browser: Browser) -> Iterator[Browser]:
+    """The session's browser; whatever a test did with it, it must have had nothing to complain of."""
+    shared_browser.scheme("light")
+    yield shared_browser
+    assert shared_browser.errors == []

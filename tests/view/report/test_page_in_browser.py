@@ -1,0 +1,245 @@
+"""The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view import palette
+from modsim3d.view.report.report import write_report
+from tests.scenes import crossing
+from tests.view.report.browser import Browser
+from tests.view.report.conftest import HOSTILE, STEPS
+
+
+def pixels(browser: Browser, canvas: str = "picture") -> NDArray[np.uint8]:
+    """All of what a canvas shows, shape (rows, columns, 4)."""
+    data = browser.run(f"document.querySelector('#{canvas}').toDataURL()").partition(",")[2]
+    with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+        return np.asarray(image.convert("RGBA"))
+
+
+def differ(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> bool:
+    return a.shape != b.shape or bool(np.any(a != b))
+
+
+def crowded_index(folder: Path) -> int:
+    """A step at which the first camera sees a vessel hidden in part, a miss and a false positive."""
+    run = open_run(folder)
+    for frame in run.frames():
+        truth, found = frame.truth, frame.detections
+        hidden = (truth.visible_fraction > 0) & (truth.visible_fraction < 1)
+        missed = truth.annotated & ~truth.detected
+        if frame.camera == "C1" and hidden.any() and missed.any() and {"true", "false_positive"} <= set(found.kinds):
+            return frame.step
+    raise AssertionError("no such step")
+
+
+@pytest.fixture(scope="module")
+def crowded(run_folder: Path) -> int:
+    return crowded_index(run_folder)
+
+
+def test_page_loads_without_errors_and_asks_for_nothing_but_itself(browser, page):
+    browser.open(page)
+    assert browser.run("player.recording.length") == STEPS
+    assert browser.run("document.querySelector('#failure').hidden")
+    assert browser.requests == [page.resolve().as_uri()]
+
+
+def test_slider_changes_the_frame(browser, page, crowded):
+    browser.open(page, hash=f"#step={crowded}")
+    before = pixels(browser)
+    browser.run(
+        "(slider => { slider.value = 20; slider.dispatchEvent(new Event('input')); })"
+        "(document.querySelector('#slider'))"
+    )
+    assert browser.run("player.index") == 20
+    assert "step 20 of" in browser.run("document.querySelector('#status').textContent")
+    assert differ(pixels(browser), before)
+
+
+def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, crowded):
+    browser.open(page, hash=f"#step={crowded}")
+    browser.press("9")  # false positives may be far from any vessel
+    everything = pixels(browser)
+    names = browser.run("Object.keys(player.shown)")
+    assert names == ["silhouettes", "full", "visible", "detections", "false", "missed", "labels", "names"]
+    for number, name in enumerate(names, start=1):
+        browser.click(f"#layer-{name}")
+        assert differ(pixels(browser), everything), name
+        browser.press(str(number))
+        assert not differ(pixels(browser), everything), name
+
+
+def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, crowded, run_folder):
+    """The colour at the middle of what is seen is its vessel's, where no other vessel's box reaches."""
+    browser.open(page, hash=f"#step={crowded}")
+    browser.run(
+        "(() => { for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole(); })()"
+    )
+    run = open_run(run_folder)
+    (frame,) = [each for each in run.frames(crowded, crowded + 1) if each.camera == "C1"]
+    picture, boxes, looked_at = pixels(browser), frame.truth.full_boxes_px, 0
+    for name, box in zip(frame.truth.vessels, boxes, strict=True):
+        others = boxes[np.any(boxes != box, axis=1)]
+        x, y = (box[:2] + box[2:]) / 2
+        if np.any((others[:, 0] <= x) & (x <= others[:, 2])):
+            continue
+        column, row = browser.run(f"player.picture.toCanvas({x}, {y})")
+        colour = palette.darker(palette.vessel_colour(run.scene.vessel_names.index(name)))
+        np.testing.assert_array_equal(picture[int(row), int(column), :3], colour)
+        looked_at += 1
+    assert looked_at
+
+
+def test_click_on_the_timeline_jumps_and_hovering_says_what_is_there(browser, page):
+    browser.open(page)
+    left, wide = browser.run("[player.timeline.left, player.timeline.wide]")
+    across = (left + 0.75 * wide) / (left + wide)
+    browser.hover("#timeline", across, 0.1)
+    browser.click("#timeline", across, 0.1)
+    index = browser.run("player.index")
+    assert index == pytest.approx(0.75 * STEPS, abs=1)
+    assert f"step {index}:" in browser.run("document.querySelector('#hint').textContent")
+
+
+def test_click_on_a_strip_of_the_timeline_shows_that_vessel_close_up(browser, page):
+    browser.open(page)
+    top, row, height, vessels = browser.run("(t => [t.rowsTop, t.rowPx, t.height, t.vessels])(player.timeline)")
+    browser.click("#timeline", 0.9, (top + 1.5 * row) / height)
+    assert browser.run("player.followed") == vessels[1]
+
+
+def test_keyboard_alone_is_enough(browser, page):
+    browser.open(page, hash="#step=50")
+    for key, shift, expected in (
+        ("ArrowRight", False, 51),
+        ("ArrowLeft", False, 50),
+        ("ArrowRight", True, 60),
+        ("ArrowLeft", True, 50),
+        ("End", False, STEPS - 1),
+        ("ArrowRight", False, STEPS - 1),
+        ("Home", False, 0),
+    ):
+        browser.press(key, shift)
+        assert browser.run("player.index") == expected, key
+    browser.press("n")
+    index = browser.run("player.index")
+    fractions = browser.run("player.recording.truths(player.index, player.camera).map(truth => truth.fraction)")
+    assert index > 0 and any(0 < fraction < 1 for fraction in fractions)
+    browser.press("c")
+    assert browser.run("[player.camera, document.querySelector('#camera').value]") == [1, "1"]
+    width = browser.run("player.picture.view.width")
+    browser.press("+")
+    assert browser.run("player.picture.view.width") == pytest.approx(width / 1.5)
+    browser.press("9")
+    assert browser.run("player.picture.view.width") >= 2464
+
+
+def test_focus_can_be_seen_and_space_presses_the_button_that_has_it(browser, page):
+    browser.open(page)
+    browser.run("document.querySelector('[data-do=forward]').focus({focusVisible: true})")
+    assert browser.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    before = browser.run("player.index")
+    browser.press(" ")
+    assert browser.run("[player.index, player.playing]") == [before + 1, False]
+
+
+def test_playing_goes_on_and_stops_at_the_end(browser, page):
+    browser.open(page, hash=f"#step={STEPS - 40}")
+    browser.run("player.setSpeed(50)")
+    browser.press(" ")
+    assert browser.run("player.playing")
+    browser.run("new Promise(done => { const look = () => player.playing ? setTimeout(look, 20) : done(1); look(); })")
+    assert browser.run("player.index") == STEPS - 1
+
+
+def test_wheel_zooms_towards_the_mouse_and_dragging_moves(browser, page):
+    browser.open(page)
+    before = browser.run("player.picture.view")
+    browser.wheel("#picture", -400)
+    after = browser.run("player.picture.view")
+    assert after["width"] == pytest.approx(before["width"] / np.e, rel=1e-3)
+    middle = before["x"] + before["width"] / 2
+    assert after["x"] + after["width"] / 2 == pytest.approx(middle, abs=after["width"] / 200)
+    x, y = browser._place("#picture", 0.5, 0.5)
+    for kind, dx in (("mousePressed", 0), ("mouseMoved", 50), ("mouseReleased", 50)):
+        browser.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)
+    assert browser.run("player.picture.view.x") < after["x"]
+
+
+def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
+    colour = "getComputedStyle(document.body).backgroundColor"
+    browser.open(page)
+    light, timeline = browser.run(colour), pixels(browser, "timeline")
+    browser.scheme("dark")
+    dark = browser.run(f"new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done({colour}))))")
+    assert sum(map(int, dark[4:-1].split(","))) < 150 < 600 < sum(map(int, light[4:-1].split(",")))
+    assert differ(pixels(browser, "timeline"), timeline)
+    browser.click("#theme")
+    assert browser.run(colour) == light
+    assert not differ(pixels(browser, "timeline"), timeline)
+
+
+@pytest.mark.parametrize("width", [360, 768, 1280, 1920])
+def test_nothing_is_wider_than_the_window(browser, page, width):
+    browser.open(page, (width, 900))
+    assert browser.run("document.documentElement.scrollWidth") <= width
+
+
+def test_drawing_a_frame_looks_at_its_own_rows_only(browser, page, crowded):
+    browser.open(page, hash=f"#step={crowded}")
+    own = browser.run(
+        "player.recording.shapes(player.index, player.camera).length"
+        " + player.recording.truths(player.index, player.camera).length"
+        " + player.recording.detections(player.index, player.camera).length"
+    )
+    for key in ("ArrowLeft", "ArrowRight"):
+        browser.press(key)
+    assert browser.run("player.drawn.rows") == own > 0
+
+
+def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
+    browser.open(write_report(open_run(hostile_folder), tmp_path / "page.html"))
+    for key in ("v", "v", "End", "Home"):
+        browser.press(key)
+    browser.hover("#timeline", 0.5, 0.8)
+    assert browser.run("window.hacked") is None
+    assert browser.run("document.images.length") == 0
+    assert HOSTILE in browser.run("document.querySelector('#vessels').textContent")
+    assert "{{columns}} & ${name}" in browser.run("document.querySelector('section:nth-of-type(3)').textContent")
+
+
+def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tmp_path):
+    path = crossing(tmp_path, 12)
+    scene = json.loads(path.read_text())
+    scene["cameras"]["slow"] = {**scene["cameras"]["C0"], "frame_rate_hz": 0.25, "start_offset_s": 2}
+    scene["annotation"]["source"] = "analytic"
+    path.write_text(json.dumps(scene))
+    run_scene(load_scene(path), tmp_path / "run")
+    browser.open(write_report(open_run(tmp_path / "run")))
+    browser.run("player.look(1)")
+
+    def status(step: int) -> str:
+        browser.run(f"player.go({step})")
+        return str(browser.run("document.querySelector('#status').textContent"))
+
+    assert "no frame yet" in status(1)
+    assert browser.run("player.recording.truths(1, 1).length") == 0
+    assert "frame" not in status(2)
+    held, there = status(5), browser.run("JSON.stringify(player.recording.truths(5, 1).map(({ full }) => full))")
+    assert "frame of step 2" in held
+    assert there == browser.run("JSON.stringify(player.recording.truths(2, 0).map(({ full }) => full))")
+    assert "frame" not in status(6)
+    assert browser.run("document.querySelector('#failure').hidden")

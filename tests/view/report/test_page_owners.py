@@ -1,0 +1,116 @@
+"""Who is at each pixel of a page is who is there in the ID buffer: obstacles, own bow, holes and lenses too."""
+
+from __future__ import annotations
+
+import base64
+import io
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.view import palette
+from modsim3d.view.films.renderer import open_drawer
+from modsim3d.view.report.report import REPORT_FILE, write_report
+from modsim3d.view.solids import Solids
+from modsim3d.view.window import Window
+from tests.view.report.browser import Browser
+
+STEPS = 6
+EDGE_PX = 5
+"""Pixels are compared in whose surroundings of this size there is one owner: smooth edges have mixed colours."""
+
+
+@pytest.fixture(scope="module")
+def crowded_strait(tmp_path_factory):
+    """The strait, with a bay around one vessel, a gate before another, and a lens that bends."""
+    folder = tmp_path_factory.mktemp("strait")
+    scene = yaml.safe_load((data_folder("scenes") / "strait.yaml").read_text(encoding="utf-8"))
+    scene["steps"] = STEPS
+    scene["poses"]["tracks"]["kayak"] = [[0, 100, -30], [150, 400, -30]]
+    bay = [[60, -60], [140, -60], [140, -20], [125, -20], [125, -45], [75, -45], [75, -25], [60, -25]]
+    scene["obstacles"]["bay"] = {"polygon_m": bay, "height_m": 2}
+    arch = {"position_m": [230, 20, 0], "size_m": [40, 2, 25], "heading_rad": 0.7, "mesh": {"file": "gate.obj"}}
+    scene["obstacles"]["gate"] = arch
+    torn = {"position_m": [200, -40, 0], "size_m": [30, 2, 18], "heading_rad": 1.9, "mesh": {"file": "torn.obj"}}
+    scene["obstacles"]["torn"] = torn
+    scene["cameras"]["quay"]["distortion"] = {"k1": -0.12, "k2": 0.03}
+    scene["detector"] = str(data_folder("scenes") / "detectors" / "thesis.yaml")
+    (folder / "gate.obj").write_text(_gate(), encoding="utf-8")
+    (folder / "torn.obj").write_text("\n".join(_gate().splitlines()[:-2]), encoding="utf-8")  # not watertight
+    (folder / "scene.yaml").write_text(yaml.safe_dump(scene), encoding="utf-8")
+    run_scene(load_scene(str(folder / "scene.yaml")), folder / "run")
+    run = open_run(folder / "run")
+    write_report(run)
+    return run
+
+
+def _gate() -> str:
+    """A frame with a hole in it, one metre of each side wide and deep."""
+    outer, inner = [(-0.5, 0), (0.5, 0), (0.5, 1), (-0.5, 1)], [(-0.3, 0.2), (0.3, 0.2), (0.3, 0.7), (-0.3, 0.7)]
+    lines = [f"v {x} {y} {z}" for y in (-0.5, 0.5) for x, z in outer + inner]
+    for i, j in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        front, back = (1 + i, 1 + j, 5 + j, 5 + i), (9 + i, 13 + i, 13 + j, 9 + j)
+        outside, inside = (1 + j, 1 + i, 9 + i, 9 + j), (5 + i, 5 + j, 13 + j, 13 + i)
+        lines += ["f " + " ".join(map(str, face)) for face in (front, back, outside, inside)]
+    return "\n".join(lines) + "\n"
+
+
+def owners_buffer(scene: Scene, camera: int, step: int) -> NDArray[np.int64]:
+    """Owner + 1 at each pixel; zero where nothing is."""
+    width, height = scene.cameras[camera].intrinsics.image_size_px
+    with open_drawer(scene) as drawer:
+        ids = Solids.at(scene, scene.cameras[camera], step).ids(Window(0, 0, 1, (width, height)), drawer)
+    return ids.astype(np.int64)
+
+
+def page_picture(browser: Browser, camera: int, index: int) -> NDArray[np.uint8]:
+    """What the page paints, as large as the camera's image, shape (rows, columns, 3)."""
+    data = browser.run(f"""(() => {{
+        const {{ recording }} = player, [width, height] = recording.facts.cameras[{camera}].size;
+        const canvas = Object.assign(document.createElement('canvas'), {{ width, height }});
+        const picture = new player.picture.constructor(canvas);
+        Object.assign(picture, {{ ratio: 1, view: {{ x: 0, y: 0, width }} }});
+        const frame = {{ shapes: recording.shapes({index}, {camera}), truths: [], detections: [] }};
+        picture.draw(recording, {index}, {camera}, {{ silhouettes: true }}, frame);
+        return canvas.toDataURL();
+    }})()""").partition(",")[2]
+    with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+@pytest.mark.parametrize(("camera", "step"), [(0, 1), (0, STEPS - 1), (1, STEPS - 1)])
+def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, camera, step):
+    scene = crowded_strait.scene
+    browser.open(crowded_strait.folder / REPORT_FILE)
+    picture, ids = page_picture(browser, camera, step), owners_buffer(scene, camera, step)
+    assert picture.shape[:2] == ids.shape
+    vessels = len(scene.vessels)
+    colours = [palette.darker(palette.vessel_colour(i)) for i in range(vessels)]
+    colours += [palette.obstacle_colour(i) for i in range(len(scene.obstacles))]
+    inside = (ids > 0) & (minimum_filter(ids, EDGE_PX) == maximum_filter(ids, EDGE_PX))
+    off = np.abs(picture[inside].astype(int) - np.array(colours)[ids[inside] - 1]).max(axis=1)
+    # A mast that meets no pixel centre is not in the buffer, and dims a pixel of the page a little.
+    assert np.mean(off > 8) < 1e-4
+    # Where the buffer has nobody there is sea or sky.
+    nobody = maximum_filter(ids, EDGE_PX) == 0
+    sea_or_sky = np.all(picture == palette.SEA, axis=2) | np.all(picture == palette.SKY, axis=2)
+    horizon = minimum_filter(sea_or_sky, EDGE_PX) | ~nobody
+    assert np.mean(horizon | sea_or_sky) > 0.995
+    seen = set(np.unique(ids[inside]).tolist())
+    assert len(seen) > 5
+
+
+def test_the_cases_that_are_hard_are_in_the_pictures(crowded_strait):
+    """Own bow, a vessel in a bay, a hole with something behind it."""
+    scene = crowded_strait.scene
+    names = ["", *scene.occluder_names]
+    shown = {names[owner] for owner in np.unique(owners_buffer(scene, 0, 1)).tolist()}
+    assert {"own", "obstacle:bay", "obstacle:gate", "obstacle:torn", "kayak", "ferry"} <= shown

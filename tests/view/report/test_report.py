@@ -1,0 +1,231 @@
+"""What the page of a run says is what the run directory holds."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d import cli
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view.report.recording import NONE, UNKNOWN_FRACTION, WHOLE, in_250ths, in_quanta, quantum_px
+from modsim3d.view.report.report import write_report
+from tests.view.report.conftest import STEPS
+
+
+def unpack(page: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    """Facts and columns of a page, as the browser reads them."""
+    text = page.read_text(encoding="utf-8")
+    facts = json.loads(re.search(r'id="facts">(.*?)</script>', text)[1])
+    data = gzip.decompress(base64.b64decode(re.search(r'id="columns">(.*?)</script>', text)[1]))
+    columns = {c["name"]: np.frombuffer(data, c["type"], c["length"], c["offset"]) for c in facts.pop("columns")}
+    return facts, columns
+
+
+def table_after(page: Path, title: str) -> list[list[str]]:
+    section = re.search(rf"<h2>{title}</h2>(.*?)</section>", page.read_text(encoding="utf-8"), re.DOTALL)[1]
+    rows = re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)
+    return [re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row) for row in rows]
+
+
+def test_page_holds_every_frame_of_the_run(page, run_folder):
+    facts, columns = unpack(page)
+    quantum = facts["quantum"]
+    for index, frame in enumerate(open_run(run_folder).frames()):
+        truth, found = frame.truth, frame.detections
+        assert facts["states"][columns["state"][index]] == frame.state
+        rows = slice(*columns["truthStart"][index : index + 2])
+        names = [facts["vessels"][vessel]["name"] for vessel in columns["vessel"][rows]]
+        order = [truth.vessels.index(name) for name in names]
+        assert sorted(names) == sorted(truth.vessels)
+        full = columns["full"].reshape(-1, 4)[rows] * quantum
+        np.testing.assert_allclose(full, truth.full_boxes_px[order], atol=quantum / 2 + 1e-9)
+        visible = columns["visible"].reshape(-1, 4)[rows]
+        seen = ~np.isnan(truth.visible_boxes_px[order, 0])
+        np.testing.assert_array_equal(visible[:, 0] != NONE, seen)
+        expected = truth.visible_boxes_px[order][seen]
+        np.testing.assert_allclose(visible[seen] * quantum, expected, atol=quantum / 2 + 1e-9)
+        np.testing.assert_array_equal(columns["flags"][rows], (truth.annotated + 2 * truth.detected)[order])
+        drawn = slice(*columns["drawnStart"][index : index + 2])
+        sources = [None if v == NONE else facts["vessels"][v]["name"] for v in columns["drawnVessel"][drawn]]
+        assert sources == list(found.vessels)
+        np.testing.assert_allclose(columns["confidence"][drawn] / 1000, found.confidence, atol=5e-4)
+        boxes = columns["box"].reshape(-1, 4)[drawn] * quantum
+        np.testing.assert_allclose(boxes, found.boxes_px, atol=quantum / 2 + 1e-9)
+
+
+def test_silhouettes_have_the_boxes_of_the_truth(page):
+    facts, columns = unpack(page)
+    lines = np.split(columns["corners"].reshape(-1, 2), np.cumsum(columns["cornerCount"])[:-1])
+    outlines = np.split(np.arange(len(lines)), np.cumsum(columns["lineCount"])[:-1])
+    boxes = {}
+    for frame, (first, stop) in enumerate(pairwise(columns["shapeStart"])):
+        for shape in range(first, stop):
+            corners = np.concatenate([lines[line] for line in outlines[columns["outline"][shape]]])
+            boxes[frame, columns["owner"][shape]] = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+    frames = np.repeat(np.arange(len(columns["truthStart"]) - 1), np.diff(columns["truthStart"]))
+    assert len(boxes) == len(frames) > 100
+    drawn = np.array([boxes[key] for key in zip(frames, columns["vessel"], strict=True)]) * facts["quantum"]
+    np.testing.assert_allclose(drawn, columns["full"].reshape(-1, 4) * facts["quantum"], atol=1.01 * facts["quantum"])
+
+
+def test_counts_are_those_of_the_run(page, run_folder):
+    counts = json.loads((run_folder / "run.json").read_text())["counts"]
+    said = {row[0]: int(row[1]) for row in table_after(page, "What happened")}
+    assert said == {
+        "Frames": counts["frames"],
+        "Vessels in frames": counts["vessel_frames"],
+        "Partly hidden": counts["partly_hidden"],
+        "Wholly hidden": counts["fully_hidden"],
+        "Annotated": counts["annotated"],
+        "Detected": counts["detected"],
+        "Missed": counts["missed"],
+        "Mislabelled": counts["mislabelled"],
+        "False positives": counts["false_positives"],
+    }
+    for title, columns in (("By vessel", (4, 5, 6)), ("By performance state of the detector", (2, 3, 4))):
+        rows = table_after(page, title)[1:]
+        sums = [sum(int(row[column]) for row in rows) for column in columns]
+        assert sums == [counts["annotated"], counts["detected"], counts["missed"]]
+
+
+def test_settings_and_versions_are_on_the_page(page, run_folder):
+    said = {row[0]: row[1] for row in table_after(page, "Settings and versions")}
+    run = json.loads((run_folder / "run.json").read_text())
+    assert said["scene_sha256"] == run["scene_sha256"]
+    assert said["seed"] == str(run["seed"])
+    assert said["versions.numpy"] == run["versions"]["numpy"]
+
+
+def test_same_run_gives_the_same_page(page, run_folder, tmp_path):
+    again = write_report(open_run(run_folder), tmp_path / "again.html")
+    assert again.read_bytes() == page.read_bytes()
+
+
+def test_every_kth_step_is_shown_and_all_are_counted(page, run_folder, tmp_path):
+    thinned = write_report(open_run(run_folder), tmp_path / "some.html", every=7)
+    facts, columns = unpack(thinned)
+    all_facts, everything = unpack(page)
+    assert facts["steps"] == list(range(0, STEPS, 7))
+    assert facts["timestamps"] == all_facts["timestamps"][::7]
+    cameras = len(facts["cameras"])
+    for starts in ("truthStart", "drawnStart"):
+        counts = np.diff(everything[starts]).reshape(-1, cameras)[::7].ravel()
+        np.testing.assert_array_equal(np.diff(columns[starts]), counts)
+        assert columns[starts][-1] == counts.sum() > 0
+    assert len(columns["vessel"]) == columns["truthStart"][-1]
+    horizons = everything["horizon"].reshape(-1, cameras, 3)[::7].ravel()
+    np.testing.assert_array_equal(columns["horizon"], horizons)
+    assert table_after(thinned, "What happened") == table_after(page, "What happened")
+
+
+def test_simulation_1_in_full_stays_far_below_15_megabytes(tmp_path):
+    run_scene(load_scene("simulation_1", mode=2, source="analytic"), tmp_path / "run")
+    page = write_report(open_run(tmp_path / "run"))
+    assert len(unpack(page)[0]["steps"]) == 1500
+    assert page.stat().st_size < 2_000_000
+
+
+def test_pages_of_other_commands_are_linked_when_they_are_there(run_folder, tmp_path):
+    (run_folder / "verify.html").write_text("")
+    try:
+        text = write_report(open_run(run_folder), run_folder / "sub" / "page.html").read_text(encoding="utf-8")
+    finally:
+        (run_folder / "verify.html").unlink()
+    assert 'href="../verify.html"' in text
+    assert "compare.html" not in text
+
+
+def interrupted(folder: Path, after: int) -> Path:
+    """A run that was stopped after some blocks."""
+
+    class Stop(Exception):
+        pass
+
+    done = 0
+
+    def stop(steps: int) -> None:
+        nonlocal done
+        done += 1
+        if done == after:
+            raise Stop
+
+    with pytest.raises(Stop):
+        run_scene(
+            load_scene("simulation_3", mode=2, seed=5, steps=STEPS + 300, source="analytic"), folder, progress=stop
+        )
+    return folder
+
+
+def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):
+    cut = open_run(interrupted(tmp_path / "cut", after=1))
+    text = (written := write_report(cut)).read_text(encoding="utf-8")
+    assert f"This run was interrupted.</strong> {cut.steps} of {STEPS + 300} steps" in text
+    (facts, columns), (_, whole) = unpack(written), unpack(page)
+    assert len(facts["steps"]) == cut.steps
+    shared = min(cut.steps, STEPS) * len(facts["cameras"])
+    np.testing.assert_array_equal(columns["truthStart"][:shared], whole["truthStart"][:shared])
+    np.testing.assert_array_equal(columns["confidence"][: whole["drawnStart"][shared]][:100], whole["confidence"][:100])
+
+
+def test_run_without_a_finished_step_is_refused(run_folder):
+    with pytest.raises(RunDirectoryError, match="nothing to show"):
+        write_report(replace(open_run(run_folder), steps=0))
+
+
+def call(monkeypatch, *arguments) -> int:
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code)
+
+
+def test_command_says_where_the_page_is(monkeypatch, capsys, run_folder, tmp_path):
+    assert call(monkeypatch, "report", run_folder, "--out", tmp_path / "new" / "page.html", "--every", 10) == 0
+    assert str(tmp_path / "new" / "page.html") in capsys.readouterr().out.replace("\n", "")
+
+
+@pytest.mark.parametrize("what", ["missing", "empty", "file in the way"])
+def test_bad_input_is_one_message(monkeypatch, capsys, run_folder, tmp_path, what):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
+    arguments = {
+        "missing": [tmp_path / "nowhere"],
+        "empty": [tmp_path / "empty"],
+        "file in the way": [run_folder, "--out", tmp_path / "file" / "page.html"],
+    }[what]
+    assert call(monkeypatch, "report", *arguments) == 2
+    error = capsys.readouterr().err
+    assert str(arguments[-1]) in error
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=50))
+def test_what_is_seen_in_part_is_never_rounded_to_all_or_nothing(fractions):
+    counted = in_250ths(np.array([*fractions, np.nan]))
+    assert counted[-1] == UNKNOWN_FRACTION
+    for fraction, count in zip(fractions, counted, strict=False):
+        assert (count == 0) == (fraction == 0)
+        assert (count == WHOLE) == (fraction == 1)
+        assert abs(count / WHOLE - fraction) <= 1 / WHOLE
+
+
+@given(st.integers(1, 60_000), st.integers(1, 60_000))
+def test_every_place_in_an_image_fits_into_16_bits(width, height):
+    quantum = quantum_px([(width, height)])
+    counted = in_quanta(np.array([0.0, width, height, np.nan]), quantum)
+    np.testing.assert_allclose(counted[:3] * quantum, [0, width, height], atol=quantum / 2 + 1e-9)
+    assert counted[3] == NONE > counted[:3].max()
+    assert quantum == 0.1 or max(width, height) > 6500

@@ -1,0 +1,273 @@
+"""The scene from above: geometry first; what maps look like has been looked at."""
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from modsim3d import cli
+from modsim3d.geometry.camera import Camera
+from modsim3d.geometry.camera_poses import Mount
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from modsim3d.view import palette
+from modsim3d.view.birds_eye import BirdsEye, footprint, hull_m, ring_step, view_of
+from modsim3d.view.map_picture import RINGS, map_figure, map_height_px, map_picture
+from tests.scenes import INTRINSICS, crossing
+from tests.view.test_film import view
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = crossing(tmp_path_factory.mktemp("map"))
+    data = json.loads(path.read_text())
+    data["obstacles"] = {
+        "island": {"polygon_m": [[150, 20], [190, 20], [190, 60], [170, 30], [150, 60]], "height_m": 12},
+        "bridge": {"polygon_m": [[240, -60], [244, -60], [244, 60], [240, 60]], "base_m": 20, "height_m": 2},
+    }
+    path.write_text(json.dumps(data))
+    return load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def birds_eye(scene):
+    return BirdsEye(scene, scene.steps, (0,))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    run_scene(load_scene(crossing(folder)), folder / "run")
+    return folder / "run"
+
+
+@pytest.mark.parametrize("step", [0, 9])
+def test_a_vessel_is_drawn_where_it_is(birds_eye, step):
+    figure = map_figure(birds_eye, step, 1000)
+    figure.draw_without_rendering()
+    places = birds_eye.scene.poses.poses(step, step + 1).positions_m[0, :, :2]
+    pixels = figure.axes[0].transData.transform(places)
+    picture = np.asarray(map_picture(birds_eye, step, (1000, map_height_px(birds_eye, 1000))))
+    for index, (x, y) in enumerate(pixels):
+        around = picture[picture.shape[0] - round(y) - 8 : picture.shape[0] - round(y) + 8, round(x) - 8 : round(x) + 8]
+        near = np.abs(around.astype(int) - palette.vessel_colour(index)).max(axis=-1) < 12
+        assert near.sum() > 8, birds_eye.scene.vessel_names[index]
+
+
+def test_a_hull_has_the_vessels_size_and_heading(scene):
+    for vessel in scene.vessels:
+        ring = hull_m(vessel, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # heading along w2
+        assert np.ptp(ring[:, 0]) == pytest.approx(vessel.beam_m)
+        assert np.ptp(ring[:, 1]) == pytest.approx(vessel.length_m)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        INTRINSICS,
+        replace(INTRINSICS, principal_point_px=(200.0, 300.0), focal_px=(700.0, 1000.0)),
+        replace(INTRINSICS, focal_px=(100.0, 100.0)),
+    ],
+)
+def test_the_field_of_view_has_the_angle_of_the_intrinsics(scene, lens):
+    """From the left edge to the principal point, arctan(a1 / f1), and on to the right one."""
+    (f1, _), (a1, _), width = lens.focal_px, lens.principal_point_px, lens.image_size_px[0]
+    camera = Camera("C", lens, Mount((30.0, 40.0, 5.0), yaw_rad=0.7))
+    at, looks = view_of(replace(scene, cameras=(camera,)), camera, 0)
+    np.testing.assert_allclose(at, [30, 40])
+    bearings = np.unwrap(np.arctan2(looks[:, 1], looks[:, 0]))
+    assert bearings[0] - bearings[-1] == pytest.approx(math.atan(a1 / f1) + math.atan((width - a1) / f1))
+    assert bearings[0] == pytest.approx(0.7 + math.atan(a1 / f1))
+
+
+def test_what_the_camera_sees_is_in_its_field_of_view(birds_eye):
+    scene = birds_eye.scene
+    at, looks = view_of(scene, scene.cameras[0], 5)
+    wedge = shapely.Polygon([at, *(at + 1e4 * looks)])
+    outlines = scene.sight(scene.cameras[0], np.array([5])).outlines()
+    seen = {scene.occluder_names[index] for index in outlines.occluder.tolist()}
+    for vessel, place in zip(scene.vessels, scene.poses.poses(5, 6).positions_m[0], strict=True):
+        if wedge.contains(shapely.Point(place[:2])):
+            assert vessel.name in seen
+
+
+def test_an_obstacle_covers_its_polygon(scene):
+    island, bridge = (footprint(obstacle) for obstacle in scene.obstacles)
+    expected = shapely.Polygon([[150, 20], [190, 20], [190, 60], [170, 30], [150, 60]])
+    assert shapely.area(island.symmetric_difference(expected)) == pytest.approx(0, abs=1e-6)
+    assert bridge.area == pytest.approx(480)
+
+
+def test_everything_is_on_the_map(birds_eye):
+    x0, x1, y0, y1 = birds_eye.extent_m
+    tracks = birds_eye.tracks_m[np.isfinite(birds_eye.tracks_m).all(axis=-1)]  # the ship leaves
+    assert (tracks > (x0, y0)).all()
+    assert (tracks < (x1, y1)).all()
+    assert x0 < 0 < x1  # the camera ashore
+    assert y0 < -60 and y1 > 60  # the bridge
+
+
+def test_vessels_on_circles_have_them_whole():
+    scene = load_scene("simulation_1", steps=5)
+    circles = BirdsEye(scene, 5, (0,)).circles_m
+    tracks = BirdsEye(scene, 5, (0,)).tracks_m
+    assert len(circles) == 5
+    for circle, track in zip(circles, np.moveaxis(tracks, 1, 0), strict=True):
+        radius = np.linalg.norm(circle - (1000, 1000), axis=1)
+        np.testing.assert_allclose(np.linalg.norm(track - (1000, 1000), axis=1), radius[0])
+        np.testing.assert_allclose(radius, radius[0])
+
+
+@given(st.floats(0.01, 1e6))
+def test_ring_steps_are_round_and_few(farthest_m):
+    step = ring_step(farthest_m / RINGS)
+    assert farthest_m / step <= RINGS + 1e-6
+    assert farthest_m / step > RINGS / 2.5 - 1e-6
+    mantissa = step / 10.0 ** math.floor(math.log10(step * (1 + 1e-9)))
+    assert min(abs(mantissa - round_one) for round_one in (1, 2, 5, 10)) < 1e-6
+
+
+def test_the_legend_covers_no_map(birds_eye):
+    figure = map_figure(birds_eye, 3, 800)
+    figure.draw_without_rendering()
+    assert not figure.legends[0].get_window_extent().overlaps(figure.axes[0].get_window_extent())
+
+
+def test_names_do_not_lie_on_each_other(birds_eye):
+    figure = map_figure(birds_eye, 6, 900)
+    figure.draw_without_rendering()
+    notes = [
+        text for text in figure.axes[0].texts if text.get_text() in (*birds_eye.scene.vessel_names, "island", "bridge")
+    ]
+    assert len(notes) >= 4
+    boxes = [shapely.box(*note.get_window_extent().extents) for note in notes]
+    assert all(boxes[i].intersection(boxes[j]).area == 0 for i in range(len(boxes)) for j in range(i))
+
+
+@pytest.mark.parametrize("step", [60, 120])
+def test_a_name_lies_on_no_other_vessel_and_inside_the_map(step):
+    scene = load_scene("strait")
+    birds_eye = BirdsEye(scene, scene.steps, (0, 1))
+    figure = map_figure(birds_eye, step, 1280)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    rotations = scene.motion.at(np.array([step])).world_R_vessel[0]
+    places = scene.poses.poses(step, step + 1).positions_m[0, :, :2]
+    hulls = {
+        vessel.name: shapely.Polygon(axes.transData.transform(hull_m(vessel, rotations[i]) + places[i]))
+        for i, vessel in enumerate(scene.vessels)
+    }
+    frame, named = shapely.box(*axes.get_window_extent().extents), 0
+    for note in axes.texts:
+        box = shapely.box(*note.get_window_extent().extents)
+        if note.get_text() in hulls:
+            assert frame.contains(box)
+            assert not any(hull.intersects(box) for name, hull in hulls.items() if name != note.get_text())
+            named += 1
+    assert named == len(hulls)
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatch, run, tmp_path, ending):
+    for name in ("a", "b"):
+        assert view(monkeypatch, run, "--map", "--at", "6", "--out", tmp_path / f"{name}.{ending}", "--width", 640) == 0
+    first, second = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("a", "b"))
+    assert first == second
+    if ending == "png":
+        with Image.open(tmp_path / "a.png") as written:
+            assert written.width == 640
+    elif ending == "svg":
+        assert ET.fromstring(first).tag.endswith("svg")
+    else:
+        assert first.startswith(b"%PDF")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"a.{ending}", f"b.{ending}"]
+
+
+def test_a_film_of_maps_has_one_map_for_all_cameras(monkeypatch, run, tmp_path):
+    out = tmp_path / "frames"
+    assert view(monkeypatch, run, "--film", "map", "--to", 1, "--format", "png", "--width", 320, "--out", out) == 0
+    frames = [np.asarray(read(path)) for path in sorted(out.iterdir())]
+    assert len(frames) == 2
+    assert frames[0].shape == frames[1].shape
+    assert (frames[0] != frames[1]).any()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--map", "--at", "99"), ["no step 99", "0 to 11"]),
+        (("--map", "--out", "map.jpg"), [".png, .svg, .pdf"]),
+        (("--map", "--camera", "C9"), ["no camera 'C9'"]),
+        (("--at", "3"), ["--frame"]),
+        (("--film", "ids", "--at", "3"), ["--at works with --map only"]),
+        (("--map", "--film", "ids"), ["--film map"]),
+        (("--film", "ids", "--night"), ["--look", "--night", "not with ids"]),
+        (("--film", "map", "--look", "shaded"), ["--look", "--night", "not with map"]),
+        (("--film", "scene", "--visibility", "0"), ["--visibility 0", "metres"]),
+        (("--film", "scene", "--visibility", "nan"), ["--visibility nan"]),
+        (("--film", "scene", "--look", "plain", "--night"), ["--look plain"]),
+    ],
+)
+def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert view(monkeypatch, run, *arguments) == cli.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    assert all(word in said for word in words), said
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch, capsys, run, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    for arguments in (("--map", "--out", tmp_path / "m.png"), ("--film", "map", "--out", tmp_path / "m.gif")):
+        assert view(monkeypatch, run, *arguments) == cli.BAD_INPUT
+        assert "pip install 'modsim3d[view]'" in capsys.readouterr().err
+
+
+def read(path):
+    with Image.open(path) as written:
+        return written.convert("RGB")
+
+
+def picture(monkeypatch, run, out, *arguments):
+    assert view(monkeypatch, run, "--frame", "5", "--width", 400, "--out", out, *arguments) == 0
+    return np.asarray(read(out)).astype(int)
+
+
+def test_the_scene_is_shaded_unless_plain_is_asked_for_and_boxes_are_on_it_when_asked(monkeypatch, run, tmp_path):
+    kinds = {
+        name: picture(monkeypatch, run, tmp_path / f"{name}.png", *arguments)
+        for name, arguments in {
+            "scene": ("--film", "scene"),
+            "shaded": ("--film", "scene", "--look", "shaded"),
+            "plain": ("--film", "scene", "--look", "plain"),
+            "boxes": (),
+            "plain boxes": ("--look", "plain"),
+            "shaded boxes": ("--look", "shaded"),
+            "night": ("--night",),
+        }.items()
+    }
+    np.testing.assert_array_equal(kinds["scene"], kinds["shaded"])
+    np.testing.assert_array_equal(kinds["boxes"], kinds["plain boxes"])
+    corner = (40, 390)  # below the line at the top, in the sky
+    assert tuple(kinds["plain"][corner]) == tuple(kinds["boxes"][corner]) == palette.SKY
+    np.testing.assert_array_equal(kinds["scene"][corner], kinds["shaded boxes"][corner])
+    assert tuple(kinds["scene"][corner]) != palette.SKY
+    assert kinds["night"][corner].sum() < 150
+
+
+def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, capsys, run, tmp_path):
+    monkeypatch.setattr("modsim3d.render.context.library_found", lambda backend: False)
+    plain = picture(monkeypatch, run, tmp_path / "a.png", "--film", "scene")
+    assert tuple(plain[40, 390]) == palette.SKY
+    assert view(monkeypatch, run, "--film", "scene", "--look", "shaded", "--out", tmp_path / "b.mp4") == cli.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "libosmesa6" in said
+    assert "--look plain" in said
