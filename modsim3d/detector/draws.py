@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.error_distributions import ERROR_NORMALS
+from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Purpose, Streams, normals
 

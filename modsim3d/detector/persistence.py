@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
-from modsim3d.detector.error_distributions import ERROR_NORMALS
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams, normals

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.error_distributions import ERROR_NORMALS, ErrorDistribution, Normal
+from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
 
 POINTS = 128
 """Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),

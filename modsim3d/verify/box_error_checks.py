@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import clip, move, sizes
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
 from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.parts import Part, model_name
@@ -172,13 +172,10 @@ def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) ->
 
 def _box_check(evidence: Evidence) -> Parameter:
     """Whether every box is its truth moved by its error and clipped to the image."""
-    single = np.flatnonzero(evidence.true_detections.kind == TRUE)
-    true_detections, instances = evidence.true_detections, evidence.instances
-    rows = true_detections.instance[single]
-    wrong = 0
-    for camera, seen in enumerate(evidence.cameras):
-        ours = np.flatnonzero(instances.camera[rows] == camera)
-        moved = move(instances.boxes_px[rows[ours]], true_detections.errors_px[single[ours]])
-        off = np.abs(true_detections.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
-        wrong += int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
+    found, instances = evidence.true_detections, evidence.instances
+    single = np.flatnonzero(found.kind == TRUE)
+    rows = found.instance[single]
+    moved = move(instances.boxes_px[rows], found.errors_px[single])
+    off = np.abs(found.boxes_px[single] - clip(moved, instances.image_px[rows]))
+    wrong = int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
     return Parameter("boxes are truth and error, clipped", Part.BOX_ERROR, Exact(wrong, len(single)), in_file=False)

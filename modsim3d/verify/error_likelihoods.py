@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array
-from modsim3d.detector.error_distributions import ErrorDistribution, StudentT
+from modsim3d.detector.box_error_law import ErrorDistribution, StudentT
 from modsim3d.detector.model import ERROR_PAIRS
 
 FIRST, SECOND = np.triu_indices(4)

@@ -8,8 +8,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
-from modsim3d.detector.box_error_law import BoxErrorLaw
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS, ErrorDistribution, Normal
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS, BoxErrorLaw, ErrorDistribution, Normal, size_factors
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.detector.parts import model_name
 from modsim3d.verify.error_likelihoods import LIKELIHOODS, PLAIN, ErrorLikelihood, directions
@@ -55,10 +54,8 @@ class ErrorParameters:
 
     def at(self, boxes_px: Array) -> tuple[Array, Array]:
         """Means and standard deviations of the errors of boxes (n, 4) in pixels, shapes (n, 4)."""
-        sides = np.tile(sizes(boxes_px), 2)
-        if self.relative:
-            return self.mean * sides, self.std * sides
-        return np.broadcast_to(self.mean, sides.shape), self.std + self.growth * sides
+        factor, spread = size_factors(sizes(boxes_px), self.relative, self.growth / self.std)
+        return self.mean * factor, self.std * factor * spread
 
     def statistics(self, standardised: Array) -> Array:
         """Statistics of standardised errors of shape (..., 4), shape (..., m)."""

@@ -11,7 +11,7 @@ from scipy import special, stats
 from modsim3d.boxes import inside_image, move
 from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, parse_detector
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.error_distributions import StudentT
+from modsim3d.detector.box_error_law import StudentT
 from modsim3d.detector.truncation import truncated_errors
 from modsim3d.errors import InputError
 from modsim3d.scene.reading import load_scene

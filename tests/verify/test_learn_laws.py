@@ -10,11 +10,11 @@ from modsim3d.boxes import inside_image, move
 from modsim3d.detector.clipped_normal import clipped_score
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.truncation import accepted_errors, ordered_root
+from modsim3d.verify.box_persistence_checks import latent_paths, replayed_errors
 from modsim3d.verify.clipped_checks import Clipped
 from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
 from modsim3d.verify.error_likelihoods import directions
 from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.error_replay import latent_paths, replayed_errors
 from modsim3d.verify.pairs import inflation, lag_pairs
 from modsim3d.verify.run_lengths import expected_run_lengths
 from modsim3d.verify.state_checks import occupancy_law

@@ -11,12 +11,11 @@ import numpy as np
 from pydantic import ValidationError
 
 from modsim3d.arrays import Array, read_only
-from modsim3d.detector.box_error_law import BoxErrorLaw
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS, BoxErrorLaw
 from modsim3d.detector.clutter import ClutterOptions
 from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
 from modsim3d.detector.confidence import StateConfidence
 from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.file.agreement import agreement_problems
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (

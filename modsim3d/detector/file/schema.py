@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
 from modsim3d.detector.clutter_models import CLUTTER_MODELS
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.file import checks
 from modsim3d.detector.file.schema_models import (
     ClutterKeys,
