@@ -19,7 +19,6 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams, normals
 
 Clock = Callable[[int, int], Array]
@@ -146,22 +145,12 @@ class Walk:
         return piece
 
 
-def _no_clock(first: int, stop: int) -> Array:
-    raise ModsimError("persistence needs the times of all steps of the scene: give the Detector a clock")
-
-
 class VesselNoise:
     """The noise of each target: drawn for each step, or kept for a while."""
 
-    def __init__(self, persistence: Persistence, streams: Streams, clock: Clock | None) -> None:
-        """Use a clock, which persistence needs.
-
-        Raises:
-            ModsimError: There is none.
-        """
-        self._persistence, self._streams, self._clock = persistence, streams, clock or _no_clock
-        if persistence.class_s or persistence.box_s:
-            self._clock(0, 0)
+    def __init__(self, persistence: Persistence, streams: Streams, clock: Clock) -> None:
+        """Read the times of steps from a clock where noise persists."""
+        self._persistence, self._streams, self._clock = persistence, streams, clock
         self._walks: dict[tuple[type[Process], str, tuple[str, ...]], Walk] = {}
 
     def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
