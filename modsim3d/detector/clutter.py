@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import clip, sizes
@@ -17,13 +20,59 @@ from modsim3d.detector.clutter_models import (
     numbered_rows,
     ordinal_uniforms,
 )
-from modsim3d.detector.clutter_sizes import SceneSizes, Sizes
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.random_streams import Purpose, Streams, normals
+
+_LN_2 = math.log(2)
+
+
+class Sizes(Protocol):
+    """A distribution of width and height."""
+
+    def at(self, uniforms: Array) -> Array:
+        """Width and height from one uniform number each, shape (m, 2)."""
+
+
+@dataclass(frozen=True)
+class FixedSize:
+    """All the same."""
+
+    width_px: float
+    height_px: float
+
+    def at(self, uniforms: Array) -> Array:
+        """The same for all numbers, shape (m, 2)."""
+        return np.tile([self.width_px, self.height_px], (len(uniforms), 1))
+
+
+@dataclass(frozen=True)
+class LognormalSize:
+    """One aspect ratio, with a size whose logarithm is normal."""
+
+    width_px: float
+    height_px: float
+    log_std: float
+
+    def at(self, uniforms: Array) -> Array:
+        """The median box, scaled, shape (m, 2)."""
+        scale: Array = special.exp2(self.log_std / _LN_2 * normals(uniforms))
+        return scale[:, None] * [self.width_px, self.height_px]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSizes:
+    """The sizes of the scene's annotated boxes, over all its steps."""
+
+    census: TargetCensus
+
+    def at(self, uniforms: Array) -> Array:
+        """The size of one of them each, shape (m, 2)."""
+        return self.census.sizes_px(uniforms)
+
 
 _DRAWS = DRAWS + 2  # a false positive: place, size, label
 _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge

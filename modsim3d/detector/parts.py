@@ -14,9 +14,9 @@ from enum import StrEnum
 from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter_models import CLUTTER_MODELS
+from modsim3d.detector.confidence import SCORES
 from modsim3d.detector.dropout import EFFECTS
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.scores import SCORES
 from modsim3d.detector.states import PerformanceStates
 
 

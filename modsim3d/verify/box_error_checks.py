@@ -19,8 +19,7 @@ from modsim3d.verify.class_checks import correlation_note
 from modsim3d.verify.error_fit import ErrorSample, FitStep, MomentTable, StateFit, fit_step, fitted_law
 from modsim3d.verify.error_likelihoods import LIKELIHOODS
 from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.max_detections import max_detections_note
+from modsim3d.verify.evidence import Evidence, max_detections_note
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 

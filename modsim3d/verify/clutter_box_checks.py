@@ -14,9 +14,8 @@ from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, CameraFrames, Targets
 from modsim3d.random_streams import Streams
-from modsim3d.verify.evidence import CameraEvidence, Evidence
+from modsim3d.verify.evidence import CameraEvidence, Evidence, max_detections_note
 from modsim3d.verify.law_measures import Law
-from modsim3d.verify.max_detections import max_detections_note
 from modsim3d.verify.measures import Estimate
 from modsim3d.verify.parameters import Parameter
 

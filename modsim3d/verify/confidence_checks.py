@@ -9,14 +9,12 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import sizes
-from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.confidence import SCORES, NormalScores, QuantileScores, Scores, StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
-from modsim3d.detector.scores import SCORES, NormalScores, QuantileScores, Scores
 from modsim3d.verify.clipped_checks import Clipped
-from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.evidence import Evidence, max_detections_note
 from modsim3d.verify.law_measures import Law
-from modsim3d.verify.max_detections import max_detections_note
 from modsim3d.verify.measures import Exact, Measure
 from modsim3d.verify.parameters import Parameter
 

@@ -237,3 +237,18 @@ def _rows_before(targets: Targets) -> Indices:
     before = np.full(len(targets), -1)
     before[order[1:][follows]] = order[:-1][follows]
     return before
+
+
+def max_detections_note(model: DetectorModel, evidence: Evidence) -> str:
+    """Why rates and confidence cannot be tested; empty if they can."""
+    limit = model.gates.max_detections
+    if limit is None:
+        return ""
+    reached = int((evidence.frames.n_kept + evidence.frames.n_false >= limit).sum())
+    return f"max_detections was reached in {reached} images: what was left out is not known" if reached else ""
+
+
+def frames_above_max(model: DetectorModel, evidence: Evidence) -> int:
+    """Images with more detections than the limit."""
+    limit = model.gates.max_detections
+    return 0 if limit is None else int(np.sum(evidence.frames.n_kept + evidence.frames.n_false > limit))

@@ -20,7 +20,7 @@ from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.parameters import FALLS_SHORT, OVERALL_ALPHA, UNCHECKED, UNTESTED, Verdict, Verification
 from modsim3d.verify.run_lengths import expected_run_lengths, missed_again, run_lengths
-from modsim3d.verify.verify_run import VerifiedRun
+from modsim3d.verify.verification import VerifiedRun
 from modsim3d.view.pages import charts, page
 
 FORMAT = 1
