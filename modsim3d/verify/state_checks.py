@@ -9,13 +9,13 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part
+from modsim3d.detector.states import transitions_before
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.law_measures import Occupancy
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.rate_measures import Rate
 
-_EARLY = 1e-6  # of an interval, as in the detector: 0.6 / 0.2 is a hair below 3
 _ANGLES_AT_ONCE = 1 << 16
 
 
@@ -87,10 +87,7 @@ def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
 
 def transition_counts(model: DetectorModel, steps: Indices, times_s: Array) -> Indices:
     """Number of transitions from each frame to the next, shape (frames − 1,)."""
-    if model.transition_interval_s is None:
-        return np.asarray(np.diff(steps), dtype=np.int64)
-    due = np.floor(times_s / model.transition_interval_s + _EARLY)
-    return np.asarray(np.diff(due), dtype=np.int64)
+    return np.asarray(np.diff(transitions_before(model.transition_interval_s, steps, times_s)), dtype=np.int64)
 
 
 def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parameter]:
