@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +125,7 @@ class BoxErrorSource:
         bad = np.flatnonzero(redrawn)
         for start in range(0, len(bad), _ROWS_AT_ONCE):
             rows = bad[start : start + _ROWS_AT_ONCE]
-            errors[rows] = self._redraw(_Redraws(streams, purposes, true, rows, self.extra_normals), true, rows)
+            errors[rows] = self._redraw(streams, purposes, true, rows)
         return MisplacedBoxes(clip(move(truth, errors), image), errors, redrawn)
 
     def errors_px(self, state: Indices, sizes_px: Array, latent: Array) -> Array:
@@ -174,17 +173,30 @@ class BoxErrorSource:
         means, scaled = self.means[state].reshape(shape), errors_px / factor
         return np.where(spread > 1, means + (scaled - means) / spread, scaled)
 
-    def _redraw(self, redraws: _Redraws, true: TrueBoxes, rows: Indices) -> Array:
-        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators."""
+    def _redraw(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices) -> Array:
+        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators.
+
+        Each row has streams of its own, so resampling one leaves the first draws of other steps as they were.
+        """
+        targets, frames, widths = true.targets, true.frames, purposes.widths(self.extra_normals)
+        generators = [
+            [
+                (streams.generator(purpose, frames.camera, targets.vessel_ids[vessel], step=step), width)
+                for purpose, width in widths.items()
+            ]
+            for vessel, step in zip(targets.vessel[rows], frames.steps[targets.frame[rows]].tolist(), strict=True)
+        ]
         errors = np.empty((len(rows), 4))
         pending, drawn, batch = np.arange(len(rows)), 0, _FIRST_BATCH
         while len(pending):
             if drawn == MOST_DRAWS:
                 raise ModsimError(self._hopeless(true, rows[pending[0]]))
             batch = min(batch, MOST_DRAWS - drawn)
+            draws = [[g.standard_normal((batch, width)) for g, width in generators[row]] for row in pending]
+            latent = np.stack([np.concatenate(parts, axis=1) for parts in draws])
             state, truth = true.state[rows[pending]], true.boxes_px[rows[pending]]
-            candidates = self.errors_px(state, sizes(truth), redraws.next(pending, batch))
-            accepted = inside_image(move(truth[:, None], candidates), true.frames.image_size_px)
+            candidates = self.errors_px(state, sizes(truth), latent)
+            accepted = inside_image(move(truth[:, None], candidates), frames.image_size_px)
             found, first = accepted.any(axis=1), accepted.argmax(axis=1)
             errors[pending[found]] = candidates[found, first[found]]
             pending, drawn, batch = pending[~found], drawn + batch, min(4 * batch, _LARGEST_BATCH)
@@ -201,34 +213,4 @@ class BoxErrorSource:
             f"in {MOST_DRAWS} draws of the box error of state '{self.state_names[state]}' (mean {mean} "
             f"{unit}) its box of {width:.4g} × {height:.4g} px never stays a pixel wide and high in the image; use "
             "a box_error that suits such boxes, or leave small ones out with the annotation's min_box_px"
-        )
-
-
-class _Redraws:
-    """Normal numbers for resampling: each row has streams of its own, so other steps' first draws stay as they were."""
-
-    def __init__(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices, extra: int) -> None:
-        targets, frames = true.targets, true.frames
-        self._widths = purposes.widths(extra)
-        self._generators: Sequence[Sequence[np.random.Generator]] = [
-            [
-                streams.generator(
-                    purpose, frames.camera, targets.vessel_ids[targets.vessel[row]], step=int(frames.steps[frame])
-                )
-                for purpose in self._widths
-            ]
-            for row, frame in zip(rows, targets.frame[rows], strict=True)
-        ]
-
-    def next(self, rows: Indices, count: int) -> Array:
-        """The next numbers of some rows, shape (rows, count, 4 + extra)."""
-        widths = self._widths.values()
-        return np.stack(
-            [
-                np.concatenate(
-                    [g.standard_normal((count, width)) for g, width in zip(self._generators[row], widths, strict=True)],
-                    axis=1,
-                )
-                for row in rows
-            ]
         )

@@ -59,11 +59,9 @@ SCORES: Mapping[str, type[Scores]] = {"normal": NormalScores, "quantiles": Quant
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """A precision-recall curve, straight between its points, level before the first.
+    """A precision-recall curve, straight between its points and level before the first.
 
-    Attributes:
-        recall: Ascending, above 0, shape (n,).
-        precision: Above 0, shape (n,).
+    Recall, ascending, and precision are above 0, shapes (n,).
     """
 
     recall: Array
@@ -80,13 +78,13 @@ class PrecisionRecall:
         return np.interp(recall, self.recall, self.precision)
 
     def false_per_target(self, recall: Array) -> Array:
-        """False detections, for each thing to detect, among the surest that reach a recall: r·(1 − p)/p."""
+        """False detections per target among the most confident that reach a recall: r·(1 − p)/p, same shape."""
         precision = self.at(recall)
         found: Array = recall * (1 - precision) / precision
         return found
 
     def falls(self) -> tuple[float, float] | None:
-        """Two recalls between which false detections would have to vanish, or None: then some scores make the curve."""
+        """Two recalls between which false detections would have to vanish; None if scores can make this curve."""
         recall = np.linspace(0, self.recall[-1], CURVE_POINTS)
         falling = np.flatnonzero(np.diff(self.false_per_target(recall)) < -1e-9)
         return (float(recall[falling[0]]), float(recall[falling[0] + 1])) if len(falling) else None
@@ -114,11 +112,11 @@ class StateConfidence:
     """The confidence of one performance state.
 
     Attributes:
-        true: Of detections of a vessel.
-        false: Of false ones.
+        true: Distribution for detections of a vessel.
+        false: Distribution for false detections.
         visibility_slope: Confidence that a wholly hidden vessel loses; others lose in proportion to the hidden share.
         size_slope: Confidence that a box loses for each halving of its size below the reference.
-        size_reference_px: Side of a square as large as the box above which size does not matter.
+        size_reference_px: Reference size: the side of a square as large as the box.
     """
 
     true: Scores
@@ -128,7 +126,7 @@ class StateConfidence:
     size_reference_px: float = 64.0
 
     def score(self, uniforms: Array, false: Mask, visible_fraction: Array, size_px: Array) -> Array:
-        """Confidence before clipping, shape (n,)."""
+        """Confidence before clipping, shapes (n,)."""
         score = self.true.at(uniforms)
         if self.false is not self.true:
             score[false] = self.false.at(uniforms[false])
@@ -144,23 +142,17 @@ class StateConfidence:
 class Confidence:
     """Scores by state, moved to the nearer end of [threshold, 1] where outside (Jessen & Mohr (2023), section 7.6.2).
 
-    Attributes:
-        states: In their order.
-        threshold: Least confidence of an output detection; it drops none.
+    So the threshold is the least confidence of an output detection, and drops none.
     """
 
     states: Sequence[StateConfidence]
     threshold: float
 
     def score(self, state: Indices, false: Mask, visible_fraction: Array, size_px: Array, uniforms: Array) -> Array:
-        """Confidence of detections, from one uniform number each.
+        """Confidence of detections from one uniform number each, shapes (m,).
 
-        Args:
-            state: Performance state, shape (m,).
-            false: Whether each is a false detection, shape (m,).
-            visible_fraction: Of the vessel; NaN without a vessel or where unknown, shape (m,).
-            size_px: Side of a square as large as the box, shape (m,).
-            uniforms: Shape (m,).
+        `visible_fraction` is NaN without a vessel or where unknown; `size_px` is the side of a square as large as the
+        box.
         """
         score = np.empty(len(state))
         for index, confidence in enumerate(self.states):

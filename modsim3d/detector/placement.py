@@ -12,15 +12,10 @@ from modsim3d.detector.draws import choose, cumulative
 
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:
-    """The image rectangle cut by each half-plane (Sutherland & Hodgman (1974)).
+    """The sea in each image: the image cut by half-planes a·x + b·y + c >= 0 (Sutherland & Hodgman (1974)).
 
-    Args:
-        half_planes: (a, b, c) with a·x + b·y + c >= 0 on the sea side, shape (m, 3).
-        image_size_px: Width and height.
-
-    Returns:
-        Convex polygons of eight corners in order, shape (m, 8, 2); a polygon that has fewer repeats some.
-        Where no sea is in the image, the whole image.
+    Half-planes (a, b, c) have shape (m, 3). The convex polygons have eight corners in order, shape (m, 8, 2); one that
+    has fewer repeats some. Where no sea is in the image, the polygon is the whole image.
     """
     width, height = image_size_px
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
@@ -50,13 +45,7 @@ def uniform_places(half_planes: Array, image_size_px: tuple[int, int], uniforms:
 
     A triangle of the fan from the first corner is chosen by its area, then a point in it.
 
-    Args:
-        half_planes: Sea side of the horizon for each point, shape (m, 3).
-        image_size_px: Width and height.
-        uniforms: Shape (m, 3).
-
-    Returns:
-        x and y in pixels, inside the image, shape (m, 2).
+    Half-planes and uniform numbers have shape (m, 3); the points, x and y in pixels, have shape (m, 2).
     """
     polygons = sea_polygons(half_planes, image_size_px)
     spokes = polygons[:, 1:] - polygons[:, :1]
@@ -79,9 +68,9 @@ class Placement:
     """How densely false positives lie in the image.
 
     Attributes:
-        band_px: Only this far below the horizon; without limit if None.
-        far_half_px: The density halves every so many pixels below the horizon; it is level if None.
-        density: Weights of the cells of a grid over the whole image, shape (rows, columns); whatever the horizon.
+        band_px: Greatest distance below the horizon; no limit if None.
+        far_half_px: Distance below the horizon over which the density halves; it is uniform if None.
+        density: Weights of the cells of a grid over the whole image, shape (rows, columns), wherever the horizon is.
     """
 
     band_px: float | None = None
@@ -91,16 +80,13 @@ class Placement:
     def places(
         self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None = None
     ) -> Array:
-        """Points in the image.
+        """Points in the image, x and y in pixels, shape (m, 2).
 
         Args:
             half_planes: Sea side of the horizon for each point, shape (m, 3).
             image_size_px: Width and height.
-            uniforms: Shape (m, 3).
-            drift_px: How far each has moved along the horizon since, shape (m,); None for points of one moment.
-
-        Returns:
-            x and y in pixels, inside the image, shape (m, 2).
+            uniforms: Uniform numbers, shape (m, 3).
+            drift_px: How far each point has moved along the horizon, shape (m,); None for points that do not move.
         """
         if self.density is not None:
             return _on_map(self.density, image_size_px, uniforms, drift_px)

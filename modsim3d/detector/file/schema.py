@@ -1,8 +1,8 @@
-"""The form of a detector file. The names in it are known through the validation context, see `loader`."""
+"""The form of a detector file. The names in it are known through the validation context, see `reading`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
@@ -75,16 +75,15 @@ def _false_discovery_rate(value: float) -> float:
     return value
 
 
-def _known_clutter(value: str) -> str:
-    if value not in CLUTTER_MODELS:
-        raise ValueError(f"unknown model '{value}' ({nearest(value, CLUTTER_MODELS)})")
-    return value
+def _one_of(models: Collection[str], what: str) -> AfterValidator:
+    """A check that a name is registered; models that are added later count too."""
 
+    def check(value: str) -> str:
+        if value not in models:
+            raise ValueError(f"unknown {what} '{value}' ({nearest(value, models)})")
+        return value
 
-def _known_error_law(value: str) -> str:
-    if value not in ERROR_DISTRIBUTIONS:
-        raise ValueError(f"unknown law '{value}' ({nearest(value, ERROR_DISTRIBUTIONS)})")
-    return value
+    return AfterValidator(check)
 
 
 def _degrees_of_freedom(value: float) -> float:
@@ -111,8 +110,8 @@ Transition = Annotated[list[list[Probability]], _against("states", checks.transi
 Confusion = Annotated[list[list[Probability]], _against("labels", checks.confusion_problems)]
 LabelDistribution = Annotated[list[Probability], _against("labels", checks.distribution_problems)]
 StateName = Annotated[Name, _against("states", _unknown_state)]
-ClutterName = Annotated[Name, AfterValidator(_known_clutter)]
-ErrorLawName = Annotated[Name, AfterValidator(_known_error_law)]
+ClutterName = Annotated[Name, _one_of(CLUTTER_MODELS, "model")]
+ErrorLawName = Annotated[Name, _one_of(ERROR_DISTRIBUTIONS, "law")]
 DegreesOfFreedom = Annotated[Number, AfterValidator(_degrees_of_freedom)]
 FalseDiscoveryRate = Annotated[Number, AfterValidator(_false_discovery_rate)]
 
