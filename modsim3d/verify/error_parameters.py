@@ -18,15 +18,9 @@ _LEAST_EIGENVALUE, _LEAST_GROWTH = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ErrorParameters:
-    """A law of box errors before truncation, as a fit moves it.
+    """A law of box errors before truncation, in a form that a fit can move; see `BoxErrorLaw` for its numbers.
 
-    Attributes:
-        mean: In pixels, or in sides of the box where relative, shape (4,).
-        std: In the same unit, shape (4,), all positive.
-        correlation: Shape (4, 4), not singular.
-        relative: Whether errors are in sides of the box.
-        growth: By how many pixels each standard deviation grows with each pixel of the side, shape (4,).
-        distribution: Of the standardised errors.
+    Mean, standard deviations, all positive, and growth have shape (4,), the correlation, not singular, (4, 4).
     """
 
     mean: Array
@@ -38,18 +32,18 @@ class ErrorParameters:
 
     @classmethod
     def of(cls, law: BoxErrorLaw) -> ErrorParameters:
-        """The parameters of a law whose covariance is not singular."""
+        """The parameters of a law with a covariance that is not singular."""
         correlation = law.covariance / np.outer(law.std, law.std)
         return cls(law.mean, law.std, correlation, law.relative, law.growth, law.distribution)
 
     @property
     def likelihood(self) -> ErrorLikelihood:
-        """Of the distribution."""
+        """The likelihood of the distribution."""
         return LIKELIHOODS[model_name(ERROR_DISTRIBUTIONS, self.distribution)]
 
     @property
     def growing(self) -> Indices:
-        """Components whose standard deviations grow."""
+        """Components whose standard deviations grow, shape (g,)."""
         return np.flatnonzero(self.growth > 0)
 
     def at(self, boxes_px: Array) -> tuple[Array, Array]:
@@ -62,13 +56,9 @@ class ErrorParameters:
         return self.likelihood.statistics(self.distribution, self.correlation, standardised)
 
     def score_weights(self, boxes_px: Array) -> tuple[Array, Array]:
-        """How statistics add up to the derivatives of the log-likelihood by the p parameters.
+        """How statistics add up to the derivatives of the log-likelihood by the p parameters, for boxes (n, 4).
 
-        Args:
-            boxes_px: Shape (n, 4).
-
-        Returns:
-            Weights of the statistics, shape (p, m), and what they are multiplied by box by box, shape (n, p).
+        Returns weights of the statistics, shape (p, m), and factors on their sums box by box, shape (n, p).
         """
         shape = len(self.likelihood.shape_names)
         every = np.eye(PLAIN + shape)
@@ -89,18 +79,18 @@ class ErrorParameters:
         return [*names, *(f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing), *self.likelihood.shape_names]
 
     def numbers(self) -> Array:
-        """Four means, four standard deviations, six correlations, growths that are not zero, shape; shape (p,)."""
+        """Four means, four standard deviations, six correlations, growths that are not 0, own numbers; shape (p,)."""
         correlations = [self.correlation[i, j] for i, j in ERROR_PAIRS]
         shape = self.likelihood.shape(self.distribution)
         return np.concatenate([self.mean, self.std, correlations, self.growth[self.growing], shape])
 
     def units(self) -> Array:
-        """What a step of one is worth in these numbers, shape (p,)."""
+        """The size of a step of one in these numbers, shape (p,)."""
         shape = self.likelihood.shape_units(self.distribution)
         return np.concatenate([self.std, self.std, np.ones(len(ERROR_PAIRS) + len(self.growing)), shape])
 
     def moved(self, step: Array) -> ErrorParameters:
-        """The law a step away: means in standard deviations, standard deviations in parts of themselves."""
+        """The law a step (p,) away: means in standard deviations, standard deviations in parts of themselves."""
         step = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12)) * step
         correlation = self.correlation.copy()
         for value, (i, j) in zip(step[8:PLAIN], ERROR_PAIRS, strict=True):

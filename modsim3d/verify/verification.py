@@ -60,15 +60,7 @@ def unchecked(model: DetectorModel) -> list[Parameter]:
 
 @dataclass(frozen=True, eq=False)
 class VerifiedRun:
-    """A run, what it shows, and the verdicts on it.
-
-    Attributes:
-        run: The run.
-        detector: The file that it was held against, None for its own.
-        model: What that file says.
-        evidence: What the run shows.
-        verification: The verdicts.
-    """
+    """A run, the detector file that it was held against (None for its own), what it shows, and the verdicts on it."""
 
     run: StoredRun
     detector: Path | None
@@ -78,11 +70,7 @@ class VerifiedRun:
 
 
 def verify_run(run: StoredRun, detector: Path | None = None) -> VerifiedRun:
-    """Hold a finished run against a detector file.
-
-    Args:
-        run: The run.
-        detector: The file; the run's own copy if None.
+    """Hold a finished run against a detector file, the run's own copy if None.
 
     Raises:
         ModsimError: The run was interrupted, or this detector cannot have made it.
@@ -91,9 +79,10 @@ def verify_run(run: StoredRun, detector: Path | None = None) -> VerifiedRun:
         raise RunDirectoryError(f"{run.folder} holds an interrupted run: {run.how_to_finish}")
     scene = run.scene if detector is None else load_scene(run.scene.path, detector=detector)
     model = scene.detector
-    seen = [
-        CameraEvidence(part.frames, part.targets, read_detections(run.folder, model, part.frames, part.targets))
-        for part in detector_inputs(scene, run.truth(0, run.steps), 0, run.steps)
-    ]
-    evidence = Evidence.of(seen)
+    evidence = Evidence.of(
+        [
+            CameraEvidence(part.frames, part.targets, read_detections(run.folder, model, part.frames, part.targets))
+            for part in detector_inputs(scene, run.truth(0, run.steps), 0, run.steps)
+        ]
+    )
     return VerifiedRun(run, detector, model, evidence, verify(model, evidence))
