@@ -47,16 +47,15 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     if not fits:
         return None
     rng = np.random.default_rng(0)
-    instances, chance = evidence.instances, _instances_of(evidence, fits)
-    tracks = np.stack([instances.camera[chance], instances.vessel[chance]], axis=1)
+    tracks, times_s = evidence.instances.tracks(_instances_of(evidence, fits))
     now, before = _frame_pairs(model, evidence, fits)
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
     found = []
     width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, _REPLAYS, _REPLAYS_AT_ONCE):
-        latent = latent_paths(tracks, instances.time_s[chance], model.persistence.box_s, rng, _REPLAYS_AT_ONCE, width)
-        whitened = np.empty((_REPLAYS_AT_ONCE, len(chance), 4))
+        latent = latent_paths(tracks, times_s, model.persistence.box_s, rng, _REPLAYS_AT_ONCE, width)
+        whitened = np.empty((_REPLAYS_AT_ONCE, len(times_s), 4))
         for k, fit in enumerate(fits):
             ours = slice(ends[k], ends[k + 1])
             statistics = fit.law.statistics(replayed_errors(fit.law, fit.sample, latent[:, ours], rng))
@@ -144,22 +143,11 @@ def _own_scale(whitened: Array) -> Array:
 
 
 def latent_paths(
-    tracks: Indices,
-    times_s: Array,
-    correlation_s: float,
-    rng: np.random.Generator,
-    count: int,
-    width: int = ERROR_NORMALS,
+    tracks: Indices, times_s: Array, correlation_s: float, rng: np.random.Generator, count: int, width: int
 ) -> Array:
-    """Standard normal numbers that persist along tracks, `width` for each of n rows, shape (count, n, width).
+    """Standard normal numbers that persist along tracks, for `count` replays of n rows, shape (count, n, width).
 
-    Args:
-        tracks: Equal in rows of one track, shape (n, k).
-        times_s: Shape (n,).
-        correlation_s: Time in which the correlation falls to 1/e.
-        rng: Random numbers.
-        count: Number of replays.
-        width: Numbers a row.
+    Rows of `tracks`, shape (n, k), are equal in one track; times have shape (n,).
     """
     order = np.lexsort((times_s, *tracks.T[::-1]))
     starts = np.append(True, (tracks[order][1:] != tracks[order][:-1]).any(axis=1))

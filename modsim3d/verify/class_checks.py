@@ -32,7 +32,7 @@ class ExpectedOutcomes:
 
     Attributes:
         passed: Whether the gates let it pass, shape (n,).
-        edges: Limits between which a uniform number means each label, then a miss, shape (n, labels + 2).
+        edges: Ends of the ranges of uniform numbers that mean each label, then a miss, shape (n, labels + 2).
     """
 
     passed: Mask
@@ -46,7 +46,7 @@ class ExpectedOutcomes:
 
 
 def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:
-    """What a detector's gates, confusion matrices and dropout expect of every annotated box."""
+    """What a detector expects of every annotated box."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
     classifier = ConfusionClassifier.from_model(model, evidence.census(model))
     instances = evidence.instances
@@ -105,9 +105,7 @@ def _entry(
     outcome = evidence.instances.outcome[rows]
     low, high = expected.edges[rows, row], expected.edges[rows, row + 1]
     happened = outcome == (-1 if row == background else row)
-    if (
-        model.merges_and_splits.merges and row < background
-    ):  # of a merged vessel the label is not known: among the others
+    if model.merges_and_splits.merges and row < background:  # merged vessels, whose label is not known, do not count
         known = outcome >= 0
         share = (high - low) / np.where(expected.missed[rows] < 1, 1 - expected.missed[rows], 1)
         rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
@@ -117,20 +115,18 @@ def _entry(
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
 ) -> Measure | None:
-    """How often a uniform number was between the bounds low and high of each row, shapes (n,)."""
+    """How often a uniform number was between the bounds `low` and `high` of each row, shapes (n,)."""
     if len(rows) < LEAST_CHANCES:
         return None
     probability = high - low
     spread = probability * (1 - probability)
 
-    def covariance(later: Indices, earlier: Indices) -> Array:
+    def covariance(later: Indices, earlier: Indices) -> Array:  # shapes (m,)
         common = np.minimum(high[later], high[earlier]) - np.maximum(low[later], low[earlier])
         kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
         return kept
 
-    instances = evidence.instances
-    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
-    factor = inflation(tracks, instances.time_s[rows], model.persistence.class_s, spread, covariance)
+    factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
     if len(rows) / factor < LEAST_CHANCES:
         return None
     mean, count = float(probability.mean()), int(happened.sum())
@@ -164,18 +160,16 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
 
 def correlation_note(measure: Estimate | None) -> str:
     """A note on the unit of the numbers beside a correlation time."""
-    return (
-        "as the correlation from one frame at which the detector runs to the next"
-        if measure is not None and measure.asked
-        else ""
-    )
+    if measure is None or not measure.asked:
+        return ""
+    return "as the correlation from one frame at which the detector runs to the next"
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes) -> Estimate | None:
-    """Probability that a vessel keeps its number from one frame to the next.
+    """Probability κ that a vessel keeps its uniform number from one frame to the next.
 
-    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in that chance
-    κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
+    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in κ: κ times
+    that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
     """
     instances = evidence.instances
     rows_before = turn_before(model, evidence)
@@ -211,11 +205,7 @@ LEAST_MISSES = 30
 def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
     """Each slope, and each range of each table, with the rates of all states and labels free.
 
-    Args:
-        model: The detector file.
-        evidence: The truth and the detections of the run.
-        passed: Instances that the gates let pass, shape (n,).
-        missed: Asked probability of a miss, shape (n,).
+    Given which instances the gates let pass and the asked probability of a miss, shapes (n,).
     """
     parameters = []
     for effect in model.dropout.effects:
@@ -230,7 +220,7 @@ def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, misse
 
 
 Column = tuple[str, float, Array]
-"""Name and asked value of a number of an effect, and the derivative of the log-odds by it at each chance."""
+"""Name and asked value of a number of an effect, and the derivative of the log-odds by it at each instance."""
 
 
 def _slope_columns(effect: Slope, values: Array) -> list[Column]:
@@ -245,16 +235,11 @@ def _table_columns(effect: Table, values: Array) -> list[Column]:
 
 
 EFFECT_CHECKS: Mapping[str, Callable[..., list[Column]]] = {"logistic": _slope_columns, "table": _table_columns}
-"""From an effect and the attribute of each chance, by the name of the effect's model."""
+"""The columns of an effect, given the attribute of each instance, by the name of the effect's model."""
 
 
 def _effect(
-    model: DetectorModel,
-    evidence: Evidence,
-    passed: Mask,
-    missed: Array,
-    column: Array,
-    asked: float,
+    model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array, column: Array, asked: float
 ) -> Estimate | None:
     """One step of a logistic regression from the asked probabilities, with an intercept for each state and label."""
     instances = evidence.instances
@@ -267,14 +252,13 @@ def _effect(
     group = instances.state[rows] * len(model.labels) + instances.label[rows]
     weight = np.bincount(group, spread)
     mean = np.bincount(group, spread * amount) / np.where(weight > 0, weight, 1)
-    free = amount - mean[group]  # what no change of the states' rates could explain
+    free = amount - mean[group]  # changes of the states' rates cannot explain this part
     information = float((spread * free**2).sum())
     if information < 1e-9 * max(float((spread * amount**2).sum()), 1e-300):
         return None
     variance = information
     if model.persistence.class_s > 0:
-        tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
-        for later, earlier, apart in lag_pairs(tracks, instances.time_s[rows], model.persistence.class_s):
+        for later, earlier, apart in lag_pairs(*instances.tracks(rows), model.persistence.class_s):
             kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]
             shared = np.exp(-apart / model.persistence.class_s) * kept * free[later] * free[earlier]
             variance += 2 * float(shared.sum())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,11 +26,11 @@ from modsim3d.verify.rate_measures import DiscoveryRate, ImageRate, Rate
 
 @dataclass(frozen=True, eq=False)
 class ExpectedClutter:
-    """False positives to be expected in each image, given what was detected; shapes (s,).
+    """Expected numbers of false positives in each image, given what was detected; shapes (s,).
 
     Attributes:
         due: Whether the detector runs.
-        transient: Mean number in one image only.
+        transient: Mean number of transient false positives.
         persistent: Mean number of persistent ones.
         extras: Mean number of second boxes of vessels.
         extra_variance: Variance of the number of second boxes.
@@ -46,12 +46,12 @@ class ExpectedClutter:
 
     @property
     def all(self) -> Array:
-        """Mean number of every kind."""
+        """Mean number of every kind, shape (s,)."""
         return self.transient + self.persistent + self.extras
 
 
 def expected_clutter(model: DetectorModel, evidence: Evidence) -> ExpectedClutter:
-    """What the detector's own model of false positives makes of the images."""
+    """What the detector's own model of false positives expects."""
     images, numbers, rates = evidence.frames, model.clutter.numbers, clutter_rates(model)
     due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
     extras, variance = _extras(model, evidence)
@@ -69,9 +69,9 @@ class ClutterEvidence:
     expected: ExpectedClutter
 
     def persistent_variance(self, ours: Mask) -> float:
-        """Variance of the number of persistent ones in some images of s.
+        """Variance of the number of persistent ones in the images chosen by a mask (s,).
 
-        Those in two images Δt apart share min(m, m′)·e^(−Δt/lifetime).
+        Two images Δt apart with means m and m′ share min(m, m′)·e^(−Δt/lifetime) of them on average.
         """
         rows = np.flatnonzero(ours & (self.expected.persistent > 0))
         if not len(rows):
@@ -95,27 +95,18 @@ class RateCheck(Protocol):
 
 @dataclass(frozen=True)
 class DiscoveryRateCheck:
-    """The false discovery rate.
-
-    Attributes:
-        falls_short: Whether the model's own rule aims at another rate than the file's.
-    """
+    """The false discovery rate; `falls_short` if the model's own rule aims at another rate than the file's."""
 
     falls_short: bool = False
 
     def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
         """The rate of a state."""
-        state = seen.model.states[s]
-        rate = state.false_discovery_rate
-        return Parameter(
-            f"states.{state.name}.false_discovery_rate",
-            Part.FALSE_POSITIVES,
-            self._measure(seen, seen.evidence.frames.state == s),
-            rate,
-            state=state.name,
-            promised=rate if self.falls_short else None,
-            note="asked: what the rule of eq. 7.35 gives here" if self.falls_short else "",
-        )
+        state, measure = seen.model.states[s], self._measure(seen, seen.evidence.frames.state == s)
+        name, rate = f"states.{state.name}.false_discovery_rate", state.false_discovery_rate
+        parameter = Parameter(name, Part.FALSE_POSITIVES, measure, rate, state=state.name)
+        if not self.falls_short:
+            return parameter
+        return replace(parameter, promised=rate, note="asked: what the rule of eq. 7.35 gives here")
 
     def overall(self, seen: ClutterEvidence) -> list[Parameter]:
         """The rate of all states together."""
@@ -151,13 +142,8 @@ class ImageRateCheck:
     def of_state(self, seen: ClutterEvidence, s: int) -> Parameter:
         """The rate of a state."""
         state = seen.model.states[s]
-        return Parameter(
-            f"states.{state.name}.false_positives_per_image",
-            Part.FALSE_POSITIVES,
-            self._measure(seen, s),
-            state.false_positives_per_image,
-            state=state.name,
-        )
+        name, rate = f"states.{state.name}.false_positives_per_image", state.false_positives_per_image
+        return Parameter(name, Part.FALSE_POSITIVES, self._measure(seen, s), rate, state=state.name)
 
     def overall(self, seen: ClutterEvidence) -> list[Parameter]:
         """Nothing: images of different rates have no common one."""
@@ -180,11 +166,11 @@ RATE_CHECKS: Mapping[str, RateCheck] = {
     "thesis": DiscoveryRateCheck(falls_short=True),
     "per_image": ImageRateCheck(),
 }
-"""By the name of the model of false positives; a model that is not here is reported as unchecked."""
+"""By the name of the model of false positives; models that are missing here are reported as unchecked."""
 
 
 def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Indices, Mask]:
-    """True detections that may be doubled or split, and which of them are long enough to be split."""
+    """Rows of true detections that may be doubled or split, and whether they are long enough, shapes (k,)."""
     true_detections, clutter = evidence.true_detections, evidence.false_detections
     single = np.flatnonzero((true_detections.kind == TRUE) | (true_detections.kind == SPLIT))
     instances = true_detections.instance[single]
@@ -231,7 +217,8 @@ def clutter_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         parameters += [] if check is None else [check.of_state(seen, s).unless(note)]
         parameters += _label_checks(model, evidence, s)
     parameters += [] if check is None else [overall.unless(note) for overall in check.overall(seen)]
-    parameters += [] if note else _kind_checks(seen)
+    if not note:
+        parameters += [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
     return [*parameters, *clutter_box_checks(model, evidence, seen.expected.persistent)]
 
 
@@ -255,11 +242,6 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     ]
 
 
-def _kind_checks(seen: ClutterEvidence) -> list[Parameter]:
-    """Second boxes, merged boxes and the share of persistent ones."""
-    return [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
-
-
 def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
     rule, kinds = seen.model.merges_and_splits, seen.evidence.false_detections.kind
     if rule == MergesAndSplits() and not np.isin(kinds, (DUPLICATE, FRAGMENT)).any():
@@ -274,11 +256,8 @@ def _second_box_checks(seen: ClutterEvidence) -> list[Parameter]:
 
 
 def _merge_check(seen: ClutterEvidence) -> Parameter:
-    name, merges, kinds = (
-        "false_positives.merges",
-        seen.model.merges_and_splits.merges,
-        seen.evidence.true_detections.kind,
-    )
+    name, merges = "false_positives.merges", seen.model.merges_and_splits.merges
+    kinds = seen.evidence.true_detections.kind
     if merges == 0:
         return Parameter(name, Part.FALSE_POSITIVES, Exact(int((kinds == MERGED).sum()), len(kinds)))
     note = "which pairs could have been merged depends on others that were: only counted"
@@ -286,17 +265,13 @@ def _merge_check(seen: ClutterEvidence) -> Parameter:
 
 
 def _persistent_share_check(seen: ClutterEvidence) -> Parameter:
-    name, share, kinds = (
-        "false_positives.persistence.share",
-        seen.model.clutter.persistent_share,
-        seen.evidence.false_detections.kind,
-    )
+    name, share = "false_positives.persistence.share", seen.model.clutter.persistent_share
+    kinds, expected = seen.evidence.false_detections.kind, seen.expected
     persistent, transient = int((kinds == PERSISTENT).sum()), int((kinds == FALSE_POSITIVE).sum())
     if not share:
         return Parameter(name, Part.FALSE_POSITIVES, Exact(persistent, len(kinds)))
     if not persistent + transient:
         return Parameter(name, Part.FALSE_POSITIVES, None, share)
-    expected = seen.expected
     variance = seen.persistent_variance(np.ones(len(expected.persistent), dtype=bool))
     # The variance of the number of persistent ones, and of the rest, over that of a binomial share of them.
     total = float(expected.persistent.sum()) + float(expected.transient.sum())

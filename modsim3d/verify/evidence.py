@@ -56,6 +56,10 @@ class Instances:
     image_px: Array
     visible_fraction: Array
 
+    def tracks(self, rows: Indices) -> tuple[Indices, Array]:
+        """Numbers (k, 2) that are equal in rows of one vessel in one camera, and times (k,), of some rows."""
+        return np.stack([self.camera[rows], self.vessel[rows]], axis=1), self.time_s[rows]
+
 
 @dataclass(frozen=True, eq=False)
 class TrueDetections:

@@ -42,7 +42,7 @@ def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
         due = model.gates.due(seen.frames)
         turn[ours], ran[ours] = np.cumsum(due)[instances.frame[ours]], due[instances.frame[ours]]
     rows = np.flatnonzero(ran)
-    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
+    tracks, _ = instances.tracks(rows)
     order = np.lexsort((turn[rows], *tracks.T[::-1]))
     same = (tracks[order][1:] == tracks[order][:-1]).all(axis=1)
     follows = same & (np.diff(turn[rows[order]]) == 1)
