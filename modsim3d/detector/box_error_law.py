@@ -19,10 +19,8 @@ ErrorUnit = Literal["px", "relative", "mixed"]
 class ErrorDistribution(Protocol):
     """A distribution of standardised errors: four independent standard normal numbers times one random scale.
 
-    Its mean is zero and its covariance the identity.
-
-    Attributes:
-        keys: What `box_error` has for it in a detector file: its fields.
+    Its mean is zero and its covariance the identity. `keys` are its own keys in a detector file's `box_error`: its
+    fields.
     """
 
     keys: ClassVar[tuple[str, ...]]
@@ -49,12 +47,9 @@ class Normal:
 
 @dataclass(frozen=True)
 class StudentT:
-    """The multivariate t distribution, scaled to have the identity as covariance.
+    """The multivariate t distribution of ν > 2 degrees of freedom, scaled to have the identity as covariance.
 
     A normal number times √((ν − 2) / w), with w chi-square of ν degrees of freedom and common to the four components.
-
-    Attributes:
-        degrees_of_freedom: ν, above 2: with less there is no covariance.
     """
 
     degrees_of_freedom: float

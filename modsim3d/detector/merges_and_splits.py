@@ -24,9 +24,9 @@ class MergesAndSplits:
     Attributes:
         duplicates: Probability that a detected vessel gets a second box.
         merges: Probability that two detected vessels that overlap are merged into one box.
-        merge_overlap: Least share of the smaller box that lies in the larger one.
+        merge_overlap: Least share of the smaller box inside the larger one for which they overlap.
         splits: Probability that a long vessel is split into two boxes.
-        split_aspect: Least width over height of a long one.
+        split_aspect: Least width over height of a long vessel's box.
     """
 
     duplicates: float = 0.0

@@ -1,8 +1,7 @@
 """The parts of a detector, and the models that each part can be.
 
-Each model is registered once here, under the name that detector files use. The room that checks runs registers its
-checks under the same part and name, and so may the room that learns detectors; a model without checks is listed as
-such among the verdicts.
+Each model is registered once here, under the name that detector files use. `verify` registers its checks under the same
+part and name, and so may `learn`; a model without checks is listed as such among the verdicts.
 """
 
 from __future__ import annotations
@@ -44,14 +43,7 @@ MODELS: Mapping[Part, Mapping[str, object]] = {
 
 @dataclass(frozen=True)
 class UsedModel:
-    """A model that a detector uses.
-
-    Attributes:
-        part: Of the detector.
-        name: Under which it is registered.
-        key: Where a detector file chooses it.
-        state: The performance state that uses it, None if all do.
-    """
+    """A model that a detector uses: its registered name, the key of the file that chooses it, and its state, if one."""
 
     part: Part
     name: str

@@ -24,14 +24,14 @@ from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 
 LEAST_DETECTIONS = 150
-"""True detections in a state, below which its box errors are not tested."""
+"""Box errors of a state with fewer true detections are not tested."""
 LEAST_WORTH = 300
-"""Independent errors that errors that persist have to be worth.
+"""Persistent errors are tested where they are worth so many independent ones.
 
 They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
 """
 MOST_SHAPE_ERROR = 1.0
-"""Standard error of a number of the distribution itself, in its own units, above which it is not tested."""
+"""A number of the distribution itself is tested up to this standard error, in its own units."""
 _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
 
@@ -39,13 +39,9 @@ _CONDITION = 1e8
 def box_error_checks(
     model: DetectorModel, evidence: Evidence, table: MomentTable, states: Collection[str] | None = None
 ) -> list[Parameter]:
-    """The parameters of each state; the boxes themselves; correlation from frame to frame.
+    """The parameters of each of the named states, or of all; the boxes themselves; correlation from frame to frame.
 
-    Args:
-        model: The detector file.
-        evidence: The truth and the detections of the run.
-        table: Expectations that are known already.
-        states: Names of the states to look at; all if None.
+    The table holds expectations that are known already.
     """
     chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
     rows = {s: _rows(model, evidence, s) for s in chosen if _has_check(model.states[s])}
@@ -76,7 +72,7 @@ def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
 
 
 def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
-    """Why a state cannot be tested: among the most confident detections, boxes that came out large are too many."""
+    """Why a state cannot be tested: too many of the most confident detections have boxes that came out large."""
     return max_detections_note(model, evidence) if model.states[s].confidence.size_slope else ""
 
 
@@ -117,7 +113,7 @@ def _fit(state: PerformanceState, evidence: Evidence, rows: Indices, table: Mome
 def _state_checks(
     state: PerformanceState, evidence: Evidence, rows: Indices, fit: StateFit | None, replayed: Array | None
 ) -> list[Parameter]:
-    """The parameters of a state's law; `replayed` are their standard errors where errors persist, shape (p,)."""
+    """The parameters of a state's law; where errors persist, `replayed` are their standard errors, shape (p,)."""
     if _is_singular(state):
         return _exact_checks(state, evidence, rows)
     law = ErrorParameters.of(state.box_error)
@@ -128,13 +124,12 @@ def _state_checks(
         few = measure is not None and replayed is not None and measure.count < LEAST_WORTH
         few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MOST_SHAPE_ERROR
         path, unit = f"states.{state.name}.box_error.{name}", "" if k >= 8 else "sides" if law.relative else "px"
-        parameter = Parameter(path, Part.BOX_ERROR, None if few else measure, float(asked), unit, state.name)
-        parameters.append(replace(parameter, note=note) if k == 0 else parameter)
-    return parameters
+        parameters.append(Parameter(path, Part.BOX_ERROR, None if few else measure, float(asked), unit, state.name))
+    return [replace(parameters[0], note=note), *parameters[1:]]
 
 
 def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
-    """One of the law's numbers; replays say by how much errors that persist count for fewer."""
+    """One of the law's numbers; replays say how many independent errors persistent ones are worth."""
     step = fit.step
     error = step.errors[k] if replayed is None else replayed[k]
     wider = error / step.errors[k]
@@ -155,10 +150,11 @@ def _truncation_note(step: FitStep) -> str:
 
 
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
-    """Of a covariance without an inverse: errors that have no spread are their mean."""
+    """Checks of a singular covariance: errors without spread must be their mean."""
     law = ErrorParameters(state.box_error.mean, np.zeros(4), np.eye(4), state.box_error.relative)
-    means, _ = law.at(evidence.instances.boxes_px[evidence.true_detections.instance[rows]])
-    off = np.abs(evidence.true_detections.errors_px[rows] - means) > _ROUNDING_PX
+    found = evidence.true_detections
+    means, _ = law.at(evidence.instances.boxes_px[found.instance[rows]])
+    off = np.abs(found.errors_px[rows] - means) > _ROUNDING_PX
     still = (state.box_error.std <= 0) & (state.box_error.growth <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):

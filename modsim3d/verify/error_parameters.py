@@ -74,9 +74,11 @@ class ErrorParameters:
 
     def names(self) -> list[str]:
         """The keys of the parameters in the order of `numbers`."""
-        names = [f"{key}[{c}]" for key in ("mean", "std") for c in ERROR_COMPONENTS]
-        names += [f"correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS]
-        return [*names, *(f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing), *self.likelihood.shape_names]
+        return [
+            *parameter_names(),
+            *(f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing),
+            *self.likelihood.shape_names,
+        ]
 
     def numbers(self) -> Array:
         """Four means, four standard deviations, six correlations, growths that are not 0, own numbers; shape (p,)."""
@@ -105,6 +107,12 @@ class ErrorParameters:
             growth=growth,
             distribution=self.likelihood.reshaped(self.distribution, step[shape:]),
         )
+
+
+def parameter_names() -> list[str]:
+    """The keys of four means, four standard deviations and six correlations."""
+    names = [f"{key}[{c}]" for key in ("mean", "std") for c in ERROR_COMPONENTS]
+    return [*names, *(f"correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS)]
 
 
 def _definite(correlation: Array) -> Array:
