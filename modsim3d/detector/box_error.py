@@ -114,7 +114,7 @@ class BoxErrorSource:
     def misplace(
         self, streams: Streams, true: TrueBoxes, latent: Array, purposes: LatentPurposes = BOX_ERROR_REDRAW_STREAMS
     ) -> MisplacedBoxes:
-        """Add to each of n boxes an error made from standard normal numbers (n, 4 + `extra_normals`).
+        """Add to each of n boxes an error made from standard normal numbers of shape (n, 4 + `extra_normals`).
 
         Raises:
             ModsimError: A box stays degenerate in `MOST_DRAWS` draws.

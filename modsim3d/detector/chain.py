@@ -76,7 +76,7 @@ class _DetectedVessels:
     def unscored(
         self, rows: Indices | slice, kind: Indices, boxes_px: Array, errors_px: Array, redrawn: Mask, uniforms: Array
     ) -> _Unscored:
-        """Detections of k of the vessels; arrays have k rows."""
+        """Detections of k of the vessels; boxes and errors have shape (k, 4), uniforms (k, 2), the others (k,)."""
         return _Unscored(
             frame=self.targets.frame[rows],
             target=self.row[rows],

@@ -41,7 +41,7 @@ class PersistentClutter:
 
 
 def persistent_clutter(streams: Streams, frames: CameraFrames, rates: Array, lifetime_s: float) -> PersistentClutter:
-    """Persistent false positives in a camera's frames, given their mean number in each (S,) and mean lifetime."""
+    """Persistent false positives in a camera's frames, given their mean number in each, shape (S,), and lifetime."""
     count = int(np.ceil(rates.max(initial=0.0)))
     layers = [_layer(streams, frames, rates - layer, lifetime_s, layer) for layer in range(count)]
     if not layers:

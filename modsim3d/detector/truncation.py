@@ -182,7 +182,7 @@ def truncated_errors(
     in_file_units: bool = False,
     points: int = SINGLE_BOX_POINTS,
 ) -> TruncatedErrors:
-    """Errors of annotated boxes (n, 4) in one state, without those that make degenerate boxes.
+    """Errors of annotated boxes, shape (n, 4), in one state, without those that make degenerate boxes.
 
     They are in pixels or, with `in_file_units`, in the units of the file. `points` is a power of two.
     """

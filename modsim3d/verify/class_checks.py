@@ -121,7 +121,8 @@ def _share(
     probability = high - low
     spread = probability * (1 - probability)
 
-    def covariance(later: Indices, earlier: Indices) -> Array:  # shapes (m,)
+    def covariance(later: Indices, earlier: Indices) -> Array:
+        """Covariance of pairs of rows that have kept a number, shapes (m,)."""
         common = np.minimum(high[later], high[earlier]) - np.maximum(low[later], low[earlier])
         kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
         return kept

@@ -69,7 +69,7 @@ class ClutterEvidence:
     expected: ExpectedClutter
 
     def persistent_variance(self, ours: Mask) -> float:
-        """Variance of the number of persistent ones in the images chosen by a mask (s,).
+        """Variance of the number of persistent ones in the images chosen by a mask of shape (s,).
 
         Two images Δt apart with means m and m′ share min(m, m′)·e^(−Δt/lifetime) of them on average.
         """

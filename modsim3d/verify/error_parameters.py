@@ -92,7 +92,7 @@ class ErrorParameters:
         return np.concatenate([self.std, self.std, np.ones(len(ERROR_PAIRS) + len(self.growing)), shape])
 
     def moved(self, step: Array) -> ErrorParameters:
-        """The law a step (p,) away: means in standard deviations, standard deviations in parts of themselves."""
+        """The law a step of shape (p,) away: means in standard deviations, these in parts of themselves."""
         step = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12)) * step
         correlation = self.correlation.copy()
         for value, (i, j) in zip(step[8:PLAIN], ERROR_PAIRS, strict=True):

@@ -57,7 +57,7 @@ class Instances:
     visible_fraction: Array
 
     def tracks(self, rows: Indices) -> tuple[Indices, Array]:
-        """Numbers (k, 2) that are equal in rows of one vessel in one camera, and times (k,), of some rows."""
+        """Numbers that are equal in rows of one vessel in one camera, shape (k, 2), and times of rows, shape (k,)."""
         return np.stack([self.camera[rows], self.vessel[rows]], axis=1), self.time_s[rows]
 
 

@@ -79,7 +79,7 @@ class Law:
 
     @classmethod
     def of(cls, values: Array, quantiles: Array) -> Law:
-        """Of values (n,) from a law that is straight between evenly spaced quantiles (k,).
+        """The distance of values from a law that is straight between evenly spaced quantiles, shapes (n,) and (k,).
 
         Where the law has steps, the test is cautious.
         """

@@ -58,7 +58,7 @@ def inflation(
     variances: Array,
     covariance: Callable[[Indices, Indices], Array],
 ) -> float:
-    """Variance of the sum of rows whose noise persists over that of independent rows with these variances (n,).
+    """Variance of the sum of rows whose noise persists, over that of independent rows with variances of shape (n,).
 
     Two rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / correlation_s).
     `covariance` is that of later and earlier rows that have kept it.

@@ -38,7 +38,7 @@ class Chain:
 
     @property
     def pairs(self) -> tuple[Indices, Indices, Indices]:
-        """State before, state after and transitions between, of pairs of frames that no schedule forces."""
+        """State before, state after and transitions between, of pairs of frames that are not forced, shapes (k,)."""
         free = ~(self.forced[1:] | self.forced[:-1])
         return self.states[:-1][free], self.states[1:][free], self.transitions[free]
 
