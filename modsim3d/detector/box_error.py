@@ -77,12 +77,10 @@ class BoxErrorSource:
     - A box at the edge is judged after clipping: a sliver thinner than a pixel is resampled as well.
 
     Attributes:
-        state_names: Names of the states, for messages.
         means: In pixels, or in sides where relative, shape (states, 4).
         roots: Symmetric roots of the covariances, shape (states, 4, 4).
         relative: Whether each state's errors are in sides of the box, shape (states,).
         growths: k over σ₀, in 1/px, for mixed states and else 0, shape (states, 4).
-        distributions: Distribution of each state's standardised errors.
     """
 
     state_names: tuple[str, ...]

@@ -65,7 +65,6 @@ class _DetectedVessels:
         targets: The n vessels; a merged one has the box around both.
         row: Row of the annotated target, shape (n,).
         partner: Row of the smaller of two merged targets, else -1, shape (n,).
-        label: Detected label, shape (n,).
     """
 
     targets: Targets
@@ -102,7 +101,6 @@ class Detector:
         """Build the parts that the model asks for.
 
         Args:
-            model: What the detector is like.
             seed: Key of all its random numbers.
             census: Of the scene's targets, from `take_census`.
             clock: Times of the scene's steps, such as `scene.times_s`: noise may persist from step to step.

@@ -20,7 +20,6 @@ class ConfusionClassifier:
 
     Attributes:
         distributions: Distribution function over labels and background, shape (states, labels, labels + 1).
-        dropout: How misses depend on what a vessel looks like.
         intercepts: Log-odds added to all misses of a state and label, shape (states, labels).
     """
 

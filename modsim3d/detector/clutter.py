@@ -83,8 +83,6 @@ class ClutterOptions:
     """What a detector file says about false positives.
 
     Attributes:
-        model: One of `CLUTTER_MODELS`.
-        placement: Where they are.
         size: How large they are; None for the sizes of vessels or for the model's own size.
         lifetime_s: Mean lifetime of persistent ones.
         drift_px_s: Speed at which persistent ones move along the horizon, to either side.
@@ -145,8 +143,6 @@ class ClutterSource:
     """Makes the false positives of a detector.
 
     Attributes:
-        options: What the file says.
-        rates: Their rates in each state.
         label_distributions: Distribution function over labels of each state, shape (states, labels).
         sizes: Distribution of their sizes; None for the sizes of vessels detected in the same frame.
     """
@@ -207,7 +203,6 @@ class ClutterSource:
         """Boxes of false positives, shape (m, 4).
 
         Args:
-            frames: The frames.
             detected: The vessels that were detected, ordered by frame.
             frame: Frame of each false positive, shape (m,).
             uniforms: Uniform numbers for place (3) and size, shape (m, 4).

@@ -112,8 +112,6 @@ class StateConfidence:
     """The confidence of one performance state.
 
     Attributes:
-        true: Distribution for detections of a vessel.
-        false: Distribution for false detections.
         visibility_slope: Confidence that a wholly hidden vessel loses; others lose in proportion to the hidden share.
         size_slope: Confidence that a box loses for each halving of its size below the reference.
         size_reference_px: Reference size: the side of a square as large as the box.

@@ -47,7 +47,6 @@ class DetectorModel:
     """Everything that a detector file says.
 
     Attributes:
-        labels: Names of the k classes.
         confidence_threshold: Least confidence of a detection.
         initial_state: Index of the state at the first step.
         transition_matrix: Pr(next is i | now is j), shape (states, states), columns sum to one (Jessen & Mohr (2023),

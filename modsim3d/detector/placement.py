@@ -84,7 +84,6 @@ class Placement:
 
         Args:
             half_planes: Sea side of the horizon for each point, shape (m, 3).
-            image_size_px: Width and height.
             uniforms: Uniform numbers, shape (m, 3).
             drift_px: How far each point has moved along the horizon, shape (m,); None for points that do not move.
         """

@@ -25,7 +25,6 @@ class CameraFrames:
     """A run of S frames of one camera, one after another; a camera need not take one at each of the scene's steps.
 
     Attributes:
-        camera: The camera's ID.
         steps: Step of each frame, ascending, not necessarily consecutive, shape (S,).
         times_s: Time of each frame since the scene's first step, shape (S,).
         image_size_px: Width and height.
@@ -57,7 +56,6 @@ class Targets:
         boxes_px: x_min, y_min, x_max, y_max of the annotated boxes, shape (n, 4).
         visible_fraction: NaN where unknown, shape (n,).
         depth_m: Shape (n,).
-        vessel_ids: Names of the scene's vessels.
     """
 
     frame: Indices

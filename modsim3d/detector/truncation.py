@@ -73,7 +73,6 @@ def accepted_errors(
         images_px: Width and height of each box's image, shape (n, 2).
         mean: Mean of e_x, e_y, e_w, e_h before truncation in pixels, shape (4,) or (n, 4).
         covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
-        distribution: Distribution of the standardised errors.
         points: Number of points for each box, a power of two.
     """
     means = np.broadcast_to(mean, (len(boxes_px), 4))

@@ -92,7 +92,6 @@ class FitStep:
     Attributes:
         step: From the law towards the largest likelihood, shape (p,).
         errors: Standard errors of the step under the law if errors do not persist, shape (p,).
-        skewness: Skewness of each entry of the step, shape (p,).
         weights: Weights of the m statistics in the score of each parameter, before `gains`, shape (p, m).
         covariance: Inverse of the information, shape (p, p).
         gains: Factors on the scores, box by box, shape (n, p).

@@ -32,11 +32,7 @@ class Instances:
     """The annotated boxes of all cameras: each is a chance to detect a vessel; shapes (n,) unless given.
 
     Attributes:
-        camera: Index of the camera.
         frame: Index of the camera's frame.
-        vessel: Index of the vessel.
-        state: Index of the performance state.
-        label: True label.
         outcome: Detected label; −1 if missed, −2 if merged into another's box, so that its label is not known.
         before: Row of the same vessel in the camera's frame before, −1 if it was not annotated there.
         boxes_px: The boxes that errors are added to, shape (n, 4).

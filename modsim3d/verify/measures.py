@@ -53,11 +53,8 @@ class Estimate:
     """A nearly normal number with a standard error.
 
     Attributes:
-        measured: The estimate.
-        asked: The value asked for.
         error: Standard error of the test statistic if the asked value holds.
         count: Number of independent observations.
-        skewness: Skewness of the test statistic.
         statistic: Test statistic in standard errors; (measured − asked) / error if None.
         grows: Whether the standard error is in proportion to the value, as that of a standard deviation.
     """

@@ -19,14 +19,11 @@ class Parameter:
 
     Attributes:
         name: Its key in the detector file, or a description if it follows from other numbers.
-        group: The part of the detector.
         measure: The run's number and its law; None if the run shows too little.
         asked: The number in the file; the measure's if None.
-        unit: Unit of the numbers.
         state: Name of the performance state, None if it belongs to none.
         in_file: Whether the file has this number; only such a parameter can be the cause of a failure.
         promised: The file's number where the model's own rule aims at another one, which is `measure.asked`.
-        note: Remark for the reader of the report.
         checked: Whether there is a check; a model without one is listed as such.
     """
 

@@ -78,11 +78,8 @@ def _first(last: int, holds: Callable[[int], bool]) -> int | None:
 class DiscoveryRate:
     """False positives over all detections, where their number is Poisson given the true ones.
 
-    Attributes:
-        false: Number of false positives.
-        true: Number of true detections.
-        expected: False positives expected: for a rate r and n true detections n·r / (1 − r).
-        inflation: Variance of the number over that of a Poisson number.
+    Expected are n·r / (1 − r) false positives at a rate r with n true detections. `inflation` is the variance of their
+    number over that of a Poisson number.
     """
 
     false: float

@@ -37,10 +37,7 @@ CHECKED: Mapping[Part, Collection[str]] = {
 def verify(model: DetectorModel, evidence: Evidence, table: MomentTable | None = None) -> Verification:
     """Hold what a run shows against a detector's parameters.
 
-    Args:
-        model: The detector file.
-        evidence: The truth and the detections of the run.
-        table: Expectations of box errors; keep it between calls over the same truth to save most of the work.
+    The table keeps expectations of box errors: give it to further calls over the same truth to save most of their work.
     """
     box_errors = partial(box_error_checks, table=table or MomentTable())
     # In the order in which the detector works.

@@ -105,7 +105,6 @@ def compare_with_analytic(
 
     Args:
         outlines: What both sources start from.
-        intrinsics: Intrinsics of the camera.
         rendered: What the rendered source found, for all rows of `outlines`.
         draw_masks: Called with rows of `outlines` where the sources differ by more than a pixel.
         supersample: Buffer pixels per image pixel and axis.

@@ -50,8 +50,6 @@ def compare_sources(
     """Compare rendered, analytic and rectangle truth on every camera of a scene.
 
     Args:
-        scene: The scene.
-        renderer: Draws the ID buffers.
         every: Compare every K-th frame of each camera.
         progress: Called with the number of steps done since its last call.
 

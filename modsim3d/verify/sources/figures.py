@@ -31,7 +31,6 @@ class FractionFigures:
     """Absolute differences of visible fractions.
 
     Attributes:
-        max: The largest.
         p99: The 99th percentile.
         above_bound: Number of differences above what the pixels on the boundary can explain.
         largest_share_of_bound: The largest difference over what the boundary can explain.
@@ -81,20 +80,13 @@ class Figures:
 
     Attributes:
         format: Version of the file's layout.
-        scene: Name of the scene.
         supersample: Buffer pixels per image pixel and axis of the rendered source.
-        steps: Number of steps compared.
-        frames: Number of camera frames compared.
         vessel_frames: Number of vessels in these frames.
         occluded: Vessel-frames with a hidden pixel.
         unexplained: Number of differences that nothing explains.
-        full_box: Differences of full boxes.
-        visible_box: Differences of visible boxes.
-        visible_fraction: Differences of visible fractions.
         visible_at_all_differs: Vessel-frames that are visible to one source only.
         pixels_looked_at: Vessel-frames of which every pixel was checked.
         intersecting: Pair of vessels or obstacles that intersect → number of frames.
-        rectangles_against_rendered: How the rectangle rule does.
         shoebox_against_mesh: ID of a vessel with a mesh → how well its shoebox fits.
         ms_per_frame: Source of truth → computing time per frame.
     """

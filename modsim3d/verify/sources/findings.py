@@ -22,10 +22,8 @@ class VesselDifference:
 
     Attributes:
         camera: Index into the scene's cameras.
-        step: Step of the scene.
         vessel: Index into the scene's vessels.
         badness: The greater it is, the more it deserves to be shown.
-        reason: Why it is shown.
         boxes_px: Such as "rendered full" → x_min, y_min, x_max, y_max, with NaN where there is no box.
     """
 
@@ -120,7 +118,6 @@ class Findings:
     """What was found in some frames.
 
     Attributes:
-        frames: Number of camera frames.
         differences: Rendered against analytic truth, a row for each vessel in a frame.
         rule: The rectangle rule against the rendered source.
         intersecting: Pair of vessels or obstacles that intersect, as "a and b" → number of frames.
@@ -174,7 +171,6 @@ def shoebox_fits(vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outline
     """Vessel ID → fit, for each vessel with a mesh that is in an image.
 
     Args:
-        vessels: Vessels of the scene.
         meshes: Rows of vessels with their own shapes.
         shoeboxes: The same frames with every vessel as its shoebox. It contains the mesh, so no row is missing.
     """
