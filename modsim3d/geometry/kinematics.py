@@ -14,10 +14,10 @@ from modsim3d.geometry.rotations import rotation_vector
 
 
 def slopes(times_s: Array, values: Array) -> Array:
-    """Change per second from each time to the next.
+    """Change per second from each of n ascending times to the next.
 
     Args:
-        times_s: Ascending, shape (n,).
+        times_s: Shape (n,).
         values: Any quantity, shape (n, ...).
 
     Returns:
@@ -27,14 +27,14 @@ def slopes(times_s: Array, values: Array) -> Array:
 
 
 def first_derivative(times_s: Array, between: Array) -> Array:
-    """The derivative at each time from the slopes between the times.
+    """The derivative at each of n ascending times from the slopes between them; zero if there is only one time.
 
     Args:
-        times_s: Ascending, shape (n,).
+        times_s: Shape (n,).
         between: Slopes, shape (n − 1, ...).
 
     Returns:
-        The unit of the slopes, shape (n, ...); zero if there is only one time.
+        The unit of the slopes, shape (n, ...).
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between):
@@ -45,14 +45,14 @@ def first_derivative(times_s: Array, between: Array) -> Array:
 
 
 def second_derivative(times_s: Array, between: Array) -> Array:
-    """The second derivative at each time from the slopes between the times.
+    """The second derivative at each of n ascending times; zero if there are fewer than three.
 
     Args:
-        times_s: Ascending, shape (n,).
-        between: Slopes, shape (n − 1, ...).
+        times_s: Shape (n,).
+        between: Slopes between the times, shape (n − 1, ...).
 
     Returns:
-        The unit of the slopes a second, shape (n, ...); zero if there are fewer than three times.
+        The unit of the slopes a second, shape (n, ...).
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between) < 2:
@@ -68,7 +68,7 @@ def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
 
     Args:
         times_s: Ascending, shape (n,).
-        positions_m: Positions, shape (n, V, 3).
+        positions_m: Shape (n, V, 3).
         present: Whether each vessel is present, shape (n, V).
 
     Returns:
