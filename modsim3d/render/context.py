@@ -188,7 +188,7 @@ def _egl_context() -> Iterator[GetAddress]:
         EGL.eglDestroyContext(display, context)
 
 
-def make_framebuffer(gl: Any, size: tuple[int, int], colour_format: int, what: str) -> tuple[int, Any]:
+def make_framebuffer(gl: Any, size: tuple[int, int], colour_format: int, what: str) -> tuple[Any, Any]:
     """Make and bind a framebuffer of a width and height with a colour buffer and a float depth buffer.
 
     Args:

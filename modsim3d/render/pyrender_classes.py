@@ -33,8 +33,6 @@ class ProjectionCamera(pyrender.Camera):  # type: ignore[misc]
 class SharpRenderer(Renderer):  # type: ignore[misc]
     """pyrender's renderer with one sample per pixel, and with the depth of the ID pass: reversed, from 1 to 0."""
 
-    _main_fb: int | None
-
     def __del__(self) -> None:
         """Free nothing: when Python collects it, another context may be current, or the ID pass at work."""
 

@@ -28,7 +28,7 @@ class Obstacle:
 
     Attributes:
         name: ID; the truth writes it after `PREFIX`.
-        solids: Its parts, each with vertices in WCF in metres, shape (K, 3).
+        solids: The faces of its parts, each with its own vertices in WCF in metres, shape (K, 3).
     """
 
     name: str
@@ -79,7 +79,7 @@ def placed(solid: Solid, size_m: Array, position_m: Array, heading_rad: float) -
         heading_rad: Counter-clockwise from w1.
 
     Returns:
-        The solid, and its vertices in WCF in metres, shape (K, 3).
+        The mesh, and its vertices in WCF in metres, shape (K, 3).
     """
     return solid, (solid.vertices * size_m) @ world_R_vehicle(heading_rad).T + position_m
 
@@ -99,10 +99,9 @@ def _triangular_prism() -> Solid:
 
 def _prism_faces(sides: int) -> Indices:
     """Triangles of a prism whose vertices are the lower corners, counter-clockwise from above, then the upper ones."""
-    walls = []
-    for low in range(sides):
-        after = (low + 1) % sides
-        walls += [(low, after, after + sides), (low, after + sides, low + sides)]
+    low = np.arange(sides)
+    after = np.roll(low, -1)
+    walls = np.stack([low, after, after + sides, low, after + sides, low + sides], axis=1).reshape(-1, 3)
     fan = [(0, i, i + 1) for i in range(1, sides - 1)]
     bottom, top = [(a, c, b) for a, b, c in fan], [(a + sides, b + sides, c + sides) for a, b, c in fan]
     return np.array([*walls, *bottom, *top], dtype=np.int64)
