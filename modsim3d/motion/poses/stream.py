@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Annotated, Any, ClassVar
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from modsim3d.errors import InputError
@@ -53,12 +52,7 @@ class StreamKeys(SourceKeys, Strict):
 
 
 def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Iterator[Step]:
-    """Each step when its line arrives; an empty line is the end.
-
-    Args:
-        lines: Lines with line breaks; the last may lack one.
-        source: Name of the source in errors.
-        names: IDs of the scene's vessels.
+    """Each step when its line arrives; an empty line is the end. `source` is named in errors.
 
     Raises:
         InputError: A line is wrong; the message names its number.
@@ -75,9 +69,8 @@ def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Ite
         except UnicodeDecodeError as error:
             raise InputError(source, [f"line {number}: is not UTF-8 text (byte {error.start})"]) from None
         timestamp, entries = read_line(text, source, number)
-        poses = Poses(np.zeros((1, len(names)), dtype=bool), np.zeros((1, len(names), 3)), np.zeros((1, len(names))))
-        problems = time_problems([*before, timestamp]) + fill_step(poses, 0, timestamp, entries, columns)
-        if problems:
+        poses = Poses.absent(1, len(names))
+        if problems := time_problems([*before, timestamp]) + fill_step(poses, 0, timestamp, entries, columns):
             raise InputError(source, [f"line {number}: {problem}" for problem in problems])
         before = [timestamp]
         yield timestamp, poses
