@@ -44,7 +44,7 @@ def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
     """Polygons minus all that covers them. Each round subtracts one cover from every polygon that still has one.
 
     Args:
-        polygons: Polygons, shape (n,).
+        polygons: Shape (n,).
         rows: Index of the polygon that each cover is subtracted from, non-decreasing, shape (m,).
         covers: Covering polygons, shape (m,).
 
@@ -113,12 +113,6 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties:
 
 
 def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixels:
-    """Who hides how much of which row, without rounding errors.
-
-    Args:
-        hiding: The m pairs of hidden row and hider.
-        areas_px: How much each hider hides, shape (m,).
-        occluder: As in `hidden_areas`, shape (n,).
-    """
+    """Who hides how much of which row, from the m areas of `hidden_areas`, shape (m,), without rounding errors."""
     real = areas_px > NOTHING_PX2
     return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])

@@ -58,7 +58,7 @@ class Truth:
         return len(self.step)
 
     def take(self, rows: Indices | Mask | slice) -> Truth:
-        """The chosen rows, in the order given."""
+        """The chosen rows, given by indices, shape (k,), a mask, shape (n,), or a slice, in the order given."""
         chosen = np.arange(len(self))[rows]
         counts = np.diff(self.occluder_offsets)[chosen]
         entries = ranges(self.occluder_offsets[chosen], counts)
