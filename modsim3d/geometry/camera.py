@@ -82,14 +82,9 @@ class Intrinsics:
         return np.stack([f1 * c1 + self.skew * c2 + a1, f2 * c2 + a2], axis=-1)
 
     def unproject(self, pixels: ArrayLike, depth_m: ArrayLike) -> Array:
-        """The points in CCF, in metres, that pixels show at depths along c3; the inverse of `project`.
+        """Points in CCF, in metres, shape (..., 3), that pixels, shape (..., 2), show at depths along c3, shape (...).
 
-        Args:
-            pixels: Columns and rows, shape (..., 2).
-            depth_m: c3, shape (...).
-
-        Returns:
-            Shape (..., 3).
+        This is the inverse of `project`.
         """
         pixel, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
         (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
@@ -190,8 +185,6 @@ class Camera:
     """A virtual camera.
 
     Attributes:
-        name: ID of the camera.
-        intrinsics: Map from camera coordinates to pixels.
         mount: Place in the world or on a vessel.
         frame_rate_hz: Frames a second; None for one at every step of the scene.
         start_offset_s: Time from the scene's first step to the first frame.

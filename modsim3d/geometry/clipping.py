@@ -33,12 +33,8 @@ def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
 def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
     """The parts of triangles that lie inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
 
-    Args:
-        triangles_camera: Corners in CCF, shape (T, 3, 3).
-        half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
-
-    Returns:
-        Triangles in CCF, shape (T', 3, 3), in the same order and orientation.
+    Triangles are in CCF, shape (T, 3, 3) to (T', 3, 3), and keep their order and orientation. A half-space is a row
+    (n, d), shape (P, 4): inside is n · p >= d.
     """
     kept = triangles_camera
     for plane in half_spaces:

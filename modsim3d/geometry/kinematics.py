@@ -14,27 +14,14 @@ from modsim3d.geometry.rotations import rotation_vector
 
 
 def slopes(times_s: Array, values: Array) -> Array:
-    """Change per second from each of n ascending times to the next.
-
-    Args:
-        times_s: Shape (n,).
-        values: Any quantity, shape (n, ...).
-
-    Returns:
-        Units a second, shape (n − 1, ...).
-    """
+    """Change per second from each of n ascending times, shape (n,), to the next, shape (n, ...) to (n − 1, ...)."""
     return np.diff(values, axis=0) / _along(np.diff(times_s), values.ndim)
 
 
 def first_derivative(times_s: Array, between: Array) -> Array:
-    """The derivative at each of n ascending times from the slopes between them; zero if there is only one time.
+    """The derivative at n ascending times, shape (n,), from the slopes between them, shape (n − 1, ...) to (n, ...).
 
-    Args:
-        times_s: Shape (n,).
-        between: Slopes, shape (n − 1, ...).
-
-    Returns:
-        The unit of the slopes, shape (n, ...).
+    It has the unit of the slopes, and is zero if there is only one time.
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between):
@@ -45,14 +32,9 @@ def first_derivative(times_s: Array, between: Array) -> Array:
 
 
 def second_derivative(times_s: Array, between: Array) -> Array:
-    """The second derivative at each of n ascending times; zero if there are fewer than three.
+    """The second derivative at n ascending times, shape (n,), from the slopes between, shape (n − 1, ...) to (n, ...).
 
-    Args:
-        times_s: Shape (n,).
-        between: Slopes between the times, shape (n − 1, ...).
-
-    Returns:
-        The unit of the slopes a second, shape (n, ...).
+    It has the unit of the slopes a second, and is zero if there are fewer than three times.
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between) < 2:

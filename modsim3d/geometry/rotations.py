@@ -54,16 +54,10 @@ def world_R_vehicle(heading_rad: ArrayLike) -> Array:
 
 
 def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
-    """Rotation from the nominal vehicle frame to the one that waves have turned (eq. 7.25, in vehicle axes).
+    """Rotation from the nominal vehicle frame to the one that waves have turned, shape (..., 3) to (..., 3, 3).
 
-    The angles are those of a camera that looks forward: positive roll lowers the port side, positive pitch the bow,
-    positive yaw turns to port.
-
-    Args:
-        angles_rad: Roll, pitch and yaw, shape (..., 3).
-
-    Returns:
-        Matrices of shape (..., 3, 3).
+    It is eq. 7.25 in vehicle axes. The angles are roll, pitch and yaw of a camera that looks forward: positive roll
+    lowers the port side, positive pitch the bow, positive yaw turns to port.
     """
     roll, pitch, yaw = np.moveaxis(np.asarray(angles_rad, dtype=np.float64), -1, 0)
     return BASE_R_WORLD.T @ attitude(roll, pitch, yaw) @ BASE_R_WORLD

@@ -41,7 +41,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """n rows, one for each frame and body whose silhouette overlaps the image, in order of frame and occluder.
+    """What is in a camera's image: n rows, one for each frame and body there, in order of frame and occluder.
 
     Attributes:
         frame: Index into the run of frames, shape (n,).

@@ -24,8 +24,8 @@ def candidate_axes(vertices_a: Array, a: Solid, vertices_b: Array, b: Solid) -> 
     Args:
         vertices_a: Vertices of P solids with the faces of `a`, shape (P, K, 3).
         a: Has these faces.
-        vertices_b: Vertices of the P solids that each of them is compared with, shape (P, L, 3).
-        b: Has the faces of the latter.
+        vertices_b: Vertices of the P solids with the faces of `b` that they are compared with, shape (P, L, 3).
+        b: Has these faces.
 
     Returns:
         Unit vectors, shape (P, A, 3); zero where two edges are parallel.

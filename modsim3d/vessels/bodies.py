@@ -69,12 +69,11 @@ def vessel_bodies(
         as_shoeboxes: Whether shoeboxes stand for meshes.
         boxed: As in `Bodies`.
     """
-    solids: dict[int, tuple[Solid, list[int]]] = {}
+    members_of: dict[Solid, list[int]] = {}
     for index in np.flatnonzero(present.any(axis=0)).tolist():
-        solid = shoebox() if as_shoeboxes else vessels[index].solid
-        solids.setdefault(id(solid), (solid, []))[1].append(index)
+        members_of.setdefault(shoebox() if as_shoeboxes else vessels[index].solid, []).append(index)
     bodies = []
-    for solid, members in solids.values():
+    for solid, members in members_of.items():
         extents = np.array([vessels[index].extents_m for index in members])
         bodies.append(
             Bodies(

@@ -121,10 +121,7 @@ def name_problem(name: str) -> str | None:
 def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, ...]:
     """Vessels from the mapping of Figure 7.2: ID → length, beam, air draft, label.
 
-    Args:
-        data: The mapping.
-        source: Name of the file in errors.
-        *prefix: Keys that lead to the mapping in the file.
+    `source` is the name of the file in errors, and `prefix` the keys that lead to the mapping in it.
 
     Raises:
         InputError: With every problem found.

@@ -91,14 +91,7 @@ def circular_motion(
 ) -> CircularMotion:
     """Circles with random radii, rates and start phases on which no two hulls can ever touch.
 
-    Args:
-        vessels: Hulls of their lengths and beams are kept apart; names key the random numbers.
-        steps: Number of time steps.
-        time_step_s: Interval between them.
-        centre_m: Common centre, w1 and w2.
-        radius_m: Least and greatest.
-        rotation_rate_rad_s: Least and greatest.
-        seed: Seed of the random numbers.
+    `radius_m` and `rotation_rate_rad_s` are least and greatest values. The vessels' names key the random numbers.
 
     Raises:
         InputError: The vessels do not fit between the two radii.

@@ -30,24 +30,14 @@ SOURCES: dict[str, type[SourceKeys]] = {
 
 @dataclass(frozen=True)
 class NamedSource:
-    """A scene's pose source.
-
-    Attributes:
-        name: Name in the scene file.
-        keys: Its section of the scene file.
-        plugin: The plug-in that it comes from; None if it is built in.
-    """
+    """A scene's pose source: its name, its section of the scene file, and its plug-in; None if it is built in."""
 
     name: str
     keys: SourceKeys
     plugin: Plugin | None
 
     def build(self, request: PoseRequest) -> PoseSource:
-        """The poses of a scene's vessels.
-
-        Raises:
-            InputError: With every problem found.
-        """
+        """The poses of a scene's vessels; see `SourceKeys.build`."""
         return self.keys.build(request) if self.plugin is None else build_plugin(self.keys, self.plugin, request)
 
 

@@ -54,9 +54,8 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """Poses from a JSON file: timestamp → vessel ID → centre position and heading; or one such time step a line.
 
     Args:
-        path: The file; one that ends in `.jsonl` or `.jsonl.gz` has one step a line.
-        vessels: IDs of the scene's vessels; the result has a column for each. None if they are not known and only the
-            file is to be checked.
+        path: A file that ends in `.jsonl` or `.jsonl.gz` has one step a line.
+        vessels: IDs of the scene's vessels, one for each column; None if they are not known.
 
     Raises:
         InputError: With every problem found, up to 20.
@@ -125,12 +124,8 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
 def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
     """Write the entries of one time step into a row of poses, and return the problems of the entries.
 
-    Args:
-        poses: Poses in which all vessels are absent at the step.
-        step: The row.
-        timestamp: Text of the time.
-        entries: Vessel ID → centre position and heading.
-        columns: Vessel ID → column.
+    Entries are centre position and heading by vessel ID; `columns` has the column of each ID. All vessels must be
+    absent at the step before.
     """
     if not isinstance(entries, dict):
         return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]

@@ -6,7 +6,6 @@ import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Annotated, Any, ClassVar
 
@@ -88,30 +87,19 @@ def _unreadable(path: Path) -> str | None:
 
 
 def _lines(path: Path | None, timeout_s: float, source: str) -> Iterator[bytes]:
-    with _opened(path, source) as file:
-        yield from follow(file, timeout_s if path is not None and path.is_file() else None)
-
-
-@contextmanager
-def _opened(path: Path | None, source: str) -> Iterator[IO[bytes]]:
     if path is not None:
         with path.open("rb") as file:
-            yield file
+            yield from follow(file, timeout_s if path.is_file() else None)
     elif sys.stdin is None:
         raise InputError(source, ["there is no standard input"])
     else:
-        yield sys.stdin.buffer
+        yield from follow(sys.stdin.buffer, None)
 
 
 def follow(file: IO[bytes], timeout_s: float | None) -> Iterator[bytes]:
-    """The lines of a file as they are written.
+    """The lines of a file as they are written; at the end what is left without a line break, if anything is.
 
-    Args:
-        file: The file at its beginning.
-        timeout_s: How long to wait for the next line at the end of a file; None for a pipe, which really ends.
-
-    Yields:
-        Complete lines; at the end the rest without a line break, if there is one.
+    At the end of a file the next line is waited for, for `timeout_s`; None is for a pipe, which really ends.
     """
     line, since = b"", time.monotonic()
     while True:

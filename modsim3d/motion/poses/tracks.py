@@ -31,9 +31,7 @@ class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
 class Tracks:
     """Vessels that follow waypoints and head along their legs.
 
-    Attributes:
-        timestamps: Texts of the steps' times.
-        waypoints: Times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
+    `waypoints` are times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
     """
 
     timestamps: Sequence[str]

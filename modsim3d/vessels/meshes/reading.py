@@ -51,16 +51,13 @@ def shipped_meshes() -> dict[str, Path]:
 
 
 def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object) -> Solid:
-    """The solid of a mesh entry of a scene.
+    """The solid of a mesh entry of a scene; its faces have two sides if it is open (`closed` is False).
 
     Args:
         entry: A shipped mesh's name, a file relative to the folder, or a mapping of `file`, `forward` and `up`.
         folder: Folder of the files; none outside it is read.
         source: Name of the file with the entry in errors.
         *prefix: Keys that lead to the entry.
-
-    Returns:
-        The mesh in the unit box. If it is open (`closed` is False), both sides of its faces count as outside.
 
     Raises:
         InputError: The entry or the file is wrong.

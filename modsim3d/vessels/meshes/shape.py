@@ -27,11 +27,8 @@ def vehicle_R_file(forward: str, up: str) -> Array:
 def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     """The solid of a mesh, its bounding box scaled to the unit box.
 
-    Args:
-        vertices: In the file's axes and any unit, shape (K, 3).
-        faces: Vertex indices, shape (F, 3).
-        forward: Axis of the file that points to the bow, such as `+x`.
-        up: Axis of the file that points up.
+    The vertices, shape (K, 3), are in any unit; faces are their indices, shape (F, 3). `forward` and `up` are the axes
+    of the file that point to the bow and up, such as `+x`.
 
     Raises:
         Refused: A vertex is not finite, there are no faces, or the mesh is flat along an axis.
