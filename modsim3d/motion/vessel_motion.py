@@ -79,7 +79,7 @@ class VesselMotion:
         return PosesInWaves(poses, angles, rotations)
 
     def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
-        """First step, and the step after the last, of a range with ascending steps (S,) and `margin` neighbours a side.
+        """First step and stop of a range that holds ascending steps, shape (S,), and `margin` neighbours on each side.
 
         A velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene.
         """

@@ -57,7 +57,7 @@ def order_of(outlines: Outlines) -> Order:
 
 
 def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order:
-    """The order of P convex solids, the rows `first`, and others of the same frames, the rows `second`, shape (P,)."""
+    """The order of P pairs of convex solids: rows `first` and rows `second` of the same frames, both of shape (P,)."""
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
     part_of, member_of = _places(outlines)

@@ -105,7 +105,7 @@ def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[Indices, Indices, 
 
 
 def _join(row: Indices, y: Indices, column: Indices, is_start: Mask, height: int) -> tuple[Spans, Indices]:
-    """Join the one start and the one end of each silhouette in each scan line; silhouettes with others are odd."""
+    """Spans from the one start to the one end in each scan line of a silhouette; and silhouettes with other counts."""
     line = row * height + y
     starts, ends = np.flatnonzero(is_start), np.flatnonzero(~is_start)
     starts, ends = starts[np.argsort(line[starts])], ends[np.argsort(line[ends])]

@@ -119,7 +119,9 @@ def read_glb(file: BinaryIO, size: int) -> bytes:
     if length != size:
         raise Refused(f"has {size} bytes where its header announces {length}: is it cut off?")
     if description_bytes > MAX_DESCRIPTION_BYTES:
-        raise Refused(f"has a description of {description_bytes} bytes; {MAX_DESCRIPTION_BYTES} may be: simplify it")
+        raise Refused(
+            f"has a description of {description_bytes} bytes; at most {MAX_DESCRIPTION_BYTES} are read: simplify it"
+        )
     gltf = _parse(file.read(description_bytes))
     _check_references(gltf)
     _check_counts(gltf)
