@@ -27,13 +27,7 @@ class Imu:
     acceleration_bias_m_s2: float = 0.0
 
     def errors(self, streams: Streams, vessel: str, first: int, count: int) -> tuple[Array, Array]:
-        """Errors of the unit of a vessel at consecutive steps.
-
-        Args:
-            streams: Random numbers of the scene.
-            vessel: ID.
-            first: First step.
-            count: Number of steps n.
+        """Errors of the unit of a vessel at the n = `count` steps from `first` on.
 
         Returns:
             Errors of the angular rates in rad/s and of the specific force in m/s², each of shape (n, 3).

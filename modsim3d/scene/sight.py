@@ -23,6 +23,8 @@ from modsim3d.vessels.vessel import Vessel
 class Sight:
     """What a camera has in front of it at S steps, and from where it looks.
 
+    It makes `Bodies` of the vessels' and obstacles' solids, and of these the `Outlines` that the camera sees.
+
     Attributes:
         camera: The camera.
         steps: Shape (S,).
