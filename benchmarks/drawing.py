@@ -29,7 +29,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.view.films.files import EncodedFrame, write_film
 from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer, open_drawer, open_shaded_picture_renderer
-from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
+from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "DRAWING.md"

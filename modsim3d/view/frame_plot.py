@@ -10,7 +10,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.blocks import Frame
 from modsim3d.view import palette
-from modsim3d.view.plain import below_horizon
+from modsim3d.view.pictures.plain import below_horizon
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,8 @@ import shapely
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify import compare_pictures
 from modsim3d.view import palette
-from modsim3d.view.comparison_picture import BOTH, KEY_PX, PIXELS, comparison_picture, differing_pixels
-from modsim3d.view.solids import Solids
+from modsim3d.view.pictures.comparison_picture import BOTH, KEY_PX, PIXELS, comparison_picture, differing_pixels
+from modsim3d.view.pictures.solids import Solids
 from tests.scenes import crossing
 
 

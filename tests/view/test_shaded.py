@@ -14,13 +14,14 @@ from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.pixel_masks import ROUNDING_PX
-from modsim3d.view import palette, shaded_picture
-from modsim3d.view.navigation_lights import GREEN, RED, WHITE, lights
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.sea_and_sky import DAY, fogged
-from modsim3d.view.shaded_picture import ShadedPictureRenderer
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view import palette
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded import shaded_picture
+from modsim3d.view.shaded.navigation_lights import GREEN, RED, WHITE, lights
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.sea_and_sky import DAY, fogged
+from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
 from tests.scenes import crossing
 
 DAYLIGHT = RenderStyle(shaded=True)

@@ -9,8 +9,8 @@ from functools import cached_property
 from PIL import Image, ImageDraw
 
 from modsim3d.view import palette
-from modsim3d.view.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
-from modsim3d.view.legend import Entry, legend
+from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
+from modsim3d.view.pictures.legend import Entry, legend
 
 GAP_PX = 4
 SEVERAL = 0.7

@@ -10,13 +10,13 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
-from modsim3d.view.birds_eye import BirdsEye
 from modsim3d.view.films.layout import FilmLayout
-from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
-from modsim3d.view.legend import Entry, detection_entries, id_entries, vessel_entries
-from modsim3d.view.map_picture import map_height_px
-from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
-from modsim3d.view.window import Box, Window
+from modsim3d.view.maps.birds_eye import BirdsEye
+from modsim3d.view.maps.map_picture import map_height_px
+from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
+from modsim3d.view.pictures.legend import Entry, detection_entries, id_entries, vessel_entries
+from modsim3d.view.pictures.window import Box, Window
+from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")

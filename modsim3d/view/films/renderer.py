@@ -15,12 +15,12 @@ from modsim3d.runs.selection import StepFrames
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import TITLES, FilmPlan
-from modsim3d.view.frame_picture import CameraView, frame_picture
-from modsim3d.view.ids_picture import ids_picture
-from modsim3d.view.map_picture import map_picture
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.shaded_picture import ShadedPictureRenderer
-from modsim3d.view.window import Window
+from modsim3d.view.maps.map_picture import map_picture
+from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.ids_picture import ids_picture
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
 
 
 class FilmRenderer:

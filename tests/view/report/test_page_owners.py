@@ -18,9 +18,9 @@ from modsim3d.scene.reading import data_folder, load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.films.renderer import open_drawer
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 from modsim3d.view.report.report import REPORT_FILE, write_report
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
 from tests.view.report.browser import Browser
 
 STEPS = 6

@@ -15,9 +15,9 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.view import palette
-from modsim3d.view.birds_eye import BirdsEye, hull_m, ring_step, view_of
 from modsim3d.view.films.files import put_in_place
-from modsim3d.view.map_names import MapNames
+from modsim3d.view.maps.birds_eye import BirdsEye, hull_m, ring_step, view_of
+from modsim3d.view.maps.map_names import MapNames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

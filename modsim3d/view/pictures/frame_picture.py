@@ -12,14 +12,14 @@ from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.runs.blocks import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas
-from modsim3d.view.hatching import hatch_hidden
-from modsim3d.view.labels import Label, draw_labels
-from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
-from modsim3d.view.plain import background, draw_horizon, fill_solids
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Box, Window
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.hatching import hatch_hidden
+from modsim3d.view.pictures.labels import Label, draw_labels
+from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.plain import background, draw_horizon, fill_solids
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Box, Window
 
 DIM = 0.25
 """How much darker vessels are filled under boxes of their colour."""

@@ -12,11 +12,11 @@ from PIL import Image
 from modsim3d.arrays import Array, Mask
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas, font
 from modsim3d.view.palette import Colour
-from modsim3d.view.plain import background, occluder_colour
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas, font
+from modsim3d.view.pictures.plain import background, occluder_colour
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 SIZE_PX = (960, 540)
 KEY_PX, LINE_PX = 60, 26

@@ -8,8 +8,8 @@ from PIL import Image, ImageDraw
 from modsim3d.arrays import Mask
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.view.palette import vessel_colour
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 STRIPE_PX = 4.0
 

@@ -14,8 +14,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.render_style import RenderStyle
 
 Floats = NDArray[np.float32]
 

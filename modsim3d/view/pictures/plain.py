@@ -9,10 +9,10 @@ from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Region
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 SMOOTH_SAMPLES = 2
 """Vessels drawn this much larger and shrunk have edges without steps."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import areas, intersections
-from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.window import Box
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.window import Box
 
 FARTHEST_ROWS = 4
 """How many rows of text a label may move away from its box."""

@@ -9,13 +9,13 @@ from PIL import Image, ImageDraw
 
 from modsim3d.render.plain_ids import IdDrawer
 from modsim3d.view import palette
-from modsim3d.view.canvas import NOMINAL_PX, font
-from modsim3d.view.frame_picture import CameraView, frame_picture
-from modsim3d.view.highlights import Highlight, pick_highlights
-from modsim3d.view.layers import DETECTIONS
-from modsim3d.view.legend import detection_entries, legend
-from modsim3d.view.plain import background
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import NOMINAL_PX, font
+from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.highlights import Highlight, pick_highlights
+from modsim3d.view.pictures.layers import DETECTIONS
+from modsim3d.view.pictures.legend import detection_entries, legend
+from modsim3d.view.pictures.plain import background
+from modsim3d.view.pictures.window import Window
 
 PANEL_PX = (720, 440)
 COLUMNS = 2

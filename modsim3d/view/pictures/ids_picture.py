@@ -7,13 +7,13 @@ from PIL import Image
 
 from modsim3d.render.id_pass import Ids
 from modsim3d.render.plain_ids import IdDrawer
-from modsim3d.view.canvas import Canvas, font, text_size
-from modsim3d.view.hatching import hatch_hidden
-from modsim3d.view.legend import letters
 from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour
-from modsim3d.view.plain import background
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.hatching import hatch_hidden
+from modsim3d.view.pictures.legend import letters
+from modsim3d.view.pictures.plain import background
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 SEA: Colour = (24, 28, 32)
 SKY: Colour = (48, 54, 60)

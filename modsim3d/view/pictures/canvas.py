@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from modsim3d.arrays import Array
 from modsim3d.view.palette import INK, Colour, ink_on
-from modsim3d.view.window import Box
+from modsim3d.view.pictures.window import Box
 
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""

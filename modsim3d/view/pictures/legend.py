@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from PIL import Image
 
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas, font, text_size
-from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.layers import Layers
 
 MOST_VESSELS = 40
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.contact_sheet import contact_sheet
 from modsim3d.view.films.renderer import open_drawer
-from modsim3d.view.frame_picture import CameraView
-from modsim3d.view.highlights import Highlight
+from modsim3d.view.pictures.contact_sheet import contact_sheet
+from modsim3d.view.pictures.frame_picture import CameraView
+from modsim3d.view.pictures.highlights import Highlight
 
 SHEET_FILE = "contact_sheet.png"
 

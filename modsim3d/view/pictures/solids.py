@@ -17,7 +17,7 @@ from modsim3d.scene.sight import Sight
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.triangles import Triangles, triangles_of
 from modsim3d.vessels.vessel import shoebox
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.window import Window
 
 SUN = np.array([-0.35, 0.55, 0.76])
 """Direction to the light that shades faces, in the world."""

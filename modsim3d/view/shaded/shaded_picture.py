@@ -19,13 +19,13 @@ from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.vessels.vessel import Vessel
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas, font, text_size
-from modsim3d.view.navigation_lights import glow, lights
-from modsim3d.view.plain import occluder_colour
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
-from modsim3d.view.solids import SUN, Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.plain import occluder_colour
+from modsim3d.view.pictures.solids import SUN, Solids
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.navigation_lights import glow, lights
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
 
 SAMPLES = 2
 """Solids are drawn this much larger and shrunk, so that their edges have no steps."""
