@@ -177,7 +177,7 @@ def _plan(
 
 
 def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
-    from modsim3d.view.pictures.draw_contact_sheet import SHEET_FILE, draw_contact_sheet
+    from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
 
     if not run.finished:
         raise ModsimError(

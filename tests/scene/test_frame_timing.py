@@ -21,7 +21,8 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.frame_timing import takes_frame
 from modsim3d.scene.reading import data_folder, load_scene
 from modsim3d.view.films.plan import FilmPlan
-from modsim3d.view.films.renderer import FilmRenderer, open_drawer
+from modsim3d.view.films.renderer import FilmRenderer
+from modsim3d.view.pictures.solids import open_id_renderer
 from modsim3d.view.report.report import write_report
 from tests.scenes import CAMERA_HEIGHT_M, write_scene
 
@@ -178,9 +179,9 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
             assert (slow and slow.step) == (before[-1] if before else None)
     selection = select(run, (0, 1), to_s=1.0)
     plan = FilmPlan(("detections",), (0, 1), 640)
-    with open_drawer(run.scene) as drawer:
+    with open_id_renderer(run.scene) as id_renderer:
         pictures = {
-            shown.step: np.asarray(FilmRenderer(run.scene, plan, drawer).draw(shown))
+            shown.step: np.asarray(FilmRenderer(run.scene, plan, id_renderer).draw(shown))
             for shown in selection.step_frames()
         }
     right = {step: picture[60:200, 330:] for step, picture in pictures.items()}  # the slow camera's, below its title

@@ -8,9 +8,7 @@ from dataclasses import replace
 
 from PIL import Image
 
-from modsim3d.errors import RendererError
-from modsim3d.render.plain_ids import IdDrawer, PlainIds
-from modsim3d.runs.pipeline import open_renderer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.selection import StepFrames
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
@@ -18,6 +16,7 @@ from modsim3d.view.films.plan import TITLES, FilmPlan
 from modsim3d.view.maps.map_picture import map_picture
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.ids_picture import ids_picture
+from modsim3d.view.pictures.solids import open_id_renderer
 from modsim3d.view.pictures.window import Window
 from modsim3d.view.shaded.render_style import RenderStyle
 from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
@@ -27,19 +26,23 @@ class FilmRenderer:
     """Draws the pictures of a film one by one."""
 
     def __init__(
-        self, scene: Scene, plan: FilmPlan, drawer: IdDrawer, shaded_renderer: ShadedPictureRenderer | None = None
+        self,
+        scene: Scene,
+        plan: FilmPlan,
+        id_renderer: AnyIdRenderer,
+        shaded_renderer: ShadedPictureRenderer | None = None,
     ) -> None:
         """Take what all pictures share.
 
         Args:
             scene: The scene.
             plan: What every picture shows.
-            drawer: Draws ID buffers.
+            id_renderer: Renders ID buffers.
             shaded_renderer: Draws the scene in light and shade, where the plan asks for it.
         """
         self._scene = scene
         self._plan = plan
-        self._drawer = drawer
+        self._id_renderer = id_renderer
         self._shaded_renderer = shaded_renderer
         self._layout = plan.layout(scene)
         self._birds_eye = plan.birds_eye(scene)
@@ -69,13 +72,13 @@ class FilmRenderer:
             return Image.new("RGB", window.size, palette.SOFT_INK)
         nominal = self._layout.nominal_width
         if kind == "ids":
-            return ids_picture(camera_view.solids, window, self._drawer, nominal)
+            return ids_picture(camera_view.solids, window, self._id_renderer, nominal)
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
         ground = None
         if self._shaded_renderer is not None and kind != "corners" and on_scene:
             ground = self._shaded_renderer.picture(camera_view.solids, window, self._scene.vessels)
             layers = replace(layers, horizon=False, silhouettes=False)
-        return frame_picture(camera_view, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
+        return frame_picture(camera_view, window, layers, self._id_renderer, ground=ground, nominal_width_px=nominal)
 
     def _head(self, step_frames: StepFrames) -> str:
         states = dict.fromkeys(frame.state for frame in step_frames.frames if frame)
@@ -95,26 +98,15 @@ def _age(step_frames: StepFrames, place: int) -> str:
 
 
 @contextmanager
-def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
-    """What draws ID buffers for pictures: the renderer, or NumPy where there is none or the scene uses none."""
-    with ExitStack() as stack:
-        try:
-            renderer = stack.enter_context(open_renderer(scene))
-        except RendererError:
-            renderer = None  # a picture of a run that was made elsewhere
-        yield renderer or PlainIds()
-
-
-@contextmanager
 def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
     """A film renderer with what it draws with: ID buffers, and pyrender in the same context for shaded pictures.
 
     Raises:
         RendererError: Shaded pictures are asked for and there is no OpenGL library.
     """
-    with open_drawer(scene) as drawer, ExitStack() as stack:
+    with open_id_renderer(scene) as id_renderer, ExitStack() as stack:
         shaded_renderer = stack.enter_context(open_shaded_picture_renderer(plan.style)) if plan.style.shaded else None
-        yield FilmRenderer(scene, plan, drawer, shaded_renderer)
+        yield FilmRenderer(scene, plan, id_renderer, shaded_renderer)
 
 
 @contextmanager

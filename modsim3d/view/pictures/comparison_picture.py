@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas, font
@@ -40,7 +40,7 @@ def comparison_picture(
     vessel: int,
     solids: Solids,
     exact: shapely.Geometry,
-    drawer: IdDrawer,
+    id_renderer: AnyIdRenderer,
     region: str = "exact region",
 ) -> Image.Image:
     """The boxes of a case and what each source sees of its vessel, with a key.
@@ -50,7 +50,7 @@ def comparison_picture(
         vessel: Index into the scene's vessels.
         solids: What stands before the camera.
         exact: What is seen of the vessel, as a region of the image.
-        drawer: Draws ID buffers.
+        id_renderer: Renders ID buffers.
         region: What to call it in the key.
     """
     x0, y0, x1, y1 = boxes_px["rendered full"]
@@ -58,7 +58,7 @@ def comparison_picture(
     left, top = (x0 + x1 - width) / 2, (y0 + y1 - width * SIZE_PX[1] / SIZE_PX[0]) / 2
     window = Window(left, top, SIZE_PX[0] / width, SIZE_PX)
     image_size = solids.intrinsics.image_size_px
-    ids = solids.ids(Window(0.0, 0.0, 1.0, image_size), drawer)
+    ids = solids.ids(Window(0.0, 0.0, 1.0, image_size), id_renderer)
     differing = differing_pixels(ids == vessel + 1, exact)
     shown = background(window, solids.sea_half_plane, image_size)
     _paint_pixels(shown, window, ids, differing, len(solids.extents_m))

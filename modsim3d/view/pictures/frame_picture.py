@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.blocks import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
@@ -61,7 +61,7 @@ def frame_picture(
     camera_view: CameraView,
     window: Window,
     layers: Layers,
-    drawer: IdDrawer,
+    id_renderer: AnyIdRenderer,
     *,
     ground: Image.Image | None = None,
     nominal_width_px: int | None = None,
@@ -72,7 +72,7 @@ def frame_picture(
         camera_view: The frame.
         window: What to show, and how large.
         layers: What to draw of it.
-        drawer: Draws ID buffers, for filled and hatched silhouettes.
+        id_renderer: Renders ID buffers, for filled and hatched silhouettes.
         ground: A picture to draw on, in place of plain sea and sky.
         nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
     """
@@ -86,11 +86,11 @@ def frame_picture(
         if (
             layers.truth or layers.detections
         ):  # beneath boxes a step in an edge is not noticed; see benchmarks/DRAWING.md
-            fill_solids(picture, window, solids, drawer, dim=DIM, samples=1)
+            fill_solids(picture, window, solids, id_renderer, dim=DIM, samples=1)
         else:
-            fill_solids(picture, window, solids, drawer)
+            fill_solids(picture, window, solids, id_renderer)
     if layers.hatching and any(camera_view.frame.truth.occluded_by):
-        hatch_hidden(picture, window, solids, solids.ids(window, drawer), canvas.unit)
+        hatch_hidden(picture, window, solids, solids.ids(window, id_renderer), canvas.unit)
     if layers.wires or layers.points:
         _draw_shoeboxes(canvas, window, solids, layers)
     labels = _draw_truth(canvas, window, camera_view, layers) + _draw_detections(canvas, window, camera_view, layers)

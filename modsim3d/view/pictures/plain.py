@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw
 
 from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Region
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view import palette
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas
@@ -87,7 +87,7 @@ def fill_solids(
     picture: Image.Image,
     window: Window,
     solids: Solids,
-    drawer: IdDrawer,
+    id_renderer: AnyIdRenderer,
     *,
     dim: float = 0.0,
     samples: int = SMOOTH_SAMPLES,
@@ -98,7 +98,7 @@ def fill_solids(
         picture: To draw on.
         window: What it shows.
         solids: The vessels.
-        drawer: Draws ID buffers.
+        id_renderer: Renders ID buffers.
         dim: Share of black in all colours, so that boxes stand out.
         samples: Factor by which sides are drawn larger before they are shrunk.
     """
@@ -109,7 +109,7 @@ def fill_solids(
     region = Region.around(np.concatenate([corners.min(axis=0), corners.max(axis=0)]), window.size)
     if not region.width or not region.height:
         return
-    faces = solids.faces(window, drawer, region, samples)
+    faces = solids.faces(window, id_renderer, region, samples)
     vessels = len(solids.extents_m)
     colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()])[triangles.row]
     table = np.zeros((len(colours) + 1, 4), dtype=np.uint8)
