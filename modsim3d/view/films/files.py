@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.errors import ModsimError
+from modsim3d.runs.files.run_directory import place
 from modsim3d.view.films.gif import TICKS_PER_S, quantised, write_gif
 
 FORMATS = ("mp4", "gif", "png")
@@ -86,7 +87,7 @@ def put_in_place(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         yield partial
-        partial.replace(path)
+        place(partial, path)
     finally:
         partial.unlink(missing_ok=True)
 
