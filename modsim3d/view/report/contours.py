@@ -33,7 +33,7 @@ class Contours:
 
 
 def contours(shape: Indices, corners: Indices) -> Contours:
-    """The lines around what triangles cover.
+    """Find the lines around what triangles cover.
 
     Args:
         shape: Index of the shape that each triangle belongs to, shape (T,).

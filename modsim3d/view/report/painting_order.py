@@ -16,7 +16,7 @@ from modsim3d.vessels.vessel import shoebox
 
 
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
-    """Rows that may be hidden in part, and the rows of the same frame that may hide them.
+    """Which rows of the outlines may hide which others of their frame in part.
 
     A plane between two solids, or between the boxes around them, tells which one is in front. Without such a plane the
     truth decides, if one of the two hides the other and not the other way round. It does not say what vessels hide of
@@ -25,7 +25,11 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     Args:
         outlines: What is before the camera.
         occluder_count: Number of the scene's occluder names.
-        hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth.
+        hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth,
+            shape (m,).
+
+    Returns:
+        The rows that may be hidden, shape (p,), and for each of them the one that may hide it, shape (p,).
     """
     boxes = replace(outlines, parts=tuple(map(_in_a_box, outlines.parts)))
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
@@ -41,7 +45,7 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
 
 
 def _in_a_box(part: Part) -> Part:
-    """Solids that are not convex as boxes around them. Their vertices are those of one solid, stretched and placed."""
+    """Boxes around solids that are not convex, whose vertices are those of one solid, stretched and placed."""
     if part.solid.convex:
         return part
     unit = part.solid.vertices
@@ -95,12 +99,7 @@ def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, l
     """Sort the rows of a frame so that each comes before those in front of it.
 
     Rows of the occluder painted last come next if they may, then farther ones before nearer ones. Where three hide each
-    other in a ring, the farthest comes first.
-
-    Args:
-        far_to_near: Rows of a frame.
-        occluder: Occluder of each row of all frames, shape (n,).
-        before: Row → rows in front of it.
+    other in a ring, the farthest comes first. `before` holds the rows in front of each row.
     """
     behind = Counter(front for row in far_to_near for front in before.get(row, ()))
     free = _FreeRows(far_to_near, occluder)
@@ -116,7 +115,7 @@ def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, l
 
 
 class _FreeRows:
-    """The rows of a frame that nothing unpainted is behind of, and what was painted so far."""
+    """The rows of a frame that may be painted, as nothing unpainted is behind them, and what was painted so far."""
 
     def __init__(self, far_to_near: list[int], occluder: Indices) -> None:
         """Begin with no free row."""
@@ -128,7 +127,7 @@ class _FreeRows:
         self._last_occluder = -1
 
     def add(self, row: int) -> None:
-        """A row may be painted."""
+        """Let a row be painted."""
         heapq.heappush(self._free, self._place[row])
         heapq.heappush(self._free_of[int(self._occluder[row])], self._place[row])
 

@@ -20,7 +20,7 @@ from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.report.silhouettes import NONE, silhouettes
+from modsim3d.view.report.silhouettes import NONE, silhouette_columns
 
 FINEST_PX = 0.1
 UNKNOWN_FRACTION, WHOLE = 255, 250
@@ -38,8 +38,8 @@ class Recording:
     """The frames of a run for the player.
 
     Attributes:
-        facts: What the numbers mean: names, colours, times. Goes into the page as JSON.
-        columns: Name → numbers; `player.js` knows what each is.
+        facts: What the numbers mean: names, colours, times. They go into the page as JSON.
+        columns: Name → numbers; `recording.js` reads them.
     """
 
     facts: dict[str, Any]
@@ -66,7 +66,7 @@ def recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Rec
     Args:
         rows: The run.
         every: K.
-        progress: Called with the number of steps done since its last call.
+        progress: Called with the number of shown steps done since its last call.
     """
     scene, cameras = rows.scene, len(rows.scene.cameras)
     steps = np.arange(0, rows.steps, every)
@@ -74,19 +74,15 @@ def recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Rec
     numbered = np.where(taken == NOBODY, NOBODY, taken * cameras + np.arange(cameras)).ravel()
     frames = np.unique(numbered[numbered != NOBODY])
     quantum = quantum_px([camera.intrinsics.image_size_px for camera in scene.cameras])
-    drawn = silhouettes(rows, taken, frames, quantum, progress)
-    state, horizons, pages = rows.states_of(frames), drawn.horizons, len(frames)
+    horizons, frame, silhouettes = silhouette_columns(rows, taken, frames, quantum, progress)
+    state, pages = rows.states_of(frames), len(frames)
     if np.any(numbered == NOBODY):
         state, horizons, pages = np.append(state, NO_STATE), np.vstack([horizons, ALL_SEA]), pages + 1
     columns: dict[str, Column] = {
         "state": state.astype(np.uint8),
         "horizon": horizons.astype(np.float32),
-        "shapeStart": starts(drawn.frame, pages),
-        "owner": drawn.occluder.astype(np.uint16),
-        "outline": drawn.outline.astype(np.uint32),
-        "lineCount": drawn.line_count.astype(np.uint32),
-        "cornerCount": drawn.corner_count,
-        "corners": drawn.corners,
+        "shapeStart": starts(frame, pages),
+        **silhouettes,
         **_truth_columns(rows, frames, pages, quantum),
         **_detection_columns(rows, frames, pages, quantum),
     }
@@ -131,6 +127,8 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
     """What the numbers mean: names, times, colours."""
     stop = int(steps[-1]) + 1
     timestamps, times_s = scene.timestamps(0, stop), scene.times_s(0, stop)
+    vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
+    obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     return {
         "quantum": quantum,
         "mode": scene.annotation.mode,
@@ -146,14 +144,9 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
             for camera in scene.cameras
         ],
         "colours": {
-            "vessels": [_css(palette.vessel_colour(index)) for index in range(len(scene.vessels))],
-            "owners": [_css(palette.darker(colour)) for colour in map(palette.vessel_colour, range(len(scene.vessels)))]
-            + [_css(palette.obstacle_colour(index)) for index in range(len(scene.obstacles))],
-            "sea": _css(palette.SEA),
-            "sky": _css(palette.SKY),
-            "truth": _css(palette.TRUTH),
-            "alarm": _css(palette.ALARM),
-            "ink": _css(palette.INK),
+            "vessels": [_css(colour) for colour in vessels],
+            "owners": [*(_css(palette.darker(colour)) for colour in vessels), *map(_css, obstacles)],
+            **{name: _css(getattr(palette, name.upper())) for name in ("sea", "sky", "truth", "alarm", "ink")},
         },
     }
 
@@ -168,23 +161,18 @@ def quantum_px(image_sizes_px: list[tuple[int, int]]) -> float:
 
 
 def in_quanta(lengths_px: Array, quantum: float) -> NDArray[np.uint16]:
-    """Lengths in pixels as multiples of a quantum; `NONE` for NaN. Same shape."""
+    """Lengths in pixels as multiples of a quantum, `NONE` for NaN, of the same shape."""
     counted = np.clip(np.rint(np.nan_to_num(lengths_px) / quantum), 0, NONE - 1)
     return np.where(np.isnan(lengths_px), NONE, counted).astype(np.uint16)
 
 
 def in_250ths(fraction: Array) -> NDArray[np.uint8]:
-    """Visible fractions in 250ths, `UNKNOWN_FRACTION` for NaN; a part is never rounded to 0 or 1. Same shape."""
+    """Visible fractions in 250ths, of the same shape; NaN is `UNKNOWN_FRACTION`, and a part never rounds to 0 or 1."""
     counted = np.clip(np.rint(np.nan_to_num(fraction) * WHOLE), np.where(fraction > 0, 1, 0), WHOLE)
     counted = np.where((fraction < 1) & (counted == WHOLE), WHOLE - 1, counted)
     return np.where(np.isnan(fraction), UNKNOWN_FRACTION, counted).astype(np.uint8)
 
 
 def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
-    """The first row of each frame, and the number of rows, shape (frames + 1,).
-
-    Args:
-        frame: Index of the frame of each row, ascending, shape (n,).
-        frames: Number of frames.
-    """
+    """The first row of each frame, and the number of rows, shape (frames + 1,); from each row's frame, shape (n,)."""
     return np.searchsorted(frame, np.arange(frames + 1)).astype(np.uint32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,35 +26,12 @@ MOST_FACES = 300_000
 """Number of faces whose outlines are computed together: few calls, little memory."""
 
 
-@dataclass(frozen=True, eq=False)
-class Silhouettes:
-    """Horizons and silhouettes of F frames.
+def silhouette_columns(
+    rows: RunRows, taken: Indices, frames: Indices, quantum_px: float, progress: Callable[[int], None]
+) -> tuple[Array, Indices, dict[str, NDArray[Any]]]:
+    """The horizons and silhouettes of a run's frames, for its player.
 
     A silhouette refers to an outline, so that what stands still before a camera ashore is stored once.
-
-    Attributes:
-        horizons: Sea half plane of each frame, shape (F, 3).
-        frame: Index of the frame of each silhouette, ascending, shape (s,).
-        occluder: Index into the scene's occluder names of each silhouette, shape (s,).
-        outline: Index of the outline of each silhouette, shape (s,).
-        line_count: Number of closed lines of each outline, shape (o,).
-        corner_count: Number of corners of each line, shape (l,).
-        corners: Columns and rows of the corners, line after line, as multiples of the quantum, shape (2 k,).
-    """
-
-    horizons: Array
-    frame: Indices
-    occluder: Indices
-    outline: Indices
-    line_count: Indices
-    corner_count: NDArray[np.uint32]
-    corners: NDArray[np.uint16]
-
-
-def silhouettes(
-    rows: RunRows, taken: Indices, frames: Indices, quantum_px: float, progress: Callable[[int], None]
-) -> Silhouettes:
-    """Compute the horizons and silhouettes of frames.
 
     Args:
         rows: The run.
@@ -61,6 +39,11 @@ def silhouettes(
         frames: Numbers of those frames, ascending, shape (F,).
         quantum_px: The unit of lengths in the image.
         progress: Called with the number of steps done since its last call.
+
+    Returns:
+        Sea half plane of each frame, shape (F, 3); index of the frame of each silhouette, ascending, shape (s,); and
+        the columns `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount` of
+        their lines, and `corners` of the lines: column and row by turns, in quanta.
     """
     scene, cameras, occluder_count = rows.scene, len(rows.scene.cameras), len(rows.scene.occluder_names)
     horizons, hides = np.empty((len(frames), 3)), _hides(rows, occluder_count)
@@ -77,20 +60,18 @@ def silhouettes(
             found.append((shape.frame, shape.occluder, outlines.setdefault(key, len(outlines))))
     table = np.array(found, dtype=np.int64).reshape(-1, 3)
     number, occluder, outline = table[np.argsort(table[:, 0], kind="stable")].T
-    counts, corners = (b"".join(part) for part in zip(*outlines, strict=True)) if outlines else (b"", b"")
-    return Silhouettes(
-        horizons,
-        np.searchsorted(frames, number),
-        occluder,
-        outline,
-        np.array([len(count) // 4 for count, _ in outlines], dtype=np.int64),
-        np.frombuffer(counts, np.uint32),
-        np.frombuffer(corners, np.uint16),
-    )
+    columns: dict[str, NDArray[Any]] = {
+        "owner": occluder.astype(np.uint16),
+        "outline": outline.astype(np.uint32),
+        "lineCount": np.array([len(count) // 4 for count, _ in outlines], dtype=np.uint32),
+        "cornerCount": np.frombuffer(b"".join(count for count, _ in outlines), np.uint32),
+        "corners": np.frombuffer(b"".join(corners for _, corners in outlines), np.uint16),
+    }
+    return horizons, np.searchsorted(frames, number), columns
 
 
 def _once_each(taken: Indices, progress: Callable[[int], None]) -> Iterator[tuple[int, Indices]]:
-    """The cameras and the steps of their frames, some at a time; a frame that is shown at several steps comes once."""
+    """Cameras and steps of their frames, some at a time; a frame that is shown at several steps comes once."""
     done = [NOBODY] * taken.shape[1]
     for first in range(0, len(taken), STEPS_TOGETHER):
         some = taken[first : first + STEPS_TOGETHER]
@@ -103,7 +84,7 @@ def _once_each(taken: Indices, progress: Callable[[int], None]) -> Iterator[tupl
 
 
 def _hides(rows: RunRows, occluder_count: int) -> Indices:
-    """What hides what in the truth, as keys that `shapes` knows, shape (m,)."""
+    """Keys of what hides what in the truth, see `in_front`, shape (m,)."""
     occluders = rows.occluders()
     frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
     keys: Indices = (frame * occluder_count + hidden) * occluder_count + occluders.name
@@ -115,9 +96,9 @@ class Shape:
     """A silhouette, or the pieces of an obstacle between which nothing else is painted.
 
     Attributes:
-        frame: Number of the outlines' frame.
+        frame: Its number.
         occluder: Index into the scene's occluder names.
-        corners: Corners of its closed lines, line after line, as multiples of the quantum, shape (k, 2).
+        corners: Corners of its closed lines, line after line, in quanta, shape (k, 2).
         count: Number of corners of each line, shape (l,).
     """
 
@@ -130,14 +111,14 @@ class Shape:
 def shapes(
     outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, occluder_count: int, hides: Indices
 ) -> Iterator[Shape]:
-    """The silhouettes of all frames, frame by frame and from back to front.
+    """The silhouettes of all frames of a camera, frame by frame and from back to front.
 
     Args:
         outlines: What is before the camera.
         intrinsics: Intrinsics of the camera.
         quantum_px: The unit of lengths in the image.
         occluder_count: Number of the scene's occluder names.
-        hides: What hides what in the truth, see `in_front`.
+        hides: Keys of what hides what in the truth, see `in_front`, shape (m,).
     """
     hidden, hider = in_front(outlines, occluder_count, hides)
     order = painting_order(outlines.frame, outlines.depth_m, outlines.occluder, hidden, hider)
