@@ -23,7 +23,7 @@ WIDTH_IN, FURNITURE_IN = 9.0, 0.9
 FARTHEST_ROWS = 5
 """How many rows of text a label may move away from its box."""
 MARGIN = 0.35
-"""Of the boxes' width and height, around them when zoomed in."""
+"""Margin around the boxes when zoomed in, as a share of their width and height."""
 LEAST_VIEW_PX = 240.0
 
 
@@ -31,8 +31,8 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
     """Draw sea, sky, truth, detections, misses and false positives of a frame.
 
     Args:
-        frame: What to draw.
-        axes: Where; a figure of its own if None.
+        frame: The frame.
+        axes: Axes to draw on; those of a new figure if None.
         zoom: Show only the part of the image in which there are vessels.
         labels: Write names, classes and confidences.
 
@@ -43,14 +43,15 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
         from matplotlib.figure import Figure
     except ImportError:
         raise ModsimError("frame.plot() needs matplotlib: pip install 'modsim3d[view]'") from None
-    left, top, right, bottom = view = _view(frame, zoom)
+    left, top, right, bottom = _view(frame, zoom)
     if axes is None:
         height_in = WIDTH_IN * (bottom - top) / (right - left) + FURNITURE_IN
         axes = Figure(figsize=(WIDTH_IN, height_in), layout="constrained").add_subplot()
     figure = axes.figure.figure  # the whole one, where the axes are in a part of it
     _background(axes, frame)
     notes = _truth(axes, frame, labels) + _detections(axes, frame, labels)
-    _show(axes, view)
+    # Rows run downwards, as in an image.
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="column [px]", ylabel="row [px]")
     axes.set_title(f"{frame.camera}, {frame.timestamp} s, detector {frame.state}")
     figure.draw_without_rendering()
     _keep_apart(notes, axes.get_window_extent().x1, figure.dpi / 72)
@@ -72,10 +73,9 @@ def _truth(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:
     truth, notes = frame.truth, []
     for i, name in enumerate(truth.vessels):
         _box(axes, truth.full_boxes_px[i], palette.TRUTH, 1.0, dashed=True)
-        missed = truth.annotated[i] and not truth.detected[i]
         if not np.isnan(truth.visible_boxes_px[i]).any():
             _box(axes, truth.visible_boxes_px[i], palette.TRUTH, 1.0)
-        if missed:
+        if truth.annotated[i] and not truth.detected[i]:
             _box(axes, truth.boxes_px[i], palette.ALARM, 1.8)
             if labels:
                 notes.append(_label(axes, truth.boxes_px[i], f"{name} missed", palette.ALARM, below=True))
@@ -104,16 +104,6 @@ def _view(frame: Frame, zoom: bool) -> tuple[float, float, float, float]:
     half = np.maximum((high - low) * (0.5 + MARGIN), LEAST_VIEW_PX / 2)
     (left, top), (right, bottom) = ((low + high) / 2 - half).tolist(), ((low + high) / 2 + half).tolist()
     return max(left, 0.0), max(top, 0.0), min(right, width), min(bottom, height)
-
-
-def _show(axes: Axes, view: tuple[float, float, float, float]) -> None:
-    """Pixels as in an image: rows downwards, equal in both directions."""
-    left, top, right, bottom = view
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    axes.set_aspect("equal")
-    axes.set_xlabel("column [px]")
-    axes.set_ylabel("row [px]")
 
 
 def _keep_apart(notes: list[Annotation], right_px: float, point_px: float) -> None:

@@ -71,8 +71,6 @@ class _Recorder:
         sdk: The module `rerun`.
         stream: The recording.
         scene: The scene of the run.
-        there: Which vessels were present at the last step, shape (V,).
-        states: Performance state of each camera at the last step.
     """
 
     sdk: Any
@@ -80,11 +78,11 @@ class _Recorder:
     scene: Scene
 
     def __post_init__(self) -> None:
-        self.there = np.zeros(len(self.scene.vessels), dtype=bool)
-        self.states: dict[str, int] = {}
+        self._present = np.zeros(len(self.scene.vessels), dtype=bool)
+        self._states: dict[str, int] = {}
 
     def fixed(self) -> None:
-        """What never changes: axes, lenses and obstacles."""
+        """Log what never changes: axes, lenses and obstacles."""
         self.stream.log("world", self.sdk.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for camera in self.scene.cameras:
             lens = camera.intrinsics
@@ -100,7 +98,7 @@ class _Recorder:
             self.stream.log(["world", "obstacles", obstacle.name], mesh, static=True)
 
     def space(self, steps: Indices) -> None:
-        """Where cameras and vessels are at some steps."""
+        """Log where cameras and vessels are at some steps, shape (n,)."""
         sea = self.scene.motion.at(steps)
         sights = [self.scene.sight(camera, steps) for camera in self.scene.cameras]
         for camera, sight in zip(self.scene.cameras, sights, strict=True):
@@ -114,11 +112,11 @@ class _Recorder:
         vessel, present = self.scene.vessels[index], sea.poses.present[:, index]
         path = ["world", "vessels", vessel.name]
         self._move(path, steps[present], sea.poses.positions_m[present, index], sea.world_R_vessel[present, index])
-        before = np.concatenate([self.there[index : index + 1], present[:-1]])
+        before = np.concatenate([self._present[index : index + 1], present[:-1]])
         for i in np.flatnonzero(before != present):
             self._at(int(steps[i]))
             self.stream.log(path, self._box(index) if present[i] else self.sdk.Clear(recursive=False))
-        self.there[index] = present[-1]
+        self._present[index] = present[-1]
 
     def _box(self, index: int) -> Any:
         vessel = self.scene.vessels[index]
@@ -136,7 +134,7 @@ class _Recorder:
             self.stream.send_columns(self.sdk.new_entity_path(path), indexes=self._times(steps), columns=columns)
 
     def images(self, rows: RunRows, steps: Indices) -> None:
-        """Boxes and counts of each camera at some steps."""
+        """Log the boxes and counts of each camera at some steps, shape (n,)."""
         full, drawn_px = rows.boxes_px("full"), rows.drawn_boxes_px()
         missed = rows.annotated & ~rows.detected
         labels = indices(rows.drawn, "label", self.scene.detector.labels)
@@ -164,11 +162,11 @@ class _Recorder:
         self.stream.log(path, boxes)
 
     def _state(self, camera: int, state: int) -> None:
-        """Say it when the performance state changes."""
+        """Log the performance state where it changes."""
         name = self.scene.cameras[camera].name
-        if self.states.get(name) != state:
+        if self._states.get(name) != state:
             self.stream.log(["detector", name], self.sdk.TextLog(self.scene.detector.states[state].name))
-            self.states[name] = state
+            self._states[name] = state
 
     def _at(self, step: int) -> None:
         self.stream.set_time("step", sequence=step)

@@ -30,7 +30,7 @@ NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif 
 
 @dataclass(frozen=True, eq=False)
 class EncodedFrame:
-    """A picture as its film file takes it.
+    """The picture of a step as its film file takes it.
 
     Attributes:
         step: Step of the run.
@@ -44,14 +44,7 @@ class EncodedFrame:
 
     @classmethod
     def of(cls, step: int, picture: Image.Image, kind: str, colours: Image.Image | None) -> EncodedFrame:
-        """Encode a picture; done by the process that drew it.
-
-        Args:
-            step: Step of the run.
-            picture: In RGB.
-            kind: One of `FORMATS`.
-            colours: Holds the palette of a GIF.
-        """
+        """Encode a picture in RGB for a film of one of `FORMATS`; `colours` holds the palette of a GIF."""
         if kind == "gif" and colours is not None:
             return cls(step, picture.size, quantised(picture, colours).tobytes())
         if kind == "mp4":
@@ -111,8 +104,8 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
     with put_in_place(path) as partial:
         if kind == "gif" and colours is not None:
             _write_gif(partial, frames, rate, colours)
-            return
-        _write_mp4(path, partial, frames, rate)
+        else:
+            _write_mp4(path, partial, frames, rate)
         if not partial.exists():
             raise ModsimError(f"{path} could not be encoded: ffmpeg wrote nothing")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 
 from PIL import Image
@@ -32,14 +32,7 @@ class FilmRenderer:
         id_renderer: AnyIdRenderer,
         shaded_renderer: ShadedPictureRenderer | None = None,
     ) -> None:
-        """Take what all pictures share.
-
-        Args:
-            scene: The scene.
-            plan: What every picture shows.
-            id_renderer: Renders ID buffers.
-            shaded_renderer: Draws the scene in light and shade, where the plan asks for it.
-        """
+        """Take what all pictures share; `shaded_renderer` draws the scene where the plan asks for light and shade."""
         self._scene = scene
         self._plan = plan
         self._id_renderer = id_renderer
@@ -90,7 +83,7 @@ class FilmRenderer:
 
 
 def _age(step_frames: StepFrames, place: int) -> str:
-    """Of when a camera's picture is, where it is not of the step itself."""
+    """The time of a camera's frame, where it was not taken at the step itself."""
     frame = step_frames.frames[place]
     if frame is None:
         return "no frame yet"
@@ -99,29 +92,21 @@ def _age(step_frames: StepFrames, place: int) -> str:
 
 @contextmanager
 def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
-    """A film renderer with what it draws with: ID buffers, and pyrender in the same context for shaded pictures.
+    """A film renderer, with OpenGL where there is some.
 
     Raises:
         RendererError: Shaded pictures are asked for and there is no OpenGL library.
     """
-    with open_id_renderer(scene) as id_renderer, ExitStack() as stack:
-        shaded_renderer = stack.enter_context(open_shaded_picture_renderer(plan.style)) if plan.style.shaded else None
+    shaded_pictures = open_shaded_picture_renderer(plan.style) if plan.style.shaded else nullcontext()
+    with open_id_renderer(scene) as id_renderer, shaded_pictures as shaded_renderer:
         yield FilmRenderer(scene, plan, id_renderer, shaded_renderer)
 
 
 @contextmanager
 def open_shaded_picture_renderer(style: RenderStyle) -> Iterator[ShadedPictureRenderer]:
-    """What draws shaded pictures.
-
-    Raises:
-        RendererError: There is no OpenGL library.
-    """
+    """What draws shaded pictures; without an OpenGL library that is an error."""
     from modsim3d.render.context import open_context
     from modsim3d.render.shaded_pass import ShadedRenderer
 
-    with open_context() as context:
-        renderer = ShadedRenderer(context)
-        try:
-            yield ShadedPictureRenderer(renderer, style)
-        finally:
-            renderer.close()
+    with open_context() as context, closing(ShadedRenderer(context)) as renderer:
+        yield ShadedPictureRenderer(renderer, style)

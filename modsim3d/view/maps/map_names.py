@@ -44,7 +44,7 @@ class MapNames:
             text: The name.
             place_m: Middle of what it names, shape (2,).
             half_m: Half the width and height of what it names, shape (2,).
-            vessel: Index of the vessel that it names.
+            vessel: Index of the vessel that it names, if any.
             **style: For matplotlib's `annotate`.
         """
         middle: dict[str, Any] = {"xytext": (0, 0), "textcoords": "offset points", "ha": "center", "va": "center"}

@@ -41,11 +41,7 @@ CAMERA, RING = "#c0392b", "#6d7b85"
 
 
 def check_matplotlib() -> None:
-    """See that maps can be drawn.
-
-    Raises:
-        ModsimError: matplotlib is not installed.
-    """
+    """Raise a ModsimError if matplotlib, which draws maps, is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -53,17 +49,7 @@ def check_matplotlib() -> None:
 
 
 def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
-    """The map at a step.
-
-    Args:
-        birds_eye: The scene.
-        step: The step.
-        width_px: Width of the whole figure.
-        height_px: Its height; as high as the map needs if None.
-
-    Raises:
-        ModsimError: matplotlib is not installed.
-    """
+    """The map at a step, as high as it needs if no height is given."""
     check_matplotlib()
     from matplotlib.figure import Figure
 

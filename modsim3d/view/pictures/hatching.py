@@ -21,7 +21,7 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
         picture: To draw on.
         window: What it shows.
         solids: The vessels.
-        ids: Occluder + 1 at each of the picture's pixels.
+        ids: Occluder + 1 at each of the picture's pixels, shape (h, w).
         unit: Size of lines, 1 in a picture of nominal width.
     """
     stripe = max(2, round(STRIPE_PX * unit))
@@ -42,7 +42,7 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
 
 
 def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, Mask]:
-    """The pixels of a row's whole silhouette, what is hidden of it too, and the region of the window they are in."""
+    """A region of the window, and which of its pixels the whole silhouette of a row covers, shape (h, w)."""
     triangles = window.to_picture(solids.triangles.corners_px[solids.triangles.row == row])
     if not len(triangles):
         return Region(0, 0, 0, 0), np.zeros((0, 0), dtype=bool)

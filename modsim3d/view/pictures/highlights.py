@@ -1,8 +1,8 @@
-"""Chooses frames of a run that are worth looking at."""
+"""Frames of a run that are worth looking at."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array
 from modsim3d.boxes import SIDES
 from modsim3d.runs.files.columns import flags, numbers
 
@@ -23,7 +23,7 @@ class Highlight:
 
     Attributes:
         step: Step of the frame.
-        camera: ID of the camera that took it.
+        camera: Name of the camera that took it.
         focus_px: The box to look at: x_min, y_min, x_max, y_max, in pixels.
         caption: What happens in the box.
     """
@@ -34,49 +34,69 @@ class Highlight:
     caption: str
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Columns of a part of `truth.parquet`; a fraction that is not known counts as one."""
-
-    fraction: Array
-    silhouette_px: Array
-    visible_px: Array
-    occluded: Mask
-    annotated: Mask
-    detected: Mask
-
-    @classmethod
-    def of(cls, table: pa.Table) -> _Rows:
-        fraction = numbers(table, "visible_fraction")
-        return cls(
-            np.where(np.isnan(fraction), 1.0, fraction),
-            numbers(table, "silhouette_px"),
-            numbers(table, "visible_px"),
-            pc.list_value_length(table["occluded_by"]).to_numpy() > 0,
-            flags(table, "annotated"),
-            flags(table, "detected"),
+def pick_highlights(folder: Path) -> list[Highlight]:
+    """One highlight of each kind that a finished run has: occlusion, recovery from it, a miss, a false alarm, ..."""
+    truth = _least(folder / "truth.parquet", len(CAPTIONS), _truth_ranks)
+    (false,) = _least(folder / "detections.parquet", 1, _false_alarm_ranks)
+    found = [
+        Highlight(
+            row["step"],
+            row["camera"],
+            tuple(row[f"full_{side}_px"] for side in SIDES),
+            f"{row['vessel']}: {caption or _hidden_by(row)}",
         )
-
-    @property
-    def hidden_in_part(self) -> Mask:
-        return self.occluded & (self.fraction > 0) & (self.fraction < 1) & self.annotated
-
-    @property
-    def clear(self) -> Mask:
-        clear: Mask = (self.fraction == 1) & self.annotated
-        return clear
+        for row, caption in zip(truth, CAPTIONS, strict=True)
+        if row
+    ]
+    return found if false is None else [*found, _false_alarm(false)]
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """A kind of highlight: which rows it may be, their rank (the least is shown), and the caption of a row."""
-
-    wanted: Callable[[_Rows], Mask]
-    rank: Callable[[_Rows], Array]
-    caption: Callable[[dict[str, Any]], str]
+CAPTIONS = (None, None, None, "detected", "missed, though in plain view")
+"""What happens in each kind of highlight of the truth; None: who hides the vessel."""
 
 
-def _hider(row: dict[str, Any]) -> str:
+def _truth_ranks(truth: pa.Table) -> list[Array]:
+    """For each kind of highlight the rank of each row, shape (n,): the least is shown, an infinite one never."""
+    fraction = np.nan_to_num(numbers(truth, "visible_fraction"), nan=1.0)
+    silhouette_px, visible_px = numbers(truth, "silhouette_px"), numbers(truth, "visible_px")
+    occluded = pc.list_value_length(truth["occluded_by"]).to_numpy() > 0
+    annotated, detected = flags(truth, "annotated"), flags(truth, "detected")
+    partly_hidden = occluded & (fraction > 0) & (fraction < 1) & annotated
+    clear = (fraction == 1) & annotated
+    kinds = (
+        (partly_hidden & detected, np.abs(fraction - 0.5)),
+        (partly_hidden & ~detected, fraction),
+        ((visible_px == 0) & occluded, -silhouette_px),
+        (clear & detected, -silhouette_px),
+        (clear & ~detected, -silhouette_px),
+    )
+    return [np.where(wanted, rank, np.inf) for wanted, rank in kinds]
+
+
+def _false_alarm_ranks(detections: pa.Table) -> list[Array]:
+    """The largest false positive first."""
+    size = detections["width_px"].to_numpy() * detections["height_px"].to_numpy()
+    return [np.where(detections["vessel"].is_null().to_numpy(), -size, np.inf)]
+
+
+def _least(path: Path, kinds: int, ranks_of: Callable[[pa.Table], list[Array]]) -> list[dict[str, Any] | None]:
+    """For each kind the row of a table that ranks least, None if no row is of the kind.
+
+    The table is read row group by row group, because that of a long run is larger than memory.
+    """
+    least = [np.inf] * kinds
+    rows: list[dict[str, Any] | None] = [None] * kinds
+    with pq.ParquetFile(path) as file:
+        for group in range(file.num_row_groups):
+            table = file.read_row_group(group)
+            for kind, rank in enumerate(ranks_of(table)):
+                if rank.min(initial=np.inf) < least[kind]:
+                    least[kind] = float(rank.min())
+                    rows[kind] = table.slice(int(np.argmin(rank)), 1).to_pylist()[0]
+    return rows
+
+
+def _hidden_by(row: dict[str, Any]) -> str:
     hider = max(row["occluded_by"], key=lambda entry: entry["px"])["id"]
     if row["visible_fraction"] == 0:
         return f"wholly hidden by {hider}"
@@ -84,62 +104,7 @@ def _hider(row: dict[str, Any]) -> str:
     return f"{hidden:.0%} hidden by {hider}, {'detected' if row['detected'] else 'missed'}"
 
 
-KINDS = (
-    _Kind(lambda r: r.hidden_in_part & r.detected, lambda r: np.abs(r.fraction - 0.5), _hider),
-    _Kind(lambda r: r.hidden_in_part & ~r.detected, lambda r: r.fraction, _hider),
-    _Kind(lambda r: (r.visible_px == 0) & r.occluded, lambda r: -r.silhouette_px, _hider),
-    _Kind(lambda r: r.clear & r.detected, lambda r: -r.silhouette_px, lambda row: "detected"),
-    _Kind(lambda r: r.clear & ~r.detected, lambda r: -r.silhouette_px, lambda row: "missed, though in plain view"),
-)
-
-
-def pick_highlights(folder: Path) -> list[Highlight]:
-    """One highlight of each kind that the run has: occlusion, recovery from it, a miss, a false alarm, and so on.
-
-    Args:
-        folder: A finished run directory.
-    """
-    best: list[tuple[float, dict[str, Any]] | None] = [None] * len(KINDS)
-    for table in _parts(folder / "truth.parquet"):
-        rows = _Rows.of(table)
-        for k, kind in enumerate(KINDS):
-            best[k] = _better(best[k], table, np.where(kind.wanted(rows), kind.rank(rows), np.inf))
-    found = [
-        Highlight(
-            row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {caption}"
-        )
-        for row, caption in (
-            (entry[1], kind.caption(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry
-        )
-    ]
-    false: tuple[float, dict[str, Any]] | None = None
-    for table in _parts(folder / "detections.parquet"):
-        size = table["width_px"].to_numpy() * table["height_px"].to_numpy()
-        false = _better(false, table, np.where(table["vessel"].is_null().to_numpy(), -size, np.inf))
-    return found if false is None else [*found, _false_alarm(false[1])]
-
-
-def _parts(path: Path) -> Iterator[pa.Table]:
-    """A table row group by row group: a long run's is larger than memory."""
-    with pq.ParquetFile(path) as file:
-        for group in range(file.num_row_groups):
-            yield file.read_row_group(group)
-
-
-def _better(
-    best: tuple[float, dict[str, Any]] | None, table: pa.Table, rank: Array
-) -> tuple[float, dict[str, Any]] | None:
-    """The row that ranks least, of the best so far and a part of a table; infinite where a row is not wanted."""
-    least = float(rank.min(initial=np.inf))
-    if least >= (best[0] if best else np.inf):
-        return best
-    row = int(np.argmin(rank))
-    return least, table.slice(row, 1).to_pylist()[0]
-
-
 def _false_alarm(row: dict[str, Any]) -> Highlight:
-    """The largest false positive."""
     x, y, half = row["x_px"], row["y_px"], (row["width_px"] / 2, row["height_px"] / 2)
-    return Highlight(
-        row["step"], row["camera"], (x - half[0], y - half[1], x + half[0], y + half[1]), "a false positive"
-    )
+    box = x - half[0], y - half[1], x + half[0], y + half[1]
+    return Highlight(row["step"], row["camera"], box, "a false positive")

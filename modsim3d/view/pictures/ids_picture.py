@@ -22,13 +22,9 @@ SKY: Colour = (48, 54, 60)
 def ids_picture(
     solids: Solids, window: Window, id_renderer: AnyIdRenderer, nominal_width_px: int | None = None
 ) -> Image.Image:
-    """The ID map of a window, with what is hidden hatched over what hides it.
+    """The ID at the centre of each pixel of a window, with what is hidden hatched over what hides it.
 
-    Args:
-        solids: What stands before the camera.
-        window: What to show, and how large: an ID is that at the centre of each of the picture's pixels.
-        id_renderer: Renders ID buffers.
-        nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
+    Lines and text are meant for a picture of the nominal width, or else of the window's.
     """
     picture = background(window, solids.sea_half_plane, solids.intrinsics.image_size_px, SEA, SKY)
     if not len(solids.occluders):

@@ -25,14 +25,9 @@ def background(
     sea: Colour = palette.SEA,
     sky: Colour = palette.SKY,
 ) -> Image.Image:
-    """Sea and sky; paper outside the camera's image.
+    """Sea and sky in a window; paper outside the camera's image.
 
-    Args:
-        window: What to show.
-        sea_half_plane: (a, b, c): the sea is where a x + b y + c ≥ 0, in pixels of the image, shape (3,).
-        image_size_px: Width and height of the camera's image.
-        sea: Colour of the sea.
-        sky: Colour of the sky.
+    The sea is where a x + b y + c ≥ 0 in pixels of the image, with (a, b, c) the sea half plane, shape (3,).
     """
     picture = Image.new("RGB", window.size, palette.PAPER)
     draw = ImageDraw.Draw(picture)
@@ -51,15 +46,12 @@ def background(
 
 
 def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> Array:
-    """The part of a convex polygon on the sea's side of the horizon.
+    """The part of a convex polygon on the sea's side of the horizon, shape (m, 2); empty if there is no sea in it.
 
     Args:
         polygon: Its corners in any affine coordinates of the image, shape (n, 2).
         polygon_px: The same corners in pixels of the image, shape (n, 2).
-        sea_half_plane: (a, b, c), see `Intrinsics.sea_half_plane`, shape (3,).
-
-    Returns:
-        Corners in the coordinates of `polygon`, shape (m, 2); empty if there is no sea in it.
+        sea_half_plane: (a, b, c), see `background`, shape (3,).
     """
     value = polygon_px @ sea_half_plane[:2] + sea_half_plane[2]
     points = []
@@ -73,7 +65,7 @@ def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> A
 
 
 def draw_horizon(canvas: Canvas, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
-    """A line where the sea ends."""
+    """Draw a line where the sea half plane, shape (3,), ends."""
     a, b, c = sea_half_plane
     if a == b == 0:
         return
@@ -92,11 +84,11 @@ def fill_solids(
     dim: float = 0.0,
     samples: int = SMOOTH_SAMPLES,
 ) -> None:
-    """Fill what is seen of every vessel with its colour, each side by its light.
+    """Fill the visible part of every vessel with its colour, each side as bright as the light on it.
 
     Args:
         picture: To draw on.
-        window: What it shows.
+        window: The part of the image that it shows.
         solids: The vessels.
         id_renderer: Renders ID buffers.
         dim: Share of black in all colours, so that boxes stand out.

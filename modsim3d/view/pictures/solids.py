@@ -34,7 +34,7 @@ class Solids:
 
     Attributes:
         sight: Poses of the camera and the vessels at one step.
-        camera: The camera.
+        camera: The camera that they are before.
         outlines: A row for each solid before the camera.
         extents_m: Length, beam and air draft of all vessels, shape (V, 3).
     """
@@ -48,12 +48,11 @@ class Solids:
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
         """The solids before a camera of a scene at a step."""
         sight = scene.sight(camera, np.array([step]))
-        outlines = sight.outlines()
-        return cls(sight, camera, outlines, np.array([vessel.extents_m for vessel in scene.vessels]))
+        return cls(sight, camera, sight.outlines(), np.array([vessel.extents_m for vessel in scene.vessels]))
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Intrinsics of the camera."""
+        """The camera's intrinsics."""
         return self.camera.intrinsics
 
     @property
@@ -63,7 +62,7 @@ class Solids:
 
     @property
     def occluders(self) -> Indices:
-        """Index of the vessel (or of what else may hide one) of each row, shape (n,)."""
+        """Index of the vessel or obstacle of each row, shape (n,)."""
         return self.outlines.occluder
 
     @cached_property
@@ -72,18 +71,12 @@ class Solids:
         return triangles_of(self.outlines, self.intrinsics)
 
     def ids(self, window: Window, id_renderer: AnyIdRenderer, samples: int = 1) -> Ids:
-        """Occluder + 1 at each pixel of a window, 0 where there is nothing, shape (h · samples, w · samples).
-
-        Args:
-            window: What to show.
-            id_renderer: Renders ID buffers.
-            samples: Buffer pixels for each pixel of the window and axis.
-        """
+        """Occluder + 1 at each pixel of a window, 0 where nothing is, shape (h · samples, w · samples)."""
         values = self.occluders[self.triangles.row] + 1
         return self._drawn(values, window, id_renderer, Region(0, 0, *window.size), samples)
 
     def faces(self, window: Window, id_renderer: AnyIdRenderer, region: Region, samples: int) -> Ids:
-        """Triangle + 1 at each pixel of a region of a window, 0 where there is nothing; shape as of `ids`."""
+        """Triangle + 1 at each pixel of a region of a window, 0 where nothing is; its shape is as that of `ids`."""
         return self._drawn(np.arange(len(self.triangles.row)) + 1, window, id_renderer, region, samples)
 
     def _drawn(

@@ -1,4 +1,4 @@
-"""What is behind everything in a shaded picture: a sea with ripples and a sky, by the direction that a pixel looks in.
+"""The background of a shaded picture: a sea with ripples and a sky, by the direction in which each pixel looks.
 
 For illustration: the ripples are not the waves that move the vessels.
 """
@@ -34,7 +34,7 @@ FOG_DEPTH_M = 150.0
 WATER_REFLECTS = 0.02
 """Share of the light that water reflects when one looks straight down (n = 1.33)."""
 ROUGHNESS = 0.12
-"""Waves turn a part of the sea towards who looks along it, so that it never is a perfect mirror."""
+"""Waves turn a part of the sea towards the camera, so that it never is a perfect mirror."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Rays:
 
     @classmethod
     def of(cls, intrinsics: Intrinsics, window: Window) -> Rays:
-        """The directions of a camera's pixels; the same for all of its pictures."""
+        """The directions of a camera's pixels, which are the same for all of its pictures."""
         width, height = window.size
         columns = (np.arange(width) + 0.5) / window.scale + window.x
         rows = (np.arange(height) + 0.5) / window.scale + window.y
@@ -107,7 +107,7 @@ class Backdrop:
 
 
 def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, style: RenderStyle) -> Backdrop:
-    """Sea and sky.
+    """Sea and sky as a camera sees them.
 
     Args:
         rays: Directions in which the pixels look.
@@ -141,7 +141,7 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
 
 
 def _place(sine: Floats) -> NDArray[np.int32]:
-    """Where the sine of an angle from 0 to 1 stands in the tables."""
+    """Indices into the tables of the sines of angles, from 0 to 1."""
     place: NDArray[np.int32] = np.clip(sine * (TABLE - 1), 0, TABLE - 1).astype(np.int32)
     return place
 
@@ -159,12 +159,9 @@ def _tables(night: bool) -> tuple[Floats, Floats, Floats]:
 
 
 def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style: RenderStyle) -> Floats:
-    """Colours behind air: Koschmieder's law, C = C0 e^(−σ d) + A (1 − e^(−σ d)) with A the colour of fog.
+    """Colours, shape (..., 3), behind distances of air in metres, shape (...).
 
-    Args:
-        colour: Shape (..., 3).
-        distance_m: Shape (...).
-        style: Has the visibility.
+    Koschmieder's law: C = C0 e^(−σ d) + A (1 − e^(−σ d)), with A the colour of fog.
     """
     if not style.extinction_per_m:
         return colour.astype(np.float32)
