@@ -10,6 +10,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.blocks import Frame
 from modsim3d.view import palette
+from modsim3d.view.palette import unit_rgb
 from modsim3d.view.pictures.plain import below_horizon
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
     """Draw sea, sky, truth, detections, misses and false positives of a frame.
 
     Args:
-        frame: The frame.
+        frame: The frame to draw.
         axes: Axes to draw on; those of a new figure if None.
-        zoom: Show only the part of the image in which there are vessels.
+        zoom: Show only the part of the image in which vessels are.
         labels: Write names, classes and confidences.
 
     Raises:
@@ -63,10 +64,10 @@ def _background(axes: Axes, frame: Frame) -> None:
 
     width, height = frame.image_size_px
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
-    axes.add_patch(Polygon(corners, facecolor=_unit(palette.SKY), zorder=0))
+    axes.add_patch(Polygon(corners, facecolor=unit_rgb(palette.SKY), zorder=0))
     sea = below_horizon(corners, corners, frame.sea_half_plane)
     if len(sea):
-        axes.add_patch(Polygon(sea, facecolor=_unit(palette.SEA), zorder=0))
+        axes.add_patch(Polygon(sea, facecolor=unit_rgb(palette.SEA), zorder=0))
 
 
 def _truth(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:
@@ -128,7 +129,7 @@ def _box(axes: Axes, box_px: Array, colour: palette.Colour, width: float, *, das
 
     x0, y0, x1, y1 = box_px
     line: Any = "--" if dashed else "-"
-    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_unit(colour), lw=width, ls=line))
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=unit_rgb(colour), lw=width, ls=line))
 
 
 def _label(axes: Axes, box_px: Array, text: str, colour: palette.Colour, below: bool = False) -> Annotation:
@@ -140,14 +141,9 @@ def _label(axes: Axes, box_px: Array, text: str, colour: palette.Colour, below: 
         textcoords="offset points",
         va="top" if below else "bottom",
         fontsize=7,
-        color=_unit(palette.INK),
+        color=unit_rgb(palette.INK),
         parse_math=False,
-        bbox={"boxstyle": "square,pad=0.15", "facecolor": _unit(colour), "edgecolor": "none"},
+        bbox={"boxstyle": "square,pad=0.15", "facecolor": unit_rgb(colour), "edgecolor": "none"},
         annotation_clip=True,
         clip_on=True,
     )
-
-
-def _unit(colour: palette.Colour) -> tuple[float, float, float]:
-    r, g, b = (channel / 255 for channel in colour)
-    return r, g, b

@@ -25,13 +25,9 @@ SIGHT_STEPS = 250
 def write_recording(
     run: StoredRun, out: Path, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> None:
-    """Write a run as an `.rrd` file with the time lines `step` and `time`.
+    """Write every K-th step of a run as an `.rrd` file with the time lines `step` and `time`.
 
-    Args:
-        run: A finished or an interrupted one.
-        out: The file.
-        every: Only every K-th step.
-        progress: Called with the number of steps done since its last call.
+    `progress` is called with the number of steps that were written since its last call.
 
     Raises:
         ModsimError: The Rerun SDK is not installed, or the run has no steps.
@@ -49,7 +45,7 @@ def write_recording(
         raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
     name = f"{run.scene.name}-{run.scene.sha256[:12]}"
     stream = rerun.RecordingStream("modsim3d", recording_id=name, send_properties=False)
-    stream.set_log_time_enabled(False)  # when it was written is nothing that the run knows
+    stream.set_log_time_enabled(False)  # the time of writing does not belong to the run
     stream.save(out)
     recorder = _Recorder(rerun, stream, run.scene)
     recorder.fixed()
@@ -65,13 +61,7 @@ def write_recording(
 
 @dataclass
 class _Recorder:
-    """Puts parts of a run into a recording.
-
-    Attributes:
-        sdk: The module `rerun`.
-        stream: The recording.
-        scene: The scene of the run.
-    """
+    """Puts parts of a run into a recording, with the module `rerun` as its SDK."""
 
     sdk: Any
     stream: Any
@@ -178,7 +168,7 @@ class _Recorder:
 
 
 def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, slice]]:
-    """Step and camera of each frame taken at some steps, and its rows of the truth and of the detections."""
+    """Step and camera of each frame that was taken at some steps, and its rows of truth and detections."""
     cameras = len(rows.scene.cameras)
     for number in rows.frames[np.isin(rows.frames // cameras, steps)].tolist():
         frame = (number, number + 1)

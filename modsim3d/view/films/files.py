@@ -30,13 +30,7 @@ NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif 
 
 @dataclass(frozen=True, eq=False)
 class EncodedFrame:
-    """The picture of a step as its film file takes it.
-
-    Attributes:
-        step: Step of the run.
-        size: Width and height in pixels; films need even ones.
-        data: RGB values for MP4, palette indices for GIF (both row by row), a file for PNG.
-    """
+    """The picture of a step for a film: RGB values for MP4, palette indices for GIF (row by row), a file for PNG."""
 
     step: int
     size: tuple[int, int]
@@ -91,7 +85,7 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
     Args:
         kind: One of `FORMATS`.
         path: The file; for PNG, the folder of the files.
-        frames: Each is asked for when those before it are written.
+        frames: Pictures; each is drawn when those before it are written.
         rate: Pictures a second.
         colours: Holds the palette of a GIF.
 

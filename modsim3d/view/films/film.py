@@ -58,15 +58,12 @@ def draw_film(
 
     Args:
         selection: Steps and cameras.
-        plan: What every picture shows.
+        plan: Content of every picture.
         kind: One of `FORMATS`.
         path: The file, or the folder of PNG files.
-        speed: Seconds of the run in one of the film.
-        workers: Processes that draw; the film is the same bytes whatever their number.
-        progress: Called with the number of frames done since its last call.
-
-    Raises:
-        ModsimError: The film cannot be drawn or encoded.
+        speed: Seconds of the run in one second of the film.
+        workers: Processes that draw; their number does not change the film.
+        progress: Called with the number of frames drawn since its last call.
     """
     scene = selection.run.scene
     timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])

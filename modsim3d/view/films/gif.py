@@ -61,11 +61,7 @@ def write_gif(out: IO[bytes], colours: Image.Image, frames: Iterable[tuple[Image
     """Write an endless GIF 89a.
 
     Only the pixels that differ from the frame before are stored; a frame without any makes the one before last longer.
-
-    Args:
-        out: Where to write.
-        colours: Holds the palette, see `film_palette`.
-        frames: At least one: palette indices as grey levels (mode L), and how long they are shown, in ticks.
+    A frame is palette indices as grey levels (mode L), and how long it is shown, in ticks. There is at least one.
     """
     before: Image.Image | None = None
     for picture, group in groupby(frames, key=itemgetter(0)):

@@ -25,7 +25,7 @@ class FilmLayout:
         width: Width of the whole sheet in pixels.
         columns: Number of panels side by side.
         aspects: Width over height of each panel, row by row.
-        entries: Entries of the legend.
+        entries: Entries of the legend at the bottom.
     """
 
     width: int

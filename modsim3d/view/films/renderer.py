@@ -55,10 +55,10 @@ class FilmRenderer:
 
     def _title(self, step_frames: StepFrames, place: int, kind: str) -> str:
         several = len(step_frames.frames) > 1 and kind != "map"
-        camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
-        age = [_age(step_frames, place)] if several and _age(step_frames, place) else []
-        name = [TITLES.get(kind, kind)] if len(self._plan.kinds) > 1 else []
-        return " · ".join(camera + name + age)
+        camera = several and self._scene.cameras[self._plan.cameras[place]].name
+        name = len(self._plan.kinds) > 1 and TITLES.get(kind, kind)
+        age = several and _age(step_frames, place)
+        return " · ".join(part for part in (camera, name, age) if part)
 
     def _panel(self, camera_view: CameraView | None, kind: str, window: Window) -> Image.Image:
         if camera_view is None:
@@ -76,10 +76,10 @@ class FilmRenderer:
     def _head(self, step_frames: StepFrames) -> str:
         states = dict.fromkeys(frame.state for frame in step_frames.frames if frame)
         single = len(step_frames.frames) == 1
-        camera = [self._scene.cameras[self._plan.cameras[0]].name] if single else []
-        parts = [self._scene.name, *camera, f"{step_frames.timestamp} s", f"step {step_frames.step}"]
-        parts += [f"detector {', '.join(states)}"] if states else []
-        return "    ".join([*parts, _age(step_frames, 0)] if single and _age(step_frames, 0) else parts)
+        camera = single and self._scene.cameras[self._plan.cameras[0]].name
+        time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
+        detector, age = states and f"detector {', '.join(states)}", single and _age(step_frames, 0)
+        return "    ".join(part for part in (self._scene.name, camera, time, step, detector, age) if part)
 
 
 def _age(step_frames: StepFrames, place: int) -> str:

@@ -38,7 +38,7 @@ class Timetable:
         Args:
             durations_s: Duration of each frame in the run, positive, shape (n,).
             speed: Seconds of the run in one second of the film.
-            most_rate: The highest rate in pictures a second.
+            most_rate: The highest rate, in pictures a second.
         """
         film_s = durations_s / speed
         shortest = float(film_s.min())

@@ -111,6 +111,6 @@ def hull_m(vessel: Vessel, world_R_vessel: Array) -> Array:
 
 
 def ring_step(about_m: float) -> float:
-    """A length rounded up to 1, 2, 5, 10, ... metres."""
+    """A distance rounded up to 1, 2, 5, 10, ... metres."""
     power = 10.0 ** np.floor(np.log10(about_m))
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))

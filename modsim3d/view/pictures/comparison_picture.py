@@ -71,11 +71,11 @@ def comparison_picture(
     id_renderer: AnyIdRenderer,
     region: str = "exact region",
 ) -> Image.Image:
-    """The boxes of a case and what each source sees of its vessel, with a key.
+    """The boxes of a vessel and the pixels that each source sees of it, with a key.
 
     Args:
-        boxes: The boxes of the case.
-        vessel: Index into the scene's vessels.
+        boxes: The boxes of the vessel.
+        vessel: Its index in the scene.
         solids: The solids before the camera.
         exact: What is seen of the vessel, as a region of the image.
         id_renderer: Renders the pixels of the rendered source.

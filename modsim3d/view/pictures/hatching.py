@@ -17,12 +17,7 @@ STRIPE_PX = 4.0
 def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids, unit: float) -> None:
     """Hatch each vessel where something else is in front of it.
 
-    Args:
-        picture: To draw on.
-        window: What it shows.
-        solids: The vessels.
-        ids: Occluder + 1 at each of the picture's pixels, shape (h, w).
-        unit: Size of lines, 1 in a picture of nominal width.
+    `ids` is occluder + 1 at each of the picture's pixels, shape (h, w). `unit` is 1 in a picture of nominal width.
     """
     stripe = max(2, round(STRIPE_PX * unit))
     for row, occluder in enumerate(solids.occluders.tolist()):

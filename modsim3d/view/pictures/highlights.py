@@ -15,22 +15,16 @@ import pyarrow.parquet as pq
 from modsim3d.arrays import Array
 from modsim3d.boxes import SIDES
 from modsim3d.runs.files.columns import flags, numbers
+from modsim3d.view.pictures.window import Box
 
 
 @dataclass(frozen=True)
 class Highlight:
-    """A frame of a run and what to look at in it.
-
-    Attributes:
-        step: Step of the frame.
-        camera: Name of the camera that took it.
-        focus_px: The box to look at: x_min, y_min, x_max, y_max, in pixels.
-        caption: What happens in the box.
-    """
+    """A frame of a run, the box to look at in it, and what happens there."""
 
     step: int
     camera: str
-    focus_px: tuple[float, float, float, float]
+    focus_px: Box
     caption: str
 
 

@@ -27,12 +27,9 @@ class Label:
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
-    """Draw labels, the first ones at the best places, and return how many; one without a free place is left out.
+    """Draw labels, the most important ones first, and return how many have found a free place.
 
-    Args:
-        canvas: The picture to draw on.
-        labels: In order of importance.
-        keep_clear: Boxes that labels cover as little as possible.
+    They cover the boxes in `keep_clear` as little as possible.
     """
     size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))

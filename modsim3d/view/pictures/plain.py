@@ -84,13 +84,13 @@ def fill_solids(
     dim: float = 0.0,
     samples: int = SMOOTH_SAMPLES,
 ) -> None:
-    """Fill the visible part of every vessel with its colour, each side as bright as the light on it.
+    """Fill the visible part of every vessel in a picture of a window, each side as bright as the light on it.
 
     Args:
-        picture: To draw on.
+        picture: The picture, which is changed.
         window: The part of the image that it shows.
-        solids: The vessels.
-        id_renderer: Renders ID buffers.
+        solids: The vessels and obstacles.
+        id_renderer: Finds which side each pixel shows.
         dim: Share of black in all colours, so that boxes stand out.
         samples: Factor by which sides are drawn larger before they are shrunk.
     """

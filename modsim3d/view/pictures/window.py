@@ -7,18 +7,12 @@ from dataclasses import dataclass
 from modsim3d.arrays import Array
 
 Box = tuple[float, float, float, float]
+"""x_min, y_min, x_max, y_max in pixels."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """A part of the image, and how large to draw it.
-
-    Attributes:
-        x: Column of its left edge.
-        y: Row of its top edge.
-        scale: Picture pixels for one image pixel.
-        size: Width and height of the picture.
-    """
+    """A part of the image by its top-left corner, picture pixels for one image pixel, and the picture's size."""
 
     x: float
     y: float

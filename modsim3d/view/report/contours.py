@@ -33,11 +33,9 @@ class Contours:
 
 
 def contours(shape: Indices, corners: Indices) -> Contours:
-    """Find the lines around what triangles cover.
+    """Find the lines around what the triangles of each shape cover, by the index of the shape, shape (T,).
 
-    Args:
-        shape: Index of the shape that each triangle belongs to, shape (T,).
-        corners: Whole numbers from 0 to 65,535, all triangles the same way round, shape (T, 3, 2).
+    The corners are whole numbers from 0 to 65,535, shape (T, 3, 2), and all triangles run the same way round.
     """
     place = (corners[..., 0] << PLACE_BITS) + corners[..., 1]
     number, vertex = np.unique((shape[:, None] << 2 * PLACE_BITS) + place, return_inverse=True)

@@ -23,7 +23,7 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     obstacles.
 
     Args:
-        outlines: What is before the camera.
+        outlines: The solids before the camera.
         occluder_count: Number of the scene's occluder names.
         hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth,
             shape (m,).
@@ -118,7 +118,7 @@ class _FreeRows:
     """The rows of a frame that may be painted, as nothing unpainted is behind them, and what was painted so far."""
 
     def __init__(self, far_to_near: list[int], occluder: Indices) -> None:
-        """Begin with no free row."""
+        """Begin with no free row of a frame."""
         self.painted: dict[int, None] = {}
         self._rows, self._occluder = far_to_near, occluder
         self._place = {row: place for place, row in enumerate(far_to_near)}

@@ -35,12 +35,7 @@ Column = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The frames of a run for the player.
-
-    Attributes:
-        facts: What the numbers mean: names, colours, times. They go into the page as JSON.
-        columns: Name → numbers; `recording.js` reads them.
-    """
+    """The frames of a run for the player: columns of numbers, and what they mean (names, colours, times)."""
 
     facts: dict[str, Any]
     columns: dict[str, Column]
@@ -61,12 +56,7 @@ def recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Rec
     """The recording of every K-th step.
 
     A camera with a frame rate of its own shows the last frame that it took. Before its first one it shows an empty
-    frame, which is stored after all others.
-
-    Args:
-        rows: The run.
-        every: K.
-        progress: Called with the number of shown steps done since its last call.
+    frame, which is stored after all others. `progress` is called with the number of steps done since its last call.
     """
     scene, cameras = rows.scene, len(rows.scene.cameras)
     steps = np.arange(0, rows.steps, every)

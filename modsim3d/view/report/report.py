@@ -31,16 +31,13 @@ SCRIPTS = ("recording.js", "picture.js", "timeline.js", "player.js")
 def write_report(
     run: StoredRun, out: Path | None = None, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Path:
-    """Write the page of a run; the same run gives the same bytes.
+    """Write the page of a run and return its file; the same run gives the same bytes.
 
     Args:
-        run: A finished or an interrupted one.
+        run: A finished or an interrupted run.
         out: The file; `report.html` in the run directory if None.
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
-
-    Returns:
-        The file.
 
     Raises:
         RunDirectoryError: An interrupted run has kept nothing yet, or the file cannot be written.

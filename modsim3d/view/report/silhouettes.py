@@ -93,13 +93,9 @@ def _hides(rows: RunRows, occluder_count: int) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A silhouette, or the pieces of an obstacle between which nothing else is painted.
+    """A silhouette, or the pieces of an obstacle between which nothing else is painted, as l closed lines.
 
-    Attributes:
-        frame: Its number.
-        occluder: Index into the scene's occluder names.
-        corners: Corners of its closed lines, line after line, in quanta, shape (k, 2).
-        count: Number of corners of each line, shape (l,).
+    Their corners follow line after line in quanta, shape (k, 2); `count` is the number of each line's, shape (l,).
     """
 
     frame: int
@@ -114,8 +110,8 @@ def shapes(
     """The silhouettes of all frames of a camera, frame by frame and from back to front.
 
     Args:
-        outlines: What is before the camera.
-        intrinsics: Intrinsics of the camera.
+        outlines: The solids before the camera.
+        intrinsics: The camera's intrinsics.
         quantum_px: The unit of lengths in the image.
         occluder_count: Number of the scene's occluder names.
         hides: Keys of what hides what in the truth, see `in_front`, shape (m,).

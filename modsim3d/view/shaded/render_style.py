@@ -28,9 +28,8 @@ class RenderStyle:
     def __post_init__(self) -> None:
         """Check what the user gave."""
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
-            raise ModsimError(
-                f"--visibility {self.visibility_m:g}: give a positive distance in metres, such as 800 for fog"
-            )
+            given = f"--visibility {self.visibility_m:g}"
+            raise ModsimError(f"{given}: give a positive distance in metres, such as 800 for fog")
         if not self.shaded and (self.visibility_m is not None or self.night):
             option = "--night" if self.night else "--visibility"
             raise ModsimError(f"{option} works in shaded pictures only: leave out --look plain")

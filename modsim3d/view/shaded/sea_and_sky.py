@@ -53,12 +53,7 @@ NIGHT = Palette((0.015, 0.025, 0.06), (0.10, 0.13, 0.20), (0.008, 0.015, 0.03), 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Directions in which the pixels of a window look.
-
-    Attributes:
-        camera: Unit vectors in CCF, shape (h, w, 3).
-        inside: Whether a pixel is in the camera's image, shape (h, w).
-    """
+    """Unit vectors in CCF of a window's pixels, shape (h, w, 3), and which are in the camera's image, shape (h, w)."""
 
     camera: Floats
     inside: Mask
@@ -111,7 +106,7 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
 
     Args:
         rays: Directions in which the pixels look.
-        camera_R_world: Rotation WCF to CCF, shape (3, 3).
+        camera_R_world: Rotation from WCF to CCF, shape (3, 3).
         position_m: Position of the camera in WCF, shape (3,).
         focal_px: Pixels of the picture for a radian, near its middle.
         style: Weather and time of day.

@@ -34,7 +34,7 @@ REFLECTION = 0.8
 SMEAR = 6
 """Pixels, at a width of 1280, by which ripples move a reflection."""
 OVERHEAD = np.array([0.2, -0.3, 1.0])
-"""Where the brightest part of the sky is that is not the sun."""
+"""Direction to the part of the sky that is brightest apart from the sun, in the world."""
 
 
 class ShadedPictureRenderer:
@@ -198,14 +198,11 @@ def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1)
 def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
     """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
 
-    def turned(world: Array) -> tuple[float, float, float]:
-        x, y, z = (camera_R_world @ world).tolist()
-        return x, y, z
-
+    to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (SUN, OVERHEAD))
     if style.night:
-        return [Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
-    sun = Lamp(turned(SUN), (1.0, 0.96, 0.88), 2.3)
-    sky = Lamp(turned(OVERHEAD), (0.75, 0.87, 1.0), 0.7)
+        return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
+    sun = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3)
+    sky = Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
     fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
     return [sun, sky, fill], (0.20, 0.22, 0.25)
 
