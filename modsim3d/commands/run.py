@@ -78,7 +78,7 @@ def run_command(
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
         from modsim3d.runs.stored_run import open_run
-        from modsim3d.view.draw_contact_sheet import draw_contact_sheet
+        from modsim3d.view.pictures.contact_sheet import draw_contact_sheet
 
         draw_contact_sheet(open_run(folder))
     print_summary(loaded, result, sheet)

@@ -9,6 +9,7 @@ from typing import TypeVar
 from modsim3d.truth.modes import SOURCES
 from modsim3d.verify.comparison import Agreement, Comparison, concatenate_comparisons
 from modsim3d.verify.shoebox_fit import ShoeboxFit
+from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
 _Value = TypeVar("_Value", int, float, ShoeboxFit)
 
@@ -23,7 +24,7 @@ class VesselDifference:
         vessel: Index into the scene's vessels.
         badness: The greater it is, the more it deserves to be shown.
         reason: Why it is shown.
-        boxes_px: Source and kind of a box, as "rendered full" → x_min, y_min, x_max, y_max; NaN where there is none.
+        boxes_px: Its boxes by each source.
     """
 
     camera: int
@@ -31,7 +32,7 @@ class VesselDifference:
     vessel: int
     badness: float
     reason: str
-    boxes_px: Mapping[str, list[float]]
+    boxes_px: SourceBoxes
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import image_silhouettes, visible_regions
 from modsim3d.verify.compare_findings import VesselDifference
-from modsim3d.view.comparison_picture import comparison_picture
-from modsim3d.view.solids import Solids
+from modsim3d.view.pictures.comparison_picture import comparison_picture
+from modsim3d.view.pictures.solids import Solids
 
 
 def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Image.Image:

@@ -28,6 +28,7 @@ from modsim3d.verify.compare_findings import Findings, RectangleRuleCheck, Vesse
 from modsim3d.verify.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
 from modsim3d.verify.shoebox_fit import shoebox_fits
 from modsim3d.vessels.vessel import shoebox
+from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
 BLOCK_STEPS = 50
 WORST = 10
@@ -167,11 +168,13 @@ class _Vessels:
 
     def difference(self, row: int, badness: float, reason: str) -> VesselDifference:
         """A row with the boxes of all sources."""
-        boxes = {}
-        for source in ("rendered", "analytic", "rectangles"):
-            occlusion: Occlusion = getattr(self, source)
-            boxes[f"{source} full"] = occlusion.full_boxes_px[row].tolist()
-            boxes[f"{source} visible"] = occlusion.visible_boxes_px[row].tolist()
+        boxes = SourceBoxes(
+            rendered_full=self.rendered.full_boxes_px[row].tolist(),
+            rendered_visible=self.rendered.visible_boxes_px[row].tolist(),
+            analytic_full=self.analytic.full_boxes_px[row].tolist(),
+            analytic_visible=self.analytic.visible_boxes_px[row].tolist(),
+            rectangles_visible=self.rectangles.visible_boxes_px[row].tolist(),
+        )
         step, vessel = int(self.steps[self.outlines.frame[row]]), int(self.outlines.occluder[row])
         return VesselDifference(self.camera, step, vessel, badness, reason, boxes)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,15 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.errors import RendererError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.render.id_pass import Ids, Region
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer, PlainIds
+from modsim3d.runs.pipeline import open_renderer
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.triangles import Triangles, triangles_of
 from modsim3d.vessels.vessel import shoebox
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.window import Window
 
 SUN = np.array([-0.35, 0.55, 0.76])
 """Direction to the light that shades faces, in the world."""
@@ -30,7 +34,7 @@ class Solids:
 
     Attributes:
         sight: Poses of the camera and the vessels at one step.
-        camera: The camera.
+        camera: The camera that they are before.
         outlines: A row for each solid before the camera.
         extents_m: Length, beam and air draft of all vessels, shape (V, 3).
     """
@@ -44,12 +48,11 @@ class Solids:
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
         """The solids before a camera of a scene at a step."""
         sight = scene.sight(camera, np.array([step]))
-        outlines = sight.outlines()
-        return cls(sight, camera, outlines, np.array([vessel.extents_m for vessel in scene.vessels]))
+        return cls(sight, camera, sight.outlines(), np.array([vessel.extents_m for vessel in scene.vessels]))
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Intrinsics of the camera."""
+        """The camera's intrinsics."""
         return self.camera.intrinsics
 
     @property
@@ -59,7 +62,7 @@ class Solids:
 
     @property
     def occluders(self) -> Indices:
-        """Index of the vessel (or of what else may hide one) of each row, shape (n,)."""
+        """Index of the vessel or obstacle of each row, shape (n,)."""
         return self.outlines.occluder
 
     @cached_property
@@ -67,27 +70,21 @@ class Solids:
         """The triangles of all rows, cut at the near plane and far outside the image."""
         return triangles_of(self.outlines, self.intrinsics)
 
-    def ids(self, window: Window, drawer: IdDrawer, samples: int = 1) -> Ids:
-        """Occluder + 1 at each pixel of a window, 0 where there is nothing, shape (h · samples, w · samples).
-
-        Args:
-            window: What to show.
-            drawer: Draws ID buffers.
-            samples: Buffer pixels for each pixel of the window and axis.
-        """
+    def ids(self, window: Window, id_renderer: AnyIdRenderer, samples: int = 1) -> Ids:
+        """Occluder + 1 at each pixel of a window, 0 where nothing is, shape (h · samples, w · samples)."""
         values = self.occluders[self.triangles.row] + 1
-        return self._drawn(values, window, drawer, Region(0, 0, *window.size), samples)
+        return self._drawn(values, window, id_renderer, Region(0, 0, *window.size), samples)
 
-    def faces(self, window: Window, drawer: IdDrawer, region: Region, samples: int) -> Ids:
-        """Triangle + 1 at each pixel of a region of a window, 0 where there is nothing; shape as of `ids`."""
-        return self._drawn(np.arange(len(self.triangles.row)) + 1, window, drawer, region, samples)
+    def faces(self, window: Window, id_renderer: AnyIdRenderer, region: Region, samples: int) -> Ids:
+        """Triangle + 1 at each pixel of a region of a window, 0 where nothing is; its shape is as that of `ids`."""
+        return self._drawn(np.arange(len(self.triangles.row)) + 1, window, id_renderer, region, samples)
 
     def _drawn(
-        self, values: NDArray[np.integer], window: Window, drawer: IdDrawer, region: Region, samples: int
+        self, values: NDArray[np.integer], window: Window, id_renderer: AnyIdRenderer, region: Region, samples: int
     ) -> Ids:
         enlarged = Region(*(samples * side for side in (region.x, region.y, region.width, region.height)))
         corners = window.to_picture(self.triangles.corners_px) * samples
-        return drawer.draw(corners, self.triangles.inverse_depth, values, enlarged)
+        return id_renderer.draw(corners, self.triangles.inverse_depth, values, enlarged)
 
     def normals_camera(self) -> Array:
         """Unit normals of the triangles in CCF, on the side turned to the camera, shape (T, 3)."""
@@ -138,3 +135,14 @@ def _beyond(edges: Array, near_m: float) -> Array:
         kept[cut, end] = a + share[:, None] * (b - a)
         kept[cut, end, 2] = near_m
     return kept
+
+
+@contextmanager
+def open_id_renderer(scene: Scene) -> Iterator[AnyIdRenderer]:
+    """OpenGL for the ID buffers of pictures, or NumPy where there is no OpenGL or the scene uses none."""
+    with ExitStack() as stack:
+        try:
+            renderer = stack.enter_context(open_renderer(scene))
+        except RendererError:
+            renderer = None  # a picture of a run that was made elsewhere
+        yield renderer or PlainIds()

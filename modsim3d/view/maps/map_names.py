@@ -38,14 +38,9 @@ class MapNames:
     _waiting: list[tuple[Annotation, Array, int | None]] = field(default_factory=list)
 
     def add(self, text: str, place_m: Array, half_m: Array, vessel: int | None = None, **style: Any) -> None:
-        """Add a name; those added first are placed first.
+        """Add the name of a thing, of which vessel if it is one; names added first are placed first.
 
-        Args:
-            text: The name.
-            place_m: Middle of what it names, shape (2,).
-            half_m: Half the width and height of what it names, shape (2,).
-            vessel: Index of the vessel that it names.
-            **style: For matplotlib's `annotate`.
+        The thing's middle and half its size have the shape (2,). The style is for matplotlib's `annotate`.
         """
         middle: dict[str, Any] = {"xytext": (0, 0), "textcoords": "offset points", "ha": "center", "va": "center"}
         note = self.axes.annotate(text, (place_m[0], place_m[1]), zorder=9, **middle, **style)

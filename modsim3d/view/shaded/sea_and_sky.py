@@ -1,4 +1,4 @@
-"""What is behind everything in a shaded picture: a sea with ripples and a sky, by the direction that a pixel looks in.
+"""The background of a shaded picture: a sea with ripples and a sky, by the direction in which each pixel looks.
 
 For illustration: the ripples are not the waves that move the vessels.
 """
@@ -14,8 +14,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.render_style import RenderStyle
 
 Floats = NDArray[np.float32]
 
@@ -34,7 +34,7 @@ FOG_DEPTH_M = 150.0
 WATER_REFLECTS = 0.02
 """Share of the light that water reflects when one looks straight down (n = 1.33)."""
 ROUGHNESS = 0.12
-"""Waves turn a part of the sea towards who looks along it, so that it never is a perfect mirror."""
+"""Waves turn a part of the sea towards the camera, so that it never is a perfect mirror."""
 
 
 @dataclass(frozen=True)
@@ -53,19 +53,14 @@ NIGHT = Palette((0.015, 0.025, 0.06), (0.10, 0.13, 0.20), (0.008, 0.015, 0.03), 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Directions in which the pixels of a window look.
-
-    Attributes:
-        camera: Unit vectors in CCF, shape (h, w, 3).
-        inside: Whether a pixel is in the camera's image, shape (h, w).
-    """
+    """Unit vectors in CCF of a window's pixels, shape (h, w, 3), and which are in the camera's image, shape (h, w)."""
 
     camera: Floats
     inside: Mask
 
     @classmethod
     def of(cls, intrinsics: Intrinsics, window: Window) -> Rays:
-        """The directions of a camera's pixels; the same for all of its pictures."""
+        """The directions of a camera's pixels, which are the same for all of its pictures."""
         width, height = window.size
         columns = (np.arange(width) + 0.5) / window.scale + window.x
         rows = (np.arange(height) + 0.5) / window.scale + window.y
@@ -107,11 +102,11 @@ class Backdrop:
 
 
 def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, style: RenderStyle) -> Backdrop:
-    """Sea and sky.
+    """Sea and sky as a camera sees them.
 
     Args:
         rays: Directions in which the pixels look.
-        camera_R_world: Rotation WCF to CCF, shape (3, 3).
+        camera_R_world: Rotation from WCF to CCF, shape (3, 3).
         position_m: Position of the camera in WCF, shape (3,).
         focal_px: Pixels of the picture for a radian, near its middle.
         style: Weather and time of day.
@@ -141,7 +136,7 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
 
 
 def _place(sine: Floats) -> NDArray[np.int32]:
-    """Where the sine of an angle from 0 to 1 stands in the tables."""
+    """Indices into the tables of the sines of angles, from 0 to 1."""
     place: NDArray[np.int32] = np.clip(sine * (TABLE - 1), 0, TABLE - 1).astype(np.int32)
     return place
 
@@ -159,12 +154,9 @@ def _tables(night: bool) -> tuple[Floats, Floats, Floats]:
 
 
 def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style: RenderStyle) -> Floats:
-    """Colours behind air: Koschmieder's law, C = C0 e^(−σ d) + A (1 − e^(−σ d)) with A the colour of fog.
+    """Colours, shape (..., 3), behind distances of air in metres, shape (...).
 
-    Args:
-        colour: Shape (..., 3).
-        distance_m: Shape (...).
-        style: Has the visibility.
+    Koschmieder's law: C = C0 e^(−σ d) + A (1 − e^(−σ d)), with A the colour of fog.
     """
     if not style.extinction_per_m:
         return colour.astype(np.float32)

@@ -7,18 +7,12 @@ from dataclasses import dataclass
 from modsim3d.arrays import Array
 
 Box = tuple[float, float, float, float]
+"""x_min, y_min, x_max, y_max in pixels."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """A part of the image, and how large to draw it.
-
-    Attributes:
-        x: Column of its left edge.
-        y: Row of its top edge.
-        scale: Picture pixels for one image pixel.
-        size: Width and height of the picture.
-    """
+    """A part of the image by its top-left corner, picture pixels for one image pixel, and the picture's size."""
 
     x: float
     y: float
@@ -37,19 +31,16 @@ class Window:
         aspect = size[0] / size[1]
         width = max(5.0 * (focus_px[2] - focus_px[0]), 5.0 * (focus_px[3] - focus_px[1]) * aspect, 240.0)
         width = min(width, image_size_px[0], image_size_px[1] * aspect)
-        corner = []
-        for low, high, span, limit in (
-            (focus_px[0], focus_px[2], width, image_size_px[0]),
-            (focus_px[1], focus_px[3], width / aspect, image_size_px[1]),
-        ):
-            corner.append(min(max((low + high - span) / 2, 0.0), max(limit - span, 0.0)))
-        return cls(corner[0], corner[1], size[0] / width, size)
+        height = width / aspect
+        x = min(max((focus_px[0] + focus_px[2] - width) / 2, 0.0), max(image_size_px[0] - width, 0.0))
+        y = min(max((focus_px[1] + focus_px[3] - height) / 2, 0.0), max(image_size_px[1] - height, 0.0))
+        return cls(x, y, size[0] / width, size)
 
     def to_picture(self, points_px: Array) -> Array:
         """Picture coordinates of image points, shape (..., 2)."""
         return (points_px - (self.x, self.y)) * self.scale
 
     def corners(self, box_px: Array) -> Box:
-        """A box in picture coordinates: x_min, y_min, x_max, y_max."""
+        """A box of shape (4,) in picture coordinates: x_min, y_min, x_max, y_max."""
         (x0, y0), (x1, y1) = self.to_picture(box_px.reshape(2, 2)).tolist()
         return x0, y0, x1, y1

@@ -19,15 +19,7 @@ BESIDE = 0.02
 
 
 def lights(sight: Sight, vessels: tuple[Vessel, ...]) -> tuple[Array, Array]:
-    """The lights that shine towards a camera at its first step.
-
-    Args:
-        sight: What the camera has before it.
-        vessels: The vessels of the scene.
-
-    Returns:
-        Places in the world, shape (n, 3), and colours, shape (n, 3).
-    """
+    """Places in the world and colours, shape (n, 3) each, of the lights that a camera sees at its first step."""
     camera = sight.camera_poses.positions_m[0]
     places, colours = [np.empty((0, 3))], [np.empty((0, 3))]
     for index in np.flatnonzero(sight.others[0]).tolist():
@@ -47,12 +39,12 @@ def lights(sight: Sight, vessels: tuple[Vessel, ...]) -> tuple[Array, Array]:
 
 
 def glow(rgb: NDArray[np.float32], place_px: Array, colour: Array, radius_px: float) -> None:
-    """Add a light to a picture: a bright point in a halo that fades with distance.
+    """Add a light to a picture in place: a bright point in a halo that fades with distance.
 
     Args:
-        rgb: sRGB from 0 to 1, shape (h, w, 3); changed.
+        rgb: sRGB from 0 to 1, shape (h, w, 3).
         place_px: Column and row, shape (2,).
-        colour: Shape (3,).
+        colour: Of the point, from 0 to 1, shape (3,).
         radius_px: Radius of the point.
     """
     reach = math.ceil(8 * radius_px)

@@ -26,15 +26,10 @@ class RenderStyle:
     night: bool = False
 
     def __post_init__(self) -> None:
-        """Check what the user gave.
-
-        Raises:
-            ModsimError: With what is wrong.
-        """
+        """Check what the user gave."""
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
-            raise ModsimError(
-                f"--visibility {self.visibility_m:g}: give a positive distance in metres, such as 800 for fog"
-            )
+            given = f"--visibility {self.visibility_m:g}"
+            raise ModsimError(f"{given}: give a positive distance in metres, such as 800 for fog")
         if not self.shaded and (self.visibility_m is not None or self.night):
             option = "--night" if self.night else "--visibility"
             raise ModsimError(f"{option} works in shaded pictures only: leave out --look plain")
@@ -46,7 +41,7 @@ class RenderStyle:
 
     @property
     def caption(self) -> str:
-        """What is said on the picture, so that nobody takes weather for a part of the simulation."""
+        """A line for the picture, so that nobody takes weather for a part of the simulation."""
         fog = [] if self.visibility_m is None else [f"visibility {self.visibility_m:,.0f} m"]
         weather = fog + (["night"] if self.night else [])
         return f"illustration: {', '.join(weather)}; not part of truth or detections" if weather else ""

@@ -8,8 +8,8 @@ from PIL import Image, ImageDraw
 from modsim3d.arrays import Mask
 from modsim3d.render.id_pass import Ids, Region
 from modsim3d.view.palette import vessel_colour
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 STRIPE_PX = 4.0
 
@@ -17,12 +17,7 @@ STRIPE_PX = 4.0
 def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids, unit: float) -> None:
     """Hatch each vessel where something else is in front of it.
 
-    Args:
-        picture: To draw on.
-        window: What it shows.
-        solids: The vessels.
-        ids: Occluder + 1 at each of the picture's pixels.
-        unit: Size of lines, 1 in a picture of nominal width.
+    `ids` is occluder + 1 at each of the picture's pixels, shape (h, w). `unit` is 1 in a picture of nominal width.
     """
     stripe = max(2, round(STRIPE_PX * unit))
     for row, occluder in enumerate(solids.occluders.tolist()):
@@ -42,7 +37,7 @@ def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids,
 
 
 def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, Mask]:
-    """The pixels of a row's whole silhouette, what is hidden of it too, and the region of the window they are in."""
+    """A region of the window, and which of its pixels the whole silhouette of a row covers, shape (h, w)."""
     triangles = window.to_picture(solids.triangles.corners_px[solids.triangles.row == row])
     if not len(triangles):
         return Region(0, 0, 0, 0), np.zeros((0, 0), dtype=bool)

@@ -8,18 +8,18 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.blocks import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas
-from modsim3d.view.hatching import hatch_hidden
-from modsim3d.view.labels import Label, draw_labels
-from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
-from modsim3d.view.plain import background, draw_horizon, fill_solids
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Box, Window
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.hatching import hatch_hidden
+from modsim3d.view.pictures.labels import Label, draw_labels
+from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.plain import background, draw_horizon, fill_solids
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 DIM = 0.25
 """How much darker vessels are filled under boxes of their colour."""
@@ -29,13 +29,7 @@ SHORT_BELOW_PX = 480
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """A frame and what stood before the camera.
-
-    Attributes:
-        frame: Truth and detections.
-        solids: The vessels themselves.
-        vessels: IDs of the scene's vessels, for their colours.
-    """
+    """A frame, the solids before its camera, and the names of the scene's vessels in order of their colours."""
 
     frame: Frame
     solids: Solids
@@ -43,7 +37,7 @@ class CameraView:
 
     @classmethod
     def of(cls, scene: Scene, frame: Frame) -> CameraView:
-        """A frame of a scene."""
+        """Add to a frame of a scene what stood before its camera."""
         (camera,) = (camera for camera in scene.cameras if camera.name == frame.camera)
         return cls(frame, Solids.at(scene, camera, frame.step), scene.vessel_names)
 
@@ -53,7 +47,7 @@ class CameraView:
         return self.solids.intrinsics.image_size_px
 
     def colour(self, vessel: str) -> Colour:
-        """A vessel's colour."""
+        """The colour of a vessel by its name."""
         return palette.vessel_colour(self.vessels.index(vessel))
 
 
@@ -61,20 +55,20 @@ def frame_picture(
     camera_view: CameraView,
     window: Window,
     layers: Layers,
-    drawer: IdDrawer,
+    id_renderer: AnyIdRenderer,
     *,
     ground: Image.Image | None = None,
     nominal_width_px: int | None = None,
 ) -> Image.Image:
-    """Draw a frame.
+    """Draw layers of a frame.
 
     Args:
-        camera_view: The frame.
-        window: What to show, and how large.
-        layers: What to draw of it.
-        drawer: Draws ID buffers, for filled and hatched silhouettes.
+        camera_view: The frame, and what stood before its camera.
+        window: The part of the image to show, and how large.
+        layers: The layers to draw.
+        id_renderer: Renders ID buffers, for filled and hatched silhouettes.
         ground: A picture to draw on, in place of plain sea and sky.
-        nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
+        nominal_width_px: Width of the picture for which lines and text are meant; the window's if None.
     """
     solids = camera_view.solids
     half_plane = solids.sea_half_plane
@@ -82,15 +76,13 @@ def frame_picture(
     canvas = Canvas(picture, nominal_width_px)
     if layers.horizon:
         draw_horizon(canvas, window, half_plane, camera_view.image_size_px)
-    if layers.silhouettes:
-        if (
-            layers.truth or layers.detections
-        ):  # beneath boxes a step in an edge is not noticed; see benchmarks/DRAWING.md
-            fill_solids(picture, window, solids, drawer, dim=DIM, samples=1)
-        else:
-            fill_solids(picture, window, solids, drawer)
+    if layers.silhouettes and (layers.truth or layers.detections):
+        # Beneath boxes a step in an edge is not noticed; see benchmarks/DRAWING.md.
+        fill_solids(picture, window, solids, id_renderer, dim=DIM, samples=1)
+    elif layers.silhouettes:
+        fill_solids(picture, window, solids, id_renderer)
     if layers.hatching and any(camera_view.frame.truth.occluded_by):
-        hatch_hidden(picture, window, solids, solids.ids(window, drawer), canvas.unit)
+        hatch_hidden(picture, window, solids, solids.ids(window, id_renderer), canvas.unit)
     if layers.wires or layers.points:
         _draw_shoeboxes(canvas, window, solids, layers)
     labels = _draw_truth(canvas, window, camera_view, layers) + _draw_detections(canvas, window, camera_view, layers)
@@ -141,7 +133,7 @@ def _is_another(box: Array, annotated: Array | None) -> bool:
 
 
 def _percent(fraction: float, short: bool) -> str:
-    """What is seen of a vessel; 0 and 100 % only where nothing and all is."""
+    """The visible fraction of a vessel that is hidden in part; it says 0 % only if nothing is seen."""
     percent = f"{min(max(round(100 * fraction), 1), 99) if fraction else 0} %"
     return percent if short else f"{percent} seen"
 
@@ -149,14 +141,16 @@ def _percent(fraction: float, short: bool) -> str:
 def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
     detections = camera_view.frame.detections
     labels = []
-    order: Indices = np.argsort(detections.confidence, kind="stable")  # the surest is drawn last, on top
+    order: Indices = np.argsort(detections.confidence, kind="stable")  # the most confident one is drawn last, on top
     for i in order.tolist():
         vessel = detections.vessels[i]
         box = window.corners(detections.boxes_px[i])
         if not (layers.false_positives if vessel is None else layers.detections):
             continue
         colour = palette.ALARM if vessel is None else camera_view.colour(vessel)
-        _draw_detection(canvas, box, colour, false=vessel is None)
+        if vessel is None:
+            canvas.crossed(box, colour)
+        (canvas.dashed_box if vessel is None else canvas.box)(box, colour, 1.5)
         if layers.labels:
             text = f"{detections.confidence[i]:.2f}"
             if canvas.picture.width >= SHORT_BELOW_PX:
@@ -165,16 +159,8 @@ def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, la
     return labels[::-1]
 
 
-def _draw_detection(canvas: Canvas, box: Box, colour: Colour, *, false: bool) -> None:
-    if false:
-        canvas.crossed(box, colour)
-        canvas.dashed_box(box, colour, 1.5)
-    else:
-        canvas.box(box, colour, 1.5)
-
-
 def _remark(kind: str) -> str:
-    """What is said of a detection that is not simply a vessel's."""
+    """The words before the label of a detection that is not simply a vessel's."""
     if kind == "true":
         return ""
     return "false: " if kind == "false_positive" else f"{kind.replace('_', ' ')}: "

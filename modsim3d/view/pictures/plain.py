@@ -7,12 +7,12 @@ from PIL import Image, ImageDraw
 
 from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Region
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 SMOOTH_SAMPLES = 2
 """Vessels drawn this much larger and shrunk have edges without steps."""
@@ -25,14 +25,9 @@ def background(
     sea: Colour = palette.SEA,
     sky: Colour = palette.SKY,
 ) -> Image.Image:
-    """Sea and sky; paper outside the camera's image.
+    """Sea and sky in a window; paper outside the camera's image.
 
-    Args:
-        window: What to show.
-        sea_half_plane: (a, b, c): the sea is where a x + b y + c ≥ 0, in pixels of the image, shape (3,).
-        image_size_px: Width and height of the camera's image.
-        sea: Colour of the sea.
-        sky: Colour of the sky.
+    The sea is where a x + b y + c ≥ 0 in pixels of the image, with (a, b, c) the sea half plane, shape (3,).
     """
     picture = Image.new("RGB", window.size, palette.PAPER)
     draw = ImageDraw.Draw(picture)
@@ -51,15 +46,12 @@ def background(
 
 
 def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> Array:
-    """The part of a convex polygon on the sea's side of the horizon.
+    """The part of a convex polygon on the sea's side of the horizon, shape (m, 2); empty if there is no sea in it.
 
     Args:
         polygon: Its corners in any affine coordinates of the image, shape (n, 2).
         polygon_px: The same corners in pixels of the image, shape (n, 2).
-        sea_half_plane: (a, b, c), see `Intrinsics.sea_half_plane`, shape (3,).
-
-    Returns:
-        Corners in the coordinates of `polygon`, shape (m, 2); empty if there is no sea in it.
+        sea_half_plane: (a, b, c), see `background`, shape (3,).
     """
     value = polygon_px @ sea_half_plane[:2] + sea_half_plane[2]
     points = []
@@ -73,7 +65,7 @@ def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> A
 
 
 def draw_horizon(canvas: Canvas, window: Window, sea_half_plane: Array, image_size_px: tuple[int, int]) -> None:
-    """A line where the sea ends."""
+    """Draw a line where the sea half plane, shape (3,), ends."""
     a, b, c = sea_half_plane
     if a == b == 0:
         return
@@ -87,18 +79,18 @@ def fill_solids(
     picture: Image.Image,
     window: Window,
     solids: Solids,
-    drawer: IdDrawer,
+    id_renderer: AnyIdRenderer,
     *,
     dim: float = 0.0,
     samples: int = SMOOTH_SAMPLES,
 ) -> None:
-    """Fill what is seen of every vessel with its colour, each side by its light.
+    """Fill the visible part of every vessel in a picture of a window, each side as bright as the light on it.
 
     Args:
-        picture: To draw on.
-        window: What it shows.
-        solids: The vessels.
-        drawer: Draws ID buffers.
+        picture: The picture, which is changed.
+        window: The part of the image that it shows.
+        solids: The vessels and obstacles.
+        id_renderer: Finds which side each pixel shows.
         dim: Share of black in all colours, so that boxes stand out.
         samples: Factor by which sides are drawn larger before they are shrunk.
     """
@@ -109,7 +101,7 @@ def fill_solids(
     region = Region.around(np.concatenate([corners.min(axis=0), corners.max(axis=0)]), window.size)
     if not region.width or not region.height:
         return
-    faces = solids.faces(window, drawer, region, samples)
+    faces = solids.faces(window, id_renderer, region, samples)
     vessels = len(solids.extents_m)
     colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()])[triangles.row]
     table = np.zeros((len(colours) + 1, 4), dtype=np.uint8)

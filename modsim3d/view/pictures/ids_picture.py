@@ -6,32 +6,30 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.render.id_pass import Ids
-from modsim3d.render.plain_ids import IdDrawer
-from modsim3d.view.canvas import Canvas, font, text_size
-from modsim3d.view.hatching import hatch_hidden
-from modsim3d.view.legend import letters
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour
-from modsim3d.view.plain import background
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.hatching import hatch_hidden
+from modsim3d.view.pictures.legend import letters
+from modsim3d.view.pictures.plain import background
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 
 SEA: Colour = (24, 28, 32)
 SKY: Colour = (48, 54, 60)
 
 
-def ids_picture(solids: Solids, window: Window, drawer: IdDrawer, nominal_width_px: int | None = None) -> Image.Image:
-    """The ID map of a window, with what is hidden hatched over what hides it.
+def ids_picture(
+    solids: Solids, window: Window, id_renderer: AnyIdRenderer, nominal_width_px: int | None = None
+) -> Image.Image:
+    """The ID at the centre of each pixel of a window, with what is hidden hatched over what hides it.
 
-    Args:
-        solids: What stands before the camera.
-        window: What to show, and how large: an ID is that at the centre of each of the picture's pixels.
-        drawer: Draws ID buffers.
-        nominal_width_px: Lines and text are as large as a picture of this width wants them; the window's if None.
+    Lines and text are meant for a picture of the nominal width, or else of the window's.
     """
     picture = background(window, solids.sea_half_plane, solids.intrinsics.image_size_px, SEA, SKY)
     if not len(solids.occluders):
         return picture
-    ids = solids.ids(window, drawer)
+    ids = solids.ids(window, id_renderer)
     rows, columns = np.flatnonzero(ids.any(axis=1)), np.flatnonzero(ids.any(axis=0))
     if not len(rows):
         return picture

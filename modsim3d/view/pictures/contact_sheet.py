@@ -2,65 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from PIL import Image, ImageDraw
 
-from modsim3d.render.plain_ids import IdDrawer
+from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view import palette
-from modsim3d.view.canvas import NOMINAL_PX, font
-from modsim3d.view.frame_picture import CameraView, frame_picture
-from modsim3d.view.highlights import Highlight, pick_highlights
-from modsim3d.view.layers import DETECTIONS
-from modsim3d.view.legend import detection_entries, legend
-from modsim3d.view.plain import background
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import NOMINAL_PX, font
+from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.highlights import Highlight, pick_highlights
+from modsim3d.view.pictures.layers import DETECTIONS
+from modsim3d.view.pictures.legend import detection_entries, legend
+from modsim3d.view.pictures.plain import background
+from modsim3d.view.pictures.solids import open_id_renderer
+from modsim3d.view.pictures.window import Window
 
+SHEET_FILE = "contact_sheet.png"
 PANEL_PX = (720, 440)
 COLUMNS = 2
 GAP_PX, CAPTION_PX, FOOT_PX = 16, 44, 40
 INSET_PX = 150
 
 
-def contact_sheet(
-    folder: Path, title: str, mode: int, camera_view_of: Callable[[Highlight], CameraView], drawer: IdDrawer
-) -> Image.Image:
-    """Panels of the highlights that are worth a look, each with its place in the whole image.
+def draw_contact_sheet(run: StoredRun) -> Path:
+    """Draw the contact sheet of a finished run into its folder: panels of frames that are worth a look."""
+    path = run.folder / SHEET_FILE
+    with open_id_renderer(run.scene) as id_renderer:
+        _sheet(run, pick_highlights(run.folder), id_renderer).save(path)
+    return path
 
-    Args:
-        folder: A finished run directory.
-        title: Line at the top.
-        mode: Annotation mode of the run.
-        camera_view_of: Gives the frame of a highlight.
-        drawer: Draws ID buffers.
-    """
-    highlights = pick_highlights(folder)
+
+def _sheet(run: StoredRun, highlights: list[Highlight], id_renderer: AnyIdRenderer) -> Image.Image:
+    scene, annotation = run.scene, run.scene.annotation
     rows = max(1, -(-len(highlights) // COLUMNS))
     width = COLUMNS * (PANEL_PX[0] + GAP_PX) + GAP_PX
     height = rows * (PANEL_PX[1] + CAPTION_PX + GAP_PX) + GAP_PX + CAPTION_PX + FOOT_PX
     sheet = Image.new("RGB", (width, height), palette.PAPER)
     draw = ImageDraw.Draw(sheet)
+    title = f"{scene.name}: annotation mode {annotation.mode}, {annotation.source} truth, seed {scene.seed}"
     draw.text((GAP_PX, GAP_PX), title, fill=palette.INK, font=font(24))
     if not highlights:
         draw.text((GAP_PX, 3 * GAP_PX + CAPTION_PX), "No vessel was in any image.", fill=palette.INK, font=font(18))
     for i, highlight in enumerate(highlights):
         x = GAP_PX + (i % COLUMNS) * (PANEL_PX[0] + GAP_PX)
         y = GAP_PX + CAPTION_PX + (i // COLUMNS) * (PANEL_PX[1] + CAPTION_PX + GAP_PX)
-        camera_view = camera_view_of(highlight)
-        frame = camera_view.frame
+        frame = run.frame(highlight.camera, highlight.step)
         place = f"{frame.camera}, {frame.timestamp} s, detector {frame.state}"
         draw.text((x, y), highlight.caption, fill=palette.INK, font=font(18))
         draw.text((x, y + 22), place, fill=palette.SOFT_INK, font=font(14))
-        sheet.paste(_panel(highlight, camera_view, drawer), (x, y + CAPTION_PX))
-    sheet.paste(legend(detection_entries(DETECTIONS, mode), width, 15), (0, height - FOOT_PX))
+        panel = _panel(highlight, CameraView.of(scene, frame), id_renderer)
+        sheet.paste(panel, (x, y + CAPTION_PX))
+    sheet.paste(legend(detection_entries(DETECTIONS, annotation.mode), width, 15), (0, height - FOOT_PX))
     return sheet
 
 
-def _panel(highlight: Highlight, camera_view: CameraView, drawer: IdDrawer) -> Image.Image:
+def _panel(highlight: Highlight, camera_view: CameraView, id_renderer: AnyIdRenderer) -> Image.Image:
+    """A highlight, with its place in the whole image in a corner."""
     image_size = camera_view.image_size_px
     window = Window.around(highlight.focus_px, image_size, PANEL_PX)
-    picture = frame_picture(camera_view, window, DETECTIONS, drawer, nominal_width_px=NOMINAL_PX)
+    picture = frame_picture(camera_view, window, DETECTIONS, id_renderer, nominal_width_px=NOMINAL_PX)
     whole = Window.whole(image_size, INSET_PX)
     inset = background(whole, camera_view.solids.sea_half_plane, image_size)
     draw = ImageDraw.Draw(inset)

@@ -1,31 +1,31 @@
-"""What may be drawn of a frame, by name."""
+"""The layers of a picture of a frame, by name."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 from modsim3d.errors import ModsimError
 
 
 @dataclass(frozen=True)
 class Layers:
-    """Which layers are drawn, the first at the bottom.
+    """The layers that are drawn, the first at the bottom.
 
     Attributes:
         horizon: A line between sea and sky.
-        silhouettes: What is seen of each vessel, filled.
-        hatching: What is hidden of each vessel, hatched.
+        silhouettes: The visible part of each vessel, filled.
+        hatching: The hidden part of each vessel, hatched.
         wires: The edges of each vessel's shoebox.
         points: Its projected corner points.
         full: The box of the whole silhouette, where another one is annotated.
-        visible: The box of what is seen, where another one is annotated.
+        visible: The box of the visible part, where another one is annotated.
         truth: The annotated box.
-        fractions: How much of a vessel is seen, if not all.
+        fractions: The visible fraction of a vessel that is hidden in part.
         missed: Annotated vessels without a detection.
         false_positives: Detections without a vessel.
         detections: Detections of vessels.
-        labels: Their class and confidence.
+        labels: Class and confidence of detections, and the names of missed vessels.
     """
 
     horizon: bool = False
@@ -51,23 +51,12 @@ class Layers:
         """
         known = [entry.name for entry in fields(cls)]
         asked = list(names)
-        unknown = [name for name in asked if name not in known]
-        if unknown:
+        if unknown := [name for name in asked if name not in known]:
             raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
-        return replace(cls(), **dict.fromkeys(asked, True))
+        return cls(**dict.fromkeys(asked, True))
 
 
 CORNERS = Layers.of(["horizon", "wires", "points"])
 SCENE = Layers.of(["horizon", "silhouettes"])
-DETECTIONS = Layers(
-    horizon=True,
-    silhouettes=True,
-    full=True,
-    visible=True,
-    truth=True,
-    fractions=True,
-    missed=True,
-    false_positives=True,
-    detections=True,
-    labels=True,
-)
+BOXES = ("full", "visible", "truth", "fractions", "missed", "false_positives", "detections", "labels")
+DETECTIONS = Layers.of(["horizon", "silhouettes", *BOXES])

@@ -8,9 +8,9 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import areas, intersections
-from modsim3d.view.canvas import Canvas
 from modsim3d.view.palette import Colour
-from modsim3d.view.window import Box
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.window import Box
 
 FARTHEST_ROWS = 4
 """How many rows of text a label may move away from its box."""
@@ -18,14 +18,7 @@ FARTHEST_ROWS = 4
 
 @dataclass(frozen=True)
 class Label:
-    """A text that belongs to a box.
-
-    Attributes:
-        box: The box that it belongs to, in pixels of the picture.
-        text: The text.
-        colour: Colour of the plate behind the text.
-        below: Whether it is better placed below the box than above it.
-    """
+    """A text on a coloured plate for a box in pixels of the picture, best placed above the box or below it."""
 
     box: Box
     text: str
@@ -34,15 +27,9 @@ class Label:
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
-    """Draw labels, the first ones at the best places; a label without a free place is left out.
+    """Draw labels, the most important ones first, and return how many have found a free place.
 
-    Args:
-        canvas: The picture to draw on.
-        labels: In order of importance.
-        keep_clear: Boxes that labels avoid to cover.
-
-    Returns:
-        The number of labels drawn.
+    They cover the boxes in `keep_clear` as little as possible.
     """
     size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))

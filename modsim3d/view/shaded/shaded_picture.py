@@ -6,7 +6,7 @@ simulation does not use them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,13 @@ from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.vessels.vessel import Vessel
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas, font, text_size
-from modsim3d.view.navigation_lights import glow, lights
-from modsim3d.view.plain import occluder_colour
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
-from modsim3d.view.solids import SUN, Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.plain import occluder_colour
+from modsim3d.view.pictures.solids import SUN, Solids
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.navigation_lights import glow, lights
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
 
 SAMPLES = 2
 """Solids are drawn this much larger and shrunk, so that their edges have no steps."""
@@ -34,17 +34,16 @@ REFLECTION = 0.8
 SMEAR = 6
 """Pixels, at a width of 1280, by which ripples move a reflection."""
 OVERHEAD = np.array([0.2, -0.3, 1.0])
-"""Where the brightest part of the sky is that is not the sun."""
+"""Direction to the part of the sky that is brightest apart from the sun, in the world."""
 
 
 class ShadedPictureRenderer:
-    """Draws shaded pictures in one style; keeps what all pictures of a camera share."""
+    """Draws shaded pictures in one style. It keeps the backdrop of a camera that does not move."""
 
     def __init__(self, renderer: ShadedRenderer, style: RenderStyle) -> None:
         """Take the renderer, which lives as long as its context."""
         self.style = style
         self._renderer = renderer
-        self._rays: dict[tuple[Intrinsics, Window], Rays] = {}
         self._behind: dict[tuple[Intrinsics, Window], tuple[Array, Backdrop]] = {}
 
     def picture(
@@ -53,13 +52,13 @@ class ShadedPictureRenderer:
         """A shaded picture.
 
         Args:
-            solids: What stands before the camera.
-            window: What of its image to show, and how large.
+            solids: The solids before the camera.
+            window: The part of its image to show, and how large.
             vessels: All vessels of the scene, whose lights are shown by night.
             samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
         """
         poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
-        rays = self._rays_of(intrinsics, window)
+        rays = _rays(intrinsics, window)
         behind = self._backdrop(rays, poses, intrinsics, window)
         rgb = behind.colour.copy()
         faces = lit_faces(solids)
@@ -84,17 +83,11 @@ class ShadedPictureRenderer:
             known = self._behind[intrinsics, window] = pose, behind
         return known[1]
 
-    def _rays_of(self, intrinsics: Intrinsics, window: Window) -> Rays:
-        if (intrinsics, window) not in self._rays:
-            self._rays[intrinsics, window] = Rays.of(intrinsics, window)
-        return self._rays[intrinsics, window]
-
     def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
         """Faces in a region of a window."""
         to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
-        to_picture[:2, 2] = -samples * np.array(
-            [window.x * window.scale + region.x, window.y * window.scale + region.y]
-        )
+        corner = window.x * window.scale + region.x, window.y * window.scale + region.y
+        to_picture[:2, 2] = -samples * np.array(corner)
         lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.style)
         size = (region.width * samples, region.height * samples)
         pixels = to_picture @ solids.intrinsics.matrix
@@ -148,7 +141,7 @@ class ShadedPictureRenderer:
         unit = SMEAR * window.size[0] / 1280
         from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
         source = (from_row * region.width + columns).ravel()
-        # Most of the sea shows nobody: only the pixels that do are worked out, by one number each, which is quick.
+        # Most of the sea shows no vessel: only the pixels that do are computed, each by one index, which is fast.
         shown = np.flatnonzero(lit.drawn.ravel().take(source) & behind.sea[here].ravel())
         source = source[shown]
         row, column = np.divmod(shown, region.width)
@@ -161,6 +154,9 @@ class ShadedPictureRenderer:
             share = share * np.exp(-self.style.extinction_per_m * depth)[:, None]
         pixels = rgb.reshape(-1, 3)
         pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
+
+
+_rays = lru_cache(maxsize=32)(Rays.of)
 
 
 def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
@@ -202,15 +198,11 @@ def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1)
 def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
     """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
 
-    def turned(world: Iterable[float]) -> tuple[float, float, float]:
-        x, y, z = (camera_R_world @ np.array(list(world))).tolist()
-        return x, y, z
-
+    to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (SUN, OVERHEAD))
     if style.night:
-        moon = Lamp(turned(SUN), (0.65, 0.75, 1.0), 0.3)
-        return [moon], (0.022, 0.026, 0.036)
-    sun = Lamp(turned(SUN), (1.0, 0.96, 0.88), 2.3)
-    sky = Lamp(turned(OVERHEAD), (0.75, 0.87, 1.0), 0.7)
+        return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
+    sun = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3)
+    sky = Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
     fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
     return [sun, sky, fill], (0.20, 0.22, 0.25)
 

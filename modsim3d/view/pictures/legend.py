@@ -4,39 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from PIL import Image
 
 from modsim3d.view import palette
-from modsim3d.view.canvas import Canvas, font, text_size
-from modsim3d.view.layers import Layers
 from modsim3d.view.palette import Colour
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.layers import Layers
 
 MOST_VESSELS = 40
 
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of a legend.
-
-    Attributes:
-        text: What it means.
-        colour: The sample's colour.
-        style: `box`, `dashed`, `false`, `missed`, `hatched` or `filled`.
-    """
+    """An entry of a legend: a sample of a colour, and what it means."""
 
     text: str
     colour: Colour
-    style: str = "box"
+    style: Literal["box", "dashed", "false", "missed", "hatched", "filled"] = "box"
 
 
 def detection_entries(layers: Layers, mode: int) -> list[Entry]:
-    """The legend of boxes.
-
-    Args:
-        layers: The layers that are drawn.
-        mode: Annotation mode of the scene.
-    """
+    """The legend of the boxes of some layers, in an annotation mode."""
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
         (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
@@ -55,12 +45,7 @@ def vessel_entries(names: Sequence[str]) -> list[Entry]:
 
 
 def id_entries(vessels: Sequence[str], obstacles: Sequence[str]) -> list[Entry]:
-    """The legend of an ID map.
-
-    Args:
-        vessels: Names of the vessels.
-        obstacles: Names of the obstacles.
-    """
+    """The legend of an ID map with vessels and obstacles of these names."""
     land = [Entry(f"{letters(i)} {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
     return [*vessel_entries(vessels), *_first_ones(land), Entry("hidden", palette.VESSELS[0], "hatched")]
 
@@ -72,8 +57,9 @@ def letters(index: int) -> str:
 
 
 def _first_ones(entries: list[Entry]) -> list[Entry]:
-    more = [Entry(f"and {len(entries) - MOST_VESSELS} more", palette.PAPER, "filled")]
-    return entries[:MOST_VESSELS] + (more if len(entries) > MOST_VESSELS else [])
+    if len(entries) <= MOST_VESSELS:
+        return entries
+    return [*entries[:MOST_VESSELS], Entry(f"and {len(entries) - MOST_VESSELS} more", palette.PAPER, "filled")]
 
 
 def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
@@ -98,12 +84,11 @@ def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
 
 def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
     chip = (x, y + round(0.35 * text_px), x + 2 * text_px, y + round(1.5 * text_px))
-    canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=palette.SEA)
+    ground = entry.colour if entry.style == "filled" else palette.SEA
+    canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=ground)
     inset = text_px // 6 + 1
     box = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
-    if entry.style == "filled":
-        canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=entry.colour)
-    elif entry.style == "dashed":
+    if entry.style == "dashed":
         canvas.dashed_box(box, entry.colour, 0.75, 4.0)
     elif entry.style == "missed":
         canvas.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
@@ -114,7 +99,7 @@ def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
         for start in range(chip[0], chip[2], 6):
             top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
             canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
-    else:
+    elif entry.style == "box":
         canvas.box(box, entry.colour, 1.0)
     _, high, _, low = text_size("Ag", text_px)
     middle = (chip[1] + chip[3]) // 2 - (high + low) // 2

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from modsim3d.arrays import Array
 from modsim3d.view.palette import INK, Colour, ink_on
-from modsim3d.view.window import Box
+from modsim3d.view.pictures.window import Box
 
 NOMINAL_PX = 1280
 """Width of a picture for which the sizes below are meant."""
@@ -41,13 +41,14 @@ class Canvas:
         self.draw = ImageDraw.Draw(picture)
         self.unit = (width_px or picture.width) / NOMINAL_PX
         self.text_px = max(LEAST_TEXT_PX, round(TEXT_PX * self.unit))
+        self._pad = max(2, round(self.text_px * 0.27))
 
     def line_px(self, weight: float = 1.0) -> int:
-        """Thickness of a line of a weight; the thinnest is one pixel."""
+        """Thickness of a line of a weight, at least one pixel."""
         return max(1, round(LINE_PX * weight * self.unit))
 
     def _on_picture(self, box: Box, width: int) -> tuple[int, int, int, int] | None:
-        """A box in whole pixels, cut just outside the picture; None if nothing of it is to be seen."""
+        """A box in whole pixels, cut just outside the picture; None if it is not to be seen."""
         x0, y0, x1, y1 = (round(side) for side in box)
         w, h = self.picture.size
         x0, y0, x1, y1 = max(x0, -2 * width), max(y0, -2 * width), min(x1 - 1, w + width), min(y1 - 1, h + width)
@@ -99,13 +100,7 @@ class Canvas:
         self.segments(np.array([[[x0, y0], [x1, y1]], [[x0, y1], [x1, y0]]]), colour, weight)
 
     def segments(self, segments: Array, colour: Colour, weight: float = 1.0) -> None:
-        """Slanted lines without steps.
-
-        Args:
-            segments: Two ends each, in pixels of the picture, shape (n, 2, 2).
-            colour: Colour of all segments.
-            weight: Thickness of all segments, see `line_px`.
-        """
+        """Slanted lines without steps; their ends in pixels of the picture, shape (n, 2, 2)."""
         width = LINE_PX * weight * self.unit
         w, h = self.picture.size
         margin = width + 1
@@ -126,19 +121,15 @@ class Canvas:
     def plate_size(self, text: str) -> tuple[int, int]:
         """Width and height of a text on its plate."""
         left, top, right, bottom = text_size(text, self.text_px)
-        pad = self._pad()
-        return right - left + 2 * pad, bottom - top + 2 * pad
+        return right - left + 2 * self._pad, bottom - top + 2 * self._pad
 
     def plate(self, x: int, y: int, text: str, colour: Colour) -> None:
         """Text on a plate of a colour, its top-left corner at (x, y)."""
         width, height = self.plate_size(text)
         left, top, _, _ = text_size(text, self.text_px)
-        pad = self._pad()
         self.draw.rectangle((x, y, x + width - 1, y + height - 1), fill=colour)
-        self.draw.text((x + pad - left, y + pad - top), text, fill=ink_on(colour), font=font(self.text_px))
-
-    def _pad(self) -> int:
-        return max(2, round(self.text_px * 0.27))
+        place = x + self._pad - left, y + self._pad - top
+        self.draw.text(place, text, fill=ink_on(colour), font=font(self.text_px))
 
 
 def _cut(line: Array, box: Box) -> Array | None:

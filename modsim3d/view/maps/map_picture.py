@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,9 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.view import palette
-from modsim3d.view.birds_eye import BirdsEye, hull_m, ring_step, view_of
 from modsim3d.view.films.files import put_in_place
-from modsim3d.view.map_names import MapNames
+from modsim3d.view.maps.birds_eye import BirdsEye, hull_m, ring_step, view_of
+from modsim3d.view.maps.map_names import MapNames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,23 +28,19 @@ WIDTH_IN = 10.0
 FURNITURE = 0.13
 """Height of title, axis and legend, as a share of the width."""
 TRAIL_S = 60.0
-"""The way that a vessel has come in this time is drawn bold."""
+"""The last part of a track, of this duration, is drawn bold."""
 RINGS = 5
-"""At most so many range rings reach to the farthest corner of the map."""
+"""The most range rings from a camera to the farthest corner of the map."""
 MARKER_SHARE = 0.018
 """A hull shorter than this share of the map's width has an arrowhead of that length around it."""
 CAMERA_NAME_SHARE = 0.06
-"""Of the map's shorter side: how far before a camera its name stands."""
+"""How far before a camera its name stands, as a share of the map's shorter side."""
 SEA, LAND, SHORE, SOIL = "#eaf1f5", "#cfc8ba", "#8d8577", "#5c564b"
 CAMERA, RING = "#c0392b", "#6d7b85"
 
 
 def check_matplotlib() -> None:
-    """See that maps can be drawn.
-
-    Raises:
-        ModsimError: matplotlib is not installed.
-    """
+    """Raise a ModsimError if matplotlib, which draws maps, is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
@@ -53,17 +48,7 @@ def check_matplotlib() -> None:
 
 
 def map_figure(birds_eye: BirdsEye, step: int, width_px: int, height_px: int | None = None) -> Figure:
-    """The map at a step.
-
-    Args:
-        birds_eye: The scene.
-        step: The step.
-        width_px: Width of the whole figure.
-        height_px: Its height; as high as the map needs if None.
-
-    Raises:
-        ModsimError: matplotlib is not installed.
-    """
+    """The map at a step, as high as it needs if no height is given."""
     check_matplotlib()
     from matplotlib.figure import Figure
 
@@ -193,11 +178,12 @@ class _Map:
     def _vessels(self) -> None:
         scene, step = self.birds_eye.scene, self.step
         poses, rotations = scene.poses.poses(step, step + 1), scene.motion.at(np.array([step])).world_R_vessel[0]
-        for circle, colour in zip(self.birds_eye.circles_m, self._colours(), strict=False):
+        colours = [palette.unit_rgb(palette.vessel_colour(index)) for index in range(len(scene.vessels))]
+        for circle, colour in zip(self.birds_eye.circles_m, colours, strict=False):
             self._line(circle, color=colour, lw=0.7, ls=":", zorder=3, label=self._once("circle"))
-        recent = self._recent()
+        steps, times = self.birds_eye.track_steps, scene.times_s(0, self.birds_eye.steps)
+        recent = (steps <= step) & (times[steps] >= times[step] - TRAIL_S)
         order = sorted(range(len(scene.vessels)), key=lambda i: (i not in scene.own_ships, -scene.vessels[i].length_m))
-        colours = list(self._colours())
         for index in order:
             track = self.birds_eye.tracks_m[:, index]
             label = self._once("track in the run")
@@ -230,16 +216,6 @@ class _Map:
             self.names.bodies_m[index] = hull
             self._area(hull, facecolor=colour, edgecolor="black", lw=weight, zorder=7, label=label)
         self.names.add(vessel.name, here, hull_half_m, index, fontsize=7.5, weight="bold" if own else "normal")
-
-    def _colours(self) -> Iterator[tuple[float, ...]]:
-        for index in range(len(self.birds_eye.scene.vessels)):
-            yield tuple(channel / 255 for channel in palette.vessel_colour(index))
-
-    def _recent(self) -> Array:
-        """Which points of the tracks are of the time just past."""
-        steps, times = self.birds_eye.track_steps, self.birds_eye.scene.times_s(0, self.birds_eye.steps)
-        recent: Array = (steps <= self.step) & (times[steps] >= times[self.step] - TRAIL_S)
-        return recent
 
 
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])

@@ -25,13 +25,7 @@ VIEW_POINTS = 33
 
 @dataclass(frozen=True, eq=False)
 class BirdsEye:
-    """What a map of a scene shows, in metres in the world.
-
-    Attributes:
-        scene: The scene.
-        steps: Number of steps of the run, over which tracks reach.
-        cameras: Indices of the cameras that are shown.
-    """
+    """What a map of a scene shows, in metres in the world: tracks over a number of steps, and some of the cameras."""
 
     scene: Scene
     steps: int
@@ -40,8 +34,7 @@ class BirdsEye:
     @cached_property
     def track_steps(self) -> Indices:
         """The steps at which tracks have a point, shape (n,)."""
-        steps = np.linspace(0, self.steps - 1, min(self.steps, MOST_TRACK_POINTS))
-        return np.unique(np.rint(steps).astype(np.int64))
+        return np.unique(np.rint(np.linspace(0, self.steps - 1, min(self.steps, MOST_TRACK_POINTS))).astype(np.int64))
 
     @cached_property
     def tracks_m(self) -> Array:
@@ -83,12 +76,9 @@ class BirdsEye:
 
 
 def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
-    """The place of a camera, and the directions in which a row of its image looks, from left to right.
+    """w1 and w2 of a camera in metres, shape (2,), and where its image looks: horizontal unit vectors, shape (n, 2).
 
-    The row is that of the principal point, about where the horizon is.
-
-    Returns:
-        w1 and w2 of the camera in metres, shape (2,), and horizontal unit vectors, shape (n, 2).
+    They are of the row of the principal point, about where the horizon is, from left to right.
     """
     poses = scene.sight(camera, np.array([step])).camera_poses
     width, height = camera.intrinsics.image_size_px
@@ -121,6 +111,6 @@ def hull_m(vessel: Vessel, world_R_vessel: Array) -> Array:
 
 
 def ring_step(about_m: float) -> float:
-    """A length rounded up to 1, 2, 5, 10, ... metres."""
+    """A distance rounded up to 1, 2, 5, 10, ... metres."""
     power = 10.0 ** np.floor(np.log10(about_m))
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))
