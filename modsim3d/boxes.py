@@ -32,9 +32,9 @@ def corner_form(centre_form_px: Array) -> Array:
     return np.concatenate([centre - half, centre + half], axis=-1)
 
 
-def clip(boxes_px: Array, image_size_px: tuple[int, int]) -> Array:
-    """Boxes (..., 4) cut at the image's edge, same shape."""
-    return np.clip(boxes_px, 0, [*image_size_px, *image_size_px])
+def clip(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Array:
+    """Boxes (..., 4) cut at the edge of the image, or each of its own image of a size (..., 2), same shape."""
+    return np.clip(boxes_px, 0, np.tile(image_size_px, 2))
 
 
 def move(boxes_px: Array, errors_px: Array) -> Array:
@@ -87,7 +87,7 @@ def unions(a_px: Array, b_px: Array) -> Array:
     return np.concatenate([low[:, :2], high[:, 2:]], axis=1)
 
 
-def inside_image(boxes_px: Array, image_size_px: tuple[int, int], least_px: float = 1.0 - 1e-9) -> Mask:
-    """Which boxes (..., 4), cut at the image's edge, are at least so wide and high, shape (...)."""
+def inside_image(boxes_px: Array, image_size_px: tuple[int, int] | Array, least_px: float = 1.0 - 1e-9) -> Mask:
+    """Which boxes (..., 4), clipped to their image as by `clip`, are at least so wide and high, shape (...)."""
     large: Mask = sizes(clip(boxes_px, image_size_px)) >= least_px
     return large[..., 0] & large[..., 1]

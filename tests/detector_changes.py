@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.arrays import read_only
+from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
-from modsim3d.detector.scores import NormalScores
 
 PART, SIGMAS, CORRELATION = 0.2, 0.2, 0.1
 """Of a rate or standard deviation; of a mean in standard deviations; of a correlation."""

@@ -24,7 +24,7 @@ import shapely
 from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.verify.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
+from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
 from tests.scenes import outlines_of, random_scene
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

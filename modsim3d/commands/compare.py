@@ -14,7 +14,7 @@ from modsim3d.errors import ModsimError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from modsim3d.verify.compare_figures import Figures
+    from modsim3d.verify.sources.figures import Figures
 
 
 def compare_command(
@@ -36,8 +36,8 @@ def compare_command(
 
     from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
-    from modsim3d.verify import compare_report
-    from modsim3d.verify.compare_sources import compare_sources
+    from modsim3d.verify.sources import report as compare_report
+    from modsim3d.verify.sources.compare import compare_sources
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
     if out is not None:
@@ -63,7 +63,7 @@ def compare_command(
 
 def _print_figures(console: Console, figures: Figures) -> None:
     """Print the tables that have rows."""
-    from modsim3d.verify import compare_report
+    from modsim3d.verify.sources import report as compare_report
 
     for title, rows in (
         ("rendered against analytic", compare_report.figure_rows(figures)),

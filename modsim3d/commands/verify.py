@@ -39,7 +39,7 @@ def verify_command(
 
     from modsim3d.runs.stored_run import open_run
     from modsim3d.verify import report as verify_report
-    from modsim3d.verify.verify_run import verify_run
+    from modsim3d.verify.verification import verify_run
 
     verified = verify_run(open_run(run), detector)
     folder = run if out is None else out

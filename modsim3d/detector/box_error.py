@@ -1,23 +1,22 @@
-"""Where the detector puts a box: the truth with an error, resampled where the box would degenerate."""
+"""Box errors: the truth with an error, resampled where the box would degenerate."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask, read_only
 from modsim3d.boxes import at_least_a_pixel, clip, inside_image, move, sizes
+from modsim3d.detector.box_error_law import ErrorDistribution, size_factors, standardised
 from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, LatentPurposes
-from modsim3d.detector.error_distributions import ErrorDistribution, standardised
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Streams
 
 MOST_DRAWS = 10_000
-"""Draws of one box before its state is called impossible for it."""
+"""Draws of the error of one box before its state counts as impossible for it."""
 _ROWS_AT_ONCE = 256
 _FIRST_BATCH, _LARGEST_BATCH = 8, 2048
 
@@ -29,7 +28,7 @@ class MisplacedBoxes:
     Attributes:
         boxes_px: Inside the image, at least one pixel wide and high, shape (n, 4).
         errors_px: What was added to centre, width and height before clipping, shape (n, 4).
-        redrawn: Whether the first draw was degenerate, shape (n,).
+        redrawn: Whether the first draw was degenerate and was resampled, shape (n,).
     """
 
     boxes_px: Array
@@ -39,13 +38,9 @@ class MisplacedBoxes:
 
 @dataclass(frozen=True, eq=False)
 class TrueBoxes:
-    """The boxes of detected vessels before errors are added.
+    """The boxes (n, 4) of n detected vessels before errors are added, at least a pixel wide and high.
 
-    Attributes:
-        frames: The frames.
-        targets: The vessels, n of them.
-        state: The performance state of each target, shape (n,).
-        boxes_px: At least a pixel wide and high, shape (n, 4).
+    `state` is the performance state of each vessel, shape (n,).
     """
 
     frames: CameraFrames
@@ -55,7 +50,7 @@ class TrueBoxes:
 
     @classmethod
     def of(cls, frames: CameraFrames, states: Indices, targets: Targets) -> TrueBoxes:
-        """Boxes of targets, given the state of each frame, shape (S,)."""
+        """The boxes of targets, given the state of each of S frames, shape (S,)."""
         return cls(frames, targets, states[targets.frame], at_least_a_pixel(targets.boxes_px, frames.image_size_px))
 
 
@@ -82,12 +77,12 @@ class BoxErrorSource:
     - A box at the edge is judged after clipping: a sliver thinner than a pixel is resampled as well.
 
     Attributes:
-        state_names: For messages.
+        state_names: Names of the states, for messages.
         means: In pixels, or in sides where relative, shape (states, 4).
         roots: Symmetric roots of the covariances, shape (states, 4, 4).
         relative: Whether each state's errors are in sides of the box, shape (states,).
         growths: k over σ₀, in 1/px, for mixed states and else 0, shape (states, 4).
-        distributions: Of the standardised errors of each state.
+        distributions: Distribution of each state's standardised errors.
     """
 
     state_names: tuple[str, ...]
@@ -113,19 +108,13 @@ class BoxErrorSource:
 
     @property
     def extra_normals(self) -> int:
-        """Most normal numbers that an error of any state needs beyond four."""
+        """Normal numbers that an error needs beyond four, at most."""
         return max(distribution.extra_normals for distribution in self.distributions)
 
     def misplace(
         self, streams: Streams, true: TrueBoxes, latent: Array, purposes: LatentPurposes = BOX_ERROR_REDRAW_STREAMS
     ) -> MisplacedBoxes:
-        """Add an error to each box.
-
-        Args:
-            streams: Random numbers for what has to be resampled.
-            true: The boxes; n of them.
-            latent: Standard normal numbers that their errors are made from, shape (n, 4 + `extra_normals`).
-            purposes: Streams of the numbers for resampling.
+        """Add to each of n boxes an error made from standard normal numbers of shape (n, 4 + `extra_normals`).
 
         Raises:
             ModsimError: A box stays degenerate in `MOST_DRAWS` draws.
@@ -136,33 +125,25 @@ class BoxErrorSource:
         bad = np.flatnonzero(redrawn)
         for start in range(0, len(bad), _ROWS_AT_ONCE):
             rows = bad[start : start + _ROWS_AT_ONCE]
-            errors[rows] = self._redraw(_Redraws(streams, purposes, true, rows, self.extra_normals), true, rows)
+            errors[rows] = self._redraw(streams, purposes, true, rows)
         return MisplacedBoxes(clip(move(truth, errors), image), errors, redrawn)
 
     def errors_px(self, state: Indices, sizes_px: Array, latent: Array) -> Array:
-        """Errors from standard normal numbers; see `draws` for why no `@`.
+        """Errors (n, ..., 4) from standard normal numbers (n, ..., 4 + `extra_normals`); see `draws` for why no `@`.
 
-        Args:
-            state: Shape (n,).
-            sizes_px: Width and height of the true boxes, at least a pixel, shape (n, 2).
-            latent: Shape (n, ..., 4 + `extra_normals`).
-
-        Returns:
-            Shape (n, ..., 4).
+        States have shape (n,). Sizes are the width and height of the true boxes, at least a pixel, shape (n, 2).
         """
         standard = self._standardised(state, latent)
         shape = (len(state), *([1] * (standard.ndim - 2)), 4)
-        means = np.broadcast_to(self.means[state].reshape(shape), standard.shape)
-        errors = means
+        factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
+        means = self.means[state].reshape(shape)
+        errors = np.broadcast_to(means, standard.shape)
         for j in range(4):
             errors = errors + self.roots[state, :, j].reshape(shape) * standard[..., j, None]
-        sides = np.tile(sizes_px, 2).reshape(shape)
-        grows = self.growths[state].reshape(shape)
-        if np.any(self.growths):
-            errors = np.where(grows > 0, means + (1 + grows * sides) * (errors - means), errors)
-        if np.any(self.relative):
-            errors = np.where(self.relative[state].reshape(*shape[:-1], 1), errors * sides, errors)
-        return errors
+        return factor * np.where(spread > 1, means + spread * (errors - means), errors)
+
+    def _size_factors(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
+        return size_factors(sizes_px, self.relative[state][:, None], self.growths[state])
 
     def _standardised(self, state: Indices, latent: Array) -> Array:
         """Standardised errors of each state's distribution, shape (n, ..., 4)."""
@@ -174,45 +155,48 @@ class BoxErrorSource:
         return standard
 
     def moments_px(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
-        """Means and covariances in pixels of the errors of boxes before truncation, shapes (n, 4) and (n, 4, 4).
+        """Means (n, 4) and covariances (n, 4, 4) in pixels of errors before truncation.
 
-        Args:
-            state: Shape (n,).
-            sizes_px: Width and height of the true boxes, shape (n, 2).
+        States have shape (n,), widths and heights of the true boxes (n, 2).
         """
-        sides, relative = np.tile(sizes_px, 2), self.relative[state][:, None]
-        factors = np.where(relative, sides, 1 + self.growths[state] * sides)
-        roots = factors[:, :, None] * self.roots[state]
-        return np.where(relative, sides, 1.0) * self.means[state], roots @ np.swapaxes(roots, 1, 2)
+        factor, spread = self._size_factors(state, sizes_px)
+        roots = (factor * spread)[:, :, None] * self.roots[state]
+        return factor * self.means[state], roots @ np.swapaxes(roots, 1, 2)
 
     def in_file_units(self, state: Indices, sizes_px: Array, errors_px: Array) -> Array:
         """Undo what the size of a box does to its errors, so that they have the mean and covariance of the file.
 
-        Args:
-            state: Shape (n,).
-            sizes_px: Shape (n, 2).
-            errors_px: Shape (n, ..., 4).
-
-        Returns:
-            In the unit of each state's `mean`, shape (n, ..., 4).
+        States have shape (n,), sizes (n, 2), errors and the result (n, ..., 4).
         """
         shape = (len(state), *([1] * (errors_px.ndim - 2)), 4)
-        means, grows = self.means[state].reshape(shape), self.growths[state].reshape(shape)
-        sides = np.tile(sizes_px, 2).reshape(shape)
-        scaled = np.where(self.relative[state].reshape(*shape[:-1], 1), errors_px / sides, errors_px)
-        return np.where(grows > 0, means + (scaled - means) / (1 + grows * sides), scaled)
+        factor, spread = (array.reshape(shape) for array in self._size_factors(state, sizes_px))
+        means, scaled = self.means[state].reshape(shape), errors_px / factor
+        return np.where(spread > 1, means + (scaled - means) / spread, scaled)
 
-    def _redraw(self, redraws: _Redraws, true: TrueBoxes, rows: Indices) -> Array:
-        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators."""
+    def _redraw(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices) -> Array:
+        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators.
+
+        Each row has streams of its own, so resampling one leaves the first draws of other steps as they were.
+        """
+        targets, frames, widths = true.targets, true.frames, purposes.widths(self.extra_normals)
+        generators = [
+            [
+                (streams.generator(purpose, frames.camera, targets.vessel_ids[vessel], step=step), width)
+                for purpose, width in widths.items()
+            ]
+            for vessel, step in zip(targets.vessel[rows], frames.steps[targets.frame[rows]].tolist(), strict=True)
+        ]
         errors = np.empty((len(rows), 4))
         pending, drawn, batch = np.arange(len(rows)), 0, _FIRST_BATCH
         while len(pending):
             if drawn == MOST_DRAWS:
                 raise ModsimError(self._hopeless(true, rows[pending[0]]))
             batch = min(batch, MOST_DRAWS - drawn)
+            draws = [[g.standard_normal((batch, width)) for g, width in generators[row]] for row in pending]
+            latent = np.stack([np.concatenate(parts, axis=1) for parts in draws])
             state, truth = true.state[rows[pending]], true.boxes_px[rows[pending]]
-            candidates = self.errors_px(state, sizes(truth), redraws.next(pending, batch))
-            accepted = inside_image(move(truth[:, None], candidates), true.frames.image_size_px)
+            candidates = self.errors_px(state, sizes(truth), latent)
+            accepted = inside_image(move(truth[:, None], candidates), frames.image_size_px)
             found, first = accepted.any(axis=1), accepted.argmax(axis=1)
             errors[pending[found]] = candidates[found, first[found]]
             pending, drawn, batch = pending[~found], drawn + batch, min(4 * batch, _LARGEST_BATCH)
@@ -229,34 +213,4 @@ class BoxErrorSource:
             f"in {MOST_DRAWS} draws of the box error of state '{self.state_names[state]}' (mean {mean} "
             f"{unit}) its box of {width:.4g} × {height:.4g} px never stays a pixel wide and high in the image; use "
             "a box_error that suits such boxes, or leave small ones out with the annotation's min_box_px"
-        )
-
-
-class _Redraws:
-    """Normal numbers for resampling: each row has streams of its own, so other steps' first draws stay as they were."""
-
-    def __init__(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices, extra: int) -> None:
-        targets, frames = true.targets, true.frames
-        self._widths = purposes.widths(extra)
-        self._generators: Sequence[Sequence[np.random.Generator]] = [
-            [
-                streams.generator(
-                    purpose, frames.camera, targets.vessel_ids[targets.vessel[row]], step=int(frames.steps[frame])
-                )
-                for purpose in self._widths
-            ]
-            for row, frame in zip(rows, targets.frame[rows], strict=True)
-        ]
-
-    def next(self, rows: Indices, count: int) -> Array:
-        """The next numbers of some rows, shape (rows, count, 4 + extra)."""
-        widths = self._widths.values()
-        return np.stack(
-            [
-                np.concatenate(
-                    [g.standard_normal((count, width)) for g, width in zip(self._generators[row], widths, strict=True)],
-                    axis=1,
-                )
-                for row in rows
-            ]
         )

@@ -32,12 +32,7 @@ SIZE_STEPS = 16
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """How often each row of whole numbers occurred.
-
-    Attributes:
-        rows: Each distinct row once, in ascending order, shape (k, width).
-        counts: How often each occurred, shape (k,).
-    """
+    """Distinct rows (k, width) of whole numbers in ascending order, and how often each occurred (k,)."""
 
     rows: Indices
     counts: Indices
@@ -46,13 +41,12 @@ class Tally:
     def of(cls, rows: Indices, counts: Indices | None = None) -> Tally:
         """Count rows of shape (n, width), each once or `counts` times."""
         unique, place = np.unique(rows, axis=0, return_inverse=True)
-        weights = np.ones(len(rows), dtype=np.int64) if counts is None else counts
         totals = np.zeros(len(unique), dtype=np.int64)
-        np.add.at(totals, place.ravel(), weights)
+        np.add.at(totals, place.ravel(), 1 if counts is None else counts)
         return cls(unique, totals)
 
     def __add__(self, other: Tally) -> Tally:
-        """Both together."""
+        """The rows of both."""
         return Tally.of(np.concatenate([self.rows, other.rows]), np.concatenate([self.counts, other.counts]))
 
 
@@ -62,7 +56,7 @@ def _nothing() -> Tally:
 
 @dataclass(frozen=True, eq=False)
 class TargetCensus:
-    """The targets of a scene that pass the detector's gates, counted; `take_census` makes it.
+    """Counts of the targets of a scene that pass the detector's gates; `take_census` makes it.
 
     Attributes:
         log_odds: Counts of (label, range of the log-odds that the target's look adds to a miss).
@@ -85,7 +79,7 @@ class TargetCensus:
         return sum(parts, cls())
 
     def __add__(self, other: TargetCensus) -> TargetCensus:
-        """Both together."""
+        """The census of the targets of both."""
         return TargetCensus(self.log_odds + other.log_odds, self.sides + other.sides)
 
     def log_odds_of(self, label: int) -> tuple[Array, Array]:
@@ -104,7 +98,7 @@ def take_census(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Target
     """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
 
     Args:
-        model: Its gates decide which targets count.
+        model: The detector; only targets that pass its gates count.
         parts: Frames and targets that together are the whole scene. They are not read if the model needs no census;
             the result is then empty.
     """

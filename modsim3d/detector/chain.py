@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -37,12 +37,12 @@ from modsim3d.random_streams import Purpose, Streams
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """Detections of one origin before they have a confidence: columns of `Detections`, and what confidence needs.
+class _Unscored:
+    """Detections before they have a confidence: columns of `Detections`, and what confidence needs.
 
     Attributes:
         visible_fraction: Of the vessel, NaN where there is none, shape (m,).
-        uniforms: For confidence and order, shape (m, 2).
+        uniforms: Uniform numbers for confidence and order, shape (m, 2).
     """
 
     frame: Indices
@@ -58,13 +58,13 @@ class _Found:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
-    """Detected vessels, with two merged ones as one.
+class _DetectedVessels:
+    """Vessels that are neither missed nor merged into another's box.
 
     Attributes:
-        targets: With the box around both where merged.
+        targets: The n vessels; a merged one has the box around both.
         row: Row of the annotated target, shape (n,).
-        partner: Row of the smaller of two that are merged, else -1, shape (n,).
+        partner: Row of the smaller of two merged targets, else -1, shape (n,).
         label: Detected label, shape (n,).
     """
 
@@ -72,6 +72,23 @@ class _Shown:
     row: Indices
     partner: Indices
     label: Indices
+
+    def unscored(
+        self, rows: Indices | slice, kind: Indices, boxes_px: Array, errors_px: Array, redrawn: Mask, uniforms: Array
+    ) -> _Unscored:
+        """Detections of k of the vessels; boxes and errors have shape (k, 4), uniforms (k, 2), the others (k,)."""
+        return _Unscored(
+            frame=self.targets.frame[rows],
+            target=self.row[rows],
+            partner=np.where(kind == MERGED, self.partner[rows], -1),
+            kind=kind,
+            label=self.label[rows],
+            boxes_px=boxes_px,
+            errors_px=errors_px,
+            redrawn=redrawn,
+            visible_fraction=self.targets.visible_fraction[rows],
+            uniforms=uniforms,
+        )
 
 
 class Detector:
@@ -81,17 +98,17 @@ class Detector:
     same detections, whatever was detected before and however a run is split into chunks.
     """
 
-    def __init__(self, model: DetectorModel, seed: int, census: TargetCensus, clock: Clock | None = None) -> None:
+    def __init__(self, model: DetectorModel, seed: int, census: TargetCensus, clock: Clock) -> None:
         """Build the parts that the model asks for.
 
         Args:
             model: What the detector is like.
-            seed: Everything random comes from it.
+            seed: Key of all its random numbers.
             census: Of the scene's targets, from `take_census`.
-            clock: Times of the scene's steps, for noise that persists.
+            clock: Times of the scene's steps, such as `scene.times_s`: noise may persist from step to step.
 
         Raises:
-            ModsimError: The model needs a clock and has none, or takes sizes from targets and there are none.
+            ModsimError: The sizes of false positives come from targets, and there are none.
         """
         self.model = model
         self._streams = Streams(seed)
@@ -110,172 +127,125 @@ class Detector:
         """
         states = self._states.at(frames)
         passed = self.model.gates.passed(frames, targets)
-        shown = self._shown(frames, states, targets, np.flatnonzero(passed))
-        vessels = shown.targets
+        detected = self._detected(frames, states, targets, np.flatnonzero(passed))
+        vessels = detected.targets
         latent = self._noise.normals(frames, vessels, self._box_error.extra_normals)
         placed = self._box_error.misplace(self._streams, TrueBoxes.of(frames, states, vessels), latent)
-        single = shown.partner < 0
+        single = detected.partner < 0
         events = self.model.merges_and_splits.events(self._streams, frames, vessels, placed.boxes_px, single)
-        found = [
-            self._true(frames, shown, placed, events),
-            *self._second_boxes(frames, states, shown, placed, events),
-            *self._false(frames, states, shown, events),
+        parts = [
+            self._true_detections(frames, detected, placed, events),
+            *self._duplicates(frames, states, detected, events),
+            *self._fragments(frames, detected, placed, events),
+            *self._false_positives(frames, states, vessels, events),
         ]
-        return self._scored(states, found, passed)
+        return self._scored(states, parts, passed)
 
-    def _shown(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _Shown:
-        """Vessels that are neither missed nor merged into another's box."""
+    def _detected(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _DetectedVessels:
         candidates = targets if len(passed) == len(targets) else select(targets, passed)
         label = self._classifier.classify(frames, states, candidates, self._noise.uniforms(frames, candidates))
         detected = np.flatnonzero(label >= 0)
         rows, label = passed[detected], label[detected]
         kept = select(targets, rows)
+        boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
         pairs = self.model.merges_and_splits.merged_pairs(self._streams, frames, kept)
         if not len(pairs):
-            return _Shown(kept, rows, np.full(len(rows), -1), label)
+            return _DetectedVessels(kept, rows, partner, label)
         larger, smaller = pairs.T
-        boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
         boxes[larger], partner[larger] = unions(boxes[larger], boxes[smaller]), rows[smaller]
         rest = np.setdiff1d(np.arange(len(rows)), smaller)
-        return _Shown(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
+        return _DetectedVessels(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
 
-    def _true(self, frames: CameraFrames, shown: _Shown, placed: MisplacedBoxes, events: Events) -> _Found:
-        """One detection of each vessel shown."""
-        boxes, errors = placed.boxes_px, placed.errors_px
-        kind = np.where(shown.partner >= 0, MERGED, TRUE)
-        if len(events.split):
-            boxes = boxes.copy()
-            boxes[events.split], _ = halves(boxes[events.split], events.cut)
-            kind[events.split] = SPLIT
-        if np.any(kind != TRUE):
-            errors = np.where((kind == TRUE)[:, None], errors, np.nan)
-        return _of_vessels(
-            shown,
-            slice(None),
-            kind,
-            boxes,
-            errors,
-            placed.redrawn,
-            self._final(frames, shown.targets, Purpose.CONFIDENCE),
-        )
+    def _true_detections(
+        self, frames: CameraFrames, detected: _DetectedVessels, placed: MisplacedBoxes, events: Events
+    ) -> _Unscored:
+        """One detection of each detected vessel; of a split one the larger part."""
+        boxes = placed.boxes_px.copy()
+        kind = np.where(detected.partner >= 0, MERGED, TRUE)
+        boxes[events.split], _ = halves(boxes[events.split], events.cut)
+        kind[events.split] = SPLIT
+        errors = np.where((kind == TRUE)[:, None], placed.errors_px, np.nan)
+        uniforms = self._score_uniforms(frames, detected.targets, Purpose.CONFIDENCE)
+        return detected.unscored(slice(None), kind, boxes, errors, placed.redrawn, uniforms)
 
-    def _second_boxes(
-        self, frames: CameraFrames, states: Indices, shown: _Shown, placed: MisplacedBoxes, events: Events
-    ) -> Sequence[_Found]:
-        """Further boxes of vessels that have one."""
-        found = []
-        if len(events.doubled):
-            vessels = select(shown.targets, events.doubled)
-            extra, true = self._box_error.extra_normals, TrueBoxes.of(frames, states, vessels)
-            latent = latent_normals(self._streams, DUPLICATE_STREAMS, frames, vessels, extra)
-            again = self._box_error.misplace(self._streams, true, latent, DUPLICATE_REDRAW_STREAMS)
-            final = self._final(frames, vessels, Purpose.DUPLICATE_CONFIDENCE)
-            kind = np.full(len(vessels), DUPLICATE)
-            found.append(
-                _of_vessels(shown, events.doubled, kind, again.boxes_px, again.errors_px, again.redrawn, final)
-            )
-        if len(events.split):
-            _, smaller = halves(placed.boxes_px[events.split], events.cut)
-            kind = np.full(len(smaller), FRAGMENT)
-            final = self._final(frames, select(shown.targets, events.split), Purpose.FRAGMENT_CONFIDENCE)
-            nothing = np.full((len(smaller), 4), np.nan)
-            redrawn = np.zeros(len(smaller), dtype=bool)
-            found.append(_of_vessels(shown, events.split, kind, smaller, nothing, redrawn, final))
-        return found
+    def _duplicates(
+        self, frames: CameraFrames, states: Indices, detected: _DetectedVessels, events: Events
+    ) -> list[_Unscored]:
+        """Second boxes, whose errors are drawn like those of the first."""
+        if not len(events.doubled):
+            return []
+        vessels = select(detected.targets, events.doubled)
+        latent = latent_normals(self._streams, DUPLICATE_STREAMS, frames, vessels, self._box_error.extra_normals)
+        true = TrueBoxes.of(frames, states, vessels)
+        placed = self._box_error.misplace(self._streams, true, latent, DUPLICATE_REDRAW_STREAMS)
+        uniforms = self._score_uniforms(frames, vessels, Purpose.DUPLICATE_CONFIDENCE)
+        kind = np.full(len(vessels), DUPLICATE)
+        return [detected.unscored(events.doubled, kind, placed.boxes_px, placed.errors_px, placed.redrawn, uniforms)]
 
-    def _false(self, frames: CameraFrames, states: Indices, shown: _Shown, events: Events) -> Sequence[_Found]:
+    def _fragments(
+        self, frames: CameraFrames, detected: _DetectedVessels, placed: MisplacedBoxes, events: Events
+    ) -> list[_Unscored]:
+        """The smaller parts of split boxes."""
+        count = len(events.split)
+        if not count:
+            return []
+        _, smaller = halves(placed.boxes_px[events.split], events.cut)
+        kind, errors, redrawn = np.full(count, FRAGMENT), np.full((count, 4), np.nan), np.zeros(count, dtype=bool)
+        vessels = select(detected.targets, events.split)
+        uniforms = self._score_uniforms(frames, vessels, Purpose.FRAGMENT_CONFIDENCE)
+        return [detected.unscored(events.split, kind, smaller, errors, redrawn, uniforms)]
+
+    def _false_positives(
+        self, frames: CameraFrames, states: Indices, vessels: Targets, events: Events
+    ) -> list[_Unscored]:
         """Detections of nothing."""
-        vessels = shown.targets
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
-        due = self.model.gates.due(frames)
-        counts = FrameCounts(states, due, n_true, events.expected)
+        counts = FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
         around = Surroundings(self._streams, frames, counts, vessels)
         transient = self._clutter.draw_transient(around)
-        found = [self._of_clutter(frames, transient, FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
+        parts = [self._of_clutter(frames, transient, FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
         if self.model.clutter.persistent_share:
-            clutter = self._clutter.draw_persistent(around)
-            found.append(self._of_clutter(frames, clutter, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
-        return found
+            persistent = self._clutter.draw_persistent(around)
+            parts.append(self._of_clutter(frames, persistent, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
+        return parts
 
-    def _of_clutter(self, frames: CameraFrames, clutter: Clutter, kind: int, purpose: Purpose) -> _Found:
+    def _of_clutter(self, frames: CameraFrames, clutter: Clutter, kind: int, purpose: Purpose) -> _Unscored:
         count = len(clutter.frame)
-        nobody, unknown = np.full(count, -1), np.full(count, np.nan)
-        return _Found(
+        no_target = np.full(count, -1)
+        return _Unscored(
             frame=clutter.frame,
-            target=nobody,
-            partner=nobody,
+            target=no_target,
+            partner=no_target,
             kind=np.full(count, kind),
             label=clutter.label,
             boxes_px=clutter.boxes_px,
             errors_px=np.full((count, 4), np.nan),
             redrawn=np.zeros(count, dtype=bool),
-            visible_fraction=unknown,
+            visible_fraction=np.full(count, np.nan),
             uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
         )
 
-    def _final(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
-        """Numbers for confidence and order, shape (n, 2)."""
+    def _score_uniforms(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
+        """Uniform numbers for confidence and order, shape (n, 2)."""
         return target_uniforms(self._streams, purpose, frames, vessels, width=2)
 
-    def _scored(self, states: Indices, found: Sequence[_Found], passed: Mask) -> Detections:
-        """All of them with their confidence; their order within a frame is random."""
-        every = _Found(**{name: np.concatenate([getattr(part, name) for part in found]) for name in _COLUMNS})
+    def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
+        """All detections with their confidence; their order within a frame is random."""
+        names = [field.name for field in fields(_Unscored)]
+        every = _Unscored(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
         width, height = sizes(every.boxes_px).T
-        false = np.isin(every.kind, FALSE_KINDS)
+        false, (uniforms, ties) = np.isin(every.kind, FALSE_KINDS), every.uniforms.T
         confidence = self._confidence.score(
-            states[every.frame],
-            false,
-            every.visible_fraction,
-            np.sqrt(width * height),
-            every.uniforms[:, 0],
+            states[every.frame], false, every.visible_fraction, np.sqrt(width * height), uniforms
         )
-        output = self.model.gates.most_confident(every.frame, confidence, every.uniforms[:, 1])
-        order = np.lexsort((every.uniforms[:, 1], every.frame))
+        output = self.model.gates.most_confident(every.frame, confidence, ties)
+        order = np.lexsort((ties, every.frame))
+        order = order[output[order]]
         gated = ~passed
-        if not output.all():
-            order = order[output[order]]
-            gated[every.target[~output & ~false]] = True
-            gated[np.setdiff1d(every.partner[~output], [-1])] = True
-        return Detections(
-            states=states,
-            frame=every.frame[order],
-            target=every.target[order],
-            partner=every.partner[order],
-            kind=every.kind[order],
-            label=every.label[order],
-            confidence=confidence[order],
-            boxes_px=every.boxes_px[order],
-            errors_px=every.errors_px[order],
-            redrawn=every.redrawn[order],
-            gated=gated,
-        )
-
-
-_COLUMNS = tuple(_Found.__dataclass_fields__)
-
-
-def _of_vessels(
-    shown: _Shown,
-    rows: Indices | slice,
-    kind: Indices,
-    boxes_px: Array,
-    errors_px: Array,
-    redrawn: Mask,
-    uniforms: Array,
-) -> _Found:
-    """Detections of some of the vessels shown."""
-    return _Found(
-        frame=shown.targets.frame[rows],
-        target=shown.row[rows],
-        partner=np.where(kind == MERGED, shown.partner[rows], -1),
-        kind=kind,
-        label=shown.label[rows],
-        boxes_px=boxes_px,
-        errors_px=errors_px,
-        redrawn=redrawn,
-        visible_fraction=shown.targets.visible_fraction[rows],
-        uniforms=uniforms,
-    )
+        gated[every.target[~output & ~false]] = True
+        gated[np.setdiff1d(every.partner[~output], [-1])] = True
+        columns = {name: getattr(every, name)[order] for name in names if name in Detections.__dataclass_fields__}
+        return Detections(states=states, confidence=confidence[order], gated=gated, **columns)
 
 
 def clutter_of(model: DetectorModel, census: TargetCensus) -> ClutterSource:

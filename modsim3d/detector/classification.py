@@ -30,12 +30,7 @@ class ConfusionClassifier:
 
     @classmethod
     def from_model(cls, model: DetectorModel, census: TargetCensus) -> ConfusionClassifier:
-        """The classifier of a detector model.
-
-        Args:
-            model: The detector.
-            census: Of the scene over which anchored miss rates hold on average.
-        """
+        """The classifier of a detector whose anchored miss rates hold on average over the scene of the census."""
         distributions = cumulative(np.swapaxes(model.column("confusion"), 1, 2))
         misses = _miss_rates(distributions)
         intercepts = np.zeros_like(misses)
@@ -45,7 +40,7 @@ class ConfusionClassifier:
         return cls(distributions, model.dropout, intercepts)
 
     def miss_rates(self, states: Indices, targets: Targets) -> Array:
-        """Probability that each target is missed in the given state, shapes (n,)."""
+        """Probability that each target is missed in a state of its own, shapes (n,)."""
         added = self.intercepts[states, targets.label] + self.dropout.log_odds(targets)
         return shifted_rate(_miss_rates(self.distributions)[states, targets.label], added)
 

@@ -1,4 +1,4 @@
-"""Normal numbers clipped to a range, with those outside moved to its ends (Tobin (1958)): law, scores and fit."""
+"""Normal numbers clipped to a range, those outside moved to its ends (Tobin (1958)): distribution, scores and fit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MOST_ROUNDS, _SETTLED = 400, 1e-10
 
 
 def clipped_score(scores: Array, means: Array | float, std: float, threshold: float) -> Array:
-    """Derivatives of the log-likelihood by mean and standard deviation, shape (n, 2)."""
+    """Derivatives of the log-likelihood of scores (n,) by mean and standard deviation, shape (n, 2)."""
     z = (scores - means) / std
     low, high = (threshold - np.asarray(means)) / std, (1 - np.asarray(means)) / std
     below, above = -_hazard(-low), _hazard(high)
@@ -41,25 +41,19 @@ def clipped_law(mean: float, std: float, threshold: float) -> tuple[Array, Array
 
 
 def clipped_sums(values: Array, low: float, high: float) -> Array:
-    """The sums that the fit needs, of each number of shape (n,), shape (n, 5).
+    """Each number's (n,) part of the sums that the fit needs, shape (n, 5).
 
-    Whether it is at the low end, at the high end and between, and there its value and square.
+    Whether it is at the low end, at the high end and between; if between, its value and square, else 0.
     """
     at_low, at_high = values <= low, values >= high
     inside = ~(at_low | at_high)
-    return np.column_stack([at_low, at_high, inside, np.where(inside, values, 0), np.where(inside, values**2, 0)]) * 1.0
+    return np.column_stack([at_low, at_high, inside, inside * values, inside * values**2]) * 1.0
 
 
 def fit_clipped(sums: Array, low: float, high: float) -> tuple[Array, Array]:
     """Mean and standard deviation of maximum likelihood, by expectation and maximisation (Dempster et al. (1977)).
 
-    Args:
-        sums: Of `clipped_sums`, shape (rows, 5).
-        low: Lower end of the range; smaller numbers were moved to it.
-        high: Upper end.
-
-    Returns:
-        Shapes (rows,); NaN where there is nothing.
+    For each row of sums from `clipped_sums`, shape (rows, 5); results (rows,) are NaN where there are no numbers.
     """
     below, above, inside, first, second = sums.T
     number = below + above + inside

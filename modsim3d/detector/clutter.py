@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import clip, sizes
@@ -17,13 +20,59 @@ from modsim3d.detector.clutter_models import (
     numbered_rows,
     ordinal_uniforms,
 )
-from modsim3d.detector.clutter_sizes import SceneSizes, Sizes
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Purpose, Streams
+from modsim3d.random_streams import Purpose, Streams, normals
+
+_LN_2 = math.log(2)
+
+
+class Sizes(Protocol):
+    """A distribution of width and height."""
+
+    def at(self, uniforms: Array) -> Array:
+        """Width and height from one uniform number each, shape (m, 2)."""
+
+
+@dataclass(frozen=True)
+class FixedSize:
+    """One size for all false positives."""
+
+    width_px: float
+    height_px: float
+
+    def at(self, uniforms: Array) -> Array:
+        """The size for each of m numbers, shape (m, 2)."""
+        return np.tile([self.width_px, self.height_px], (len(uniforms), 1))
+
+
+@dataclass(frozen=True)
+class LognormalSize:
+    """One aspect ratio, with a size whose logarithm is normally distributed."""
+
+    width_px: float
+    height_px: float
+    log_std: float
+
+    def at(self, uniforms: Array) -> Array:
+        """The median box, scaled, shape (m, 2)."""
+        scale: Array = special.exp2(self.log_std / _LN_2 * normals(uniforms))
+        return scale[:, None] * [self.width_px, self.height_px]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSizes:
+    """The sizes of the scene's annotated boxes, over all its steps."""
+
+    census: TargetCensus
+
+    def at(self, uniforms: Array) -> Array:
+        """The size of one of these boxes for each of m numbers, shape (m, 2)."""
+        return self.census.sizes_px(uniforms)
+
 
 _DRAWS = DRAWS + 2  # a false positive: place, size, label
 _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
@@ -36,7 +85,7 @@ class ClutterOptions:
     Attributes:
         model: One of `CLUTTER_MODELS`.
         placement: Where they are.
-        size: How large they are; None for the sizes of vessels, or those of the model itself.
+        size: How large they are; None for the sizes of vessels or for the model's own size.
         lifetime_s: Mean lifetime of persistent ones.
         drift_px_s: Speed at which persistent ones move along the horizon, to either side.
         persistent_share: Share of the false positives that is persistent.
@@ -56,7 +105,7 @@ class ClutterOptions:
 
     @property
     def needs_census(self) -> bool:
-        """Whether sizes come from all of the scene: an empty frame has none to offer, and a wake keeps its own."""
+        """Whether sizes come from all of the scene: empty frames have no vessels, and persistent ones keep a size."""
         return self.size is None and (self.numbers.empty_frames or self.persistent_share > 0)
 
 
@@ -83,14 +132,7 @@ class Clutter:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """The frames that false positives are drawn for, and what was detected in them.
-
-    Attributes:
-        streams: Random numbers.
-        frames: The frames.
-        counts: What their number may follow.
-        detected: The detected vessels, under whichever label.
-    """
+    """The frames that false positives are drawn for, and the vessels detected in them."""
 
     streams: Streams
     frames: CameraFrames
@@ -106,7 +148,7 @@ class ClutterSource:
         options: What the file says.
         rates: Their rates in each state.
         label_distributions: Distribution function over labels of each state, shape (states, labels).
-        sizes: Of the whole scene's vessels, or of the file; None for those of detected vessels in the same frame.
+        sizes: Distribution of their sizes; None for the sizes of vessels detected in the same frame.
     """
 
     options: ClutterOptions
@@ -118,13 +160,7 @@ class ClutterSource:
     def of(
         cls, options: ClutterOptions, rates: ClutterRates, false_positive_labels: Array, census: TargetCensus
     ) -> ClutterSource:
-        """The false positives of a detector.
-
-        Args:
-            options: What the file says.
-            rates: Their rates in each state.
-            false_positive_labels: Distribution over labels of each state, shape (states, labels).
-            census: Of the scene's targets, if sizes come from them.
+        """The false positives of a detector whose labels have a distribution in each state, shape (states, labels).
 
         Raises:
             ModsimError: Sizes come from the scene's targets, and there are none.
@@ -168,14 +204,14 @@ class ClutterSource:
     def boxes_px(
         self, frames: CameraFrames, detected: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None
     ) -> Array:
-        """Boxes of false positives from uniform numbers, shape (m, 4).
+        """Boxes of false positives, shape (m, 4).
 
         Args:
             frames: The frames.
-            detected: The targets that were detected, rows ordered by frame.
-            frame: Of each false positive, shape (m,).
-            uniforms: For place (3) and size, shape (m, 4).
-            drift_px: How far each has moved along the horizon, shape (m,); None for those of one frame.
+            detected: The vessels that were detected, ordered by frame.
+            frame: Frame of each false positive, shape (m,).
+            uniforms: Uniform numbers for place (3) and size, shape (m, 4).
+            drift_px: How far each has moved along the horizon, shape (m,); None for transient ones.
         """
         half_planes, image = frames.sea_half_planes[frame], frames.image_size_px
         centres = self.options.placement.places(half_planes, image, uniforms[:, :DRAWS], drift_px)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -22,9 +22,9 @@ class ClutterRates:
     """How many false positives each state asks for.
 
     Attributes:
-        false_discovery: False over all detections, shape (states,).
-        per_image: Shape (states,).
-        confidence_threshold: The detector's.
+        false_discovery: False positives over all detections, shape (states,).
+        per_image: False positives in an image, shape (states,).
+        confidence_threshold: The detector's threshold, which eq. 7.35 uses.
     """
 
     false_discovery: Array
@@ -49,60 +49,39 @@ class FrameCounts:
     extras: Array
 
 
-class ClutterModel(Protocol):
-    """A model of the number of false positives."""
+class ClutterModel(ABC):
+    """A model of the number of false positives; Poisson numbers unless it says otherwise.
 
-    @property
-    def rate_key(self) -> RateKey:
-        """The key of a state that holds its rate."""
+    Attributes:
+        rate_key: The key of a state that holds its rate.
+        empty_frames: Whether a frame without vessels may have false positives.
+        counts_second_boxes: Whether its rate includes second boxes of vessels.
+        side_px: Side of its square boxes; None if the detector file describes places and sizes.
+    """
 
-    @property
-    def empty_frames(self) -> bool:
-        """Whether a frame without vessels may have false positives."""
+    rate_key: RateKey = "false_discovery_rate"
+    empty_frames: bool = False
+    counts_second_boxes: bool = False
+    side_px: float | None = None
 
-    @property
-    def counts_second_boxes(self) -> bool:
-        """Whether its rate includes second boxes of vessels."""
-
-    @property
-    def side_px(self) -> float | None:
-        """Side of its square boxes; None if the detector file describes places and sizes."""
-
+    @abstractmethod
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """Mean number in each frame, persistent and transient ones together, shape (S,)."""
 
     def dispersion(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """Variance of the number of transient ones over its mean, shape (S,)."""
-
-    def draw(
-        self, streams: Streams, camera_frames: CameraFrames, rates: ClutterRates, frames: FrameCounts, share: float
-    ) -> Indices:
-        """Number of transient ones in each frame, given their share of all, shape (S,)."""
-
-
-class PoissonNumbers(ABC):
-    """Base of models whose number is Poisson, read from one uniform number a frame."""
-
-    side_px: float | None = None
-
-    @abstractmethod
-    def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
-        """Mean number in each frame, shape (S,)."""
-
-    def dispersion(self, rates: ClutterRates, frames: FrameCounts) -> Array:
-        """One in each frame, shape (S,)."""
         return np.ones(len(frames.states))
 
     def draw(
         self, streams: Streams, camera_frames: CameraFrames, rates: ClutterRates, frames: FrameCounts, share: float
     ) -> Indices:
-        """Poisson numbers, shape (S,)."""
+        """Number of transient ones in each frame, given their share of all, shape (S,)."""
         purpose, camera = Purpose.CLUTTER_COUNT, camera_frames.camera
         uniforms = step_uniforms(streams, purpose, camera, steps=camera_frames.steps)
         return poisson_quantile(uniforms[:, 0], share * self.means(rates, frames))
 
 
-class Calibrated(PoissonNumbers):
+class Calibrated(ClutterModel):
     """As many false positives as give the false discovery rate in the file.
 
     With n detections of vessels in a frame and a Poisson number of mean n·FDR / (1 − FDR), the share of false
@@ -110,8 +89,6 @@ class Calibrated(PoissonNumbers):
     number of others is reduced by theirs. The number at a step never falls when one more vessel is detected.
     """
 
-    rate_key: RateKey = "false_discovery_rate"
-    empty_frames = False
     counts_second_boxes = True
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
@@ -120,29 +97,25 @@ class Calibrated(PoissonNumbers):
         return np.maximum(frames.n_true * rate / (1 - rate) - frames.extras, 0)
 
 
-class PerImage(PoissonNumbers):
+class PerImage(ClutterModel):
     """A Poisson number in every image, whatever is in it: an empty sea has false positives too."""
 
-    rate_key: RateKey = "false_positives_per_image"
+    rate_key = "false_positives_per_image"
     empty_frames = True
-    counts_second_boxes = False
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """The state's rate, at frames at which the detector runs, shape (S,)."""
         return np.where(frames.due, rates.per_image[frames.states], 0.0)
 
 
-class Thesis:
+class Thesis(ClutterModel):
     """The original rule (Jessen & Mohr (2023), eq. 7.35): FDR·n − t trials of probability FDR, 100 × 100 px.
 
     It does not give the false discovery rate in the file: with five vessels, FDR 0.1 and threshold 0.2 it never makes
     a false positive. Rounding (half to even) and size are the original program's.
     """
 
-    rate_key: RateKey = "false_discovery_rate"
-    empty_frames = False
-    counts_second_boxes = False
-    side_px: float | None = 100.0
+    side_px = 100.0
 
     def means(self, rates: ClutterRates, frames: FrameCounts) -> Array:
         """Trials times their probability, shape (S,)."""

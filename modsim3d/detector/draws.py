@@ -1,4 +1,4 @@
-"""From uniform numbers to draws: whose number is whose, and inverse distribution functions.
+"""From uniform numbers to draws: which number belongs to what, and inverse distribution functions.
 
 All of it works element by element. A matrix product may round differently with the number of rows, and how
 a run is split into chunks must not show in its output.
@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.error_distributions import ERROR_NORMALS
+from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.random_streams import Purpose, Streams, normals
 
@@ -31,19 +31,9 @@ def keyed_uniforms(
     owners: Sequence[str],
     width: int,
 ) -> Array:
-    """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step.
+    """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step, shape (n, width).
 
-    Args:
-        streams: Where they come from.
-        purpose: What they are for.
-        frames: The frames, for camera and steps.
-        frame: Index into them of each row, shape (n,).
-        owner: Index into `owners` of each row, shape (n,).
-        owners: Names.
-        width: Numbers a row.
-
-    Returns:
-        Shape (n, width).
+    `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,).
     """
     result = np.empty((len(frame), width))
     order = np.argsort(owner, kind="stable")
@@ -56,18 +46,7 @@ def keyed_uniforms(
 
 
 def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indices, width: int = 1) -> Array:
-    """Uniform numbers that belong to names and a step.
-
-    Args:
-        streams: Where they come from.
-        purpose: What they are for.
-        *names: Whose they are.
-        steps: In any order, shape (n,).
-        width: Numbers a step.
-
-    Returns:
-        Shape (n, width).
-    """
+    """Uniform numbers that belong to names and a step, shape (n, width), at steps (n,) in any order."""
     if not len(steps):
         return np.empty((0, width))
     first, last = int(steps.min()), int(steps.max())
@@ -86,7 +65,7 @@ class LatentPurposes(NamedTuple):
     shape: Purpose
 
     def widths(self, extra: int) -> dict[Purpose, int]:
-        """How many numbers each stream gives if the distribution adds so many."""
+        """How many numbers each stream gives if the distribution adds `extra`."""
         return {self.error: ERROR_NORMALS} | ({self.shape: extra} if extra else {})
 
 
@@ -105,32 +84,27 @@ def latent_normals(
 
 
 def select(targets: Targets, rows: Indices) -> Targets:
-    """Some rows of the targets."""
+    """The targets of rows of shape (k,)."""
     columns = ("frame", "vessel", "label", "boxes_px", "visible_fraction", "depth_m")
     return replace(targets, **{name: getattr(targets, name)[rows] for name in columns})
 
 
 def log2(values: Array) -> Array:
-    """Logarithm to base two, by SciPy's loop over elements: NumPy's own may take several at a time."""
+    """Logarithm to base two, same shape, by SciPy's loop over elements: NumPy's own may take several at a time."""
     result: Array = special.xlogy(1.0, values) / _LN_2
     return result
 
 
 def cumulative(probabilities: Array) -> Array:
-    """Distribution function along the last axis; its last entry is exactly one."""
+    """Distribution function along the last axis, same shape; its last entry is exactly one."""
     sums: Array = np.cumsum(probabilities, axis=-1)
     return sums / sums[..., -1:]
 
 
 def choose(distribution: Array, uniforms: Array) -> Indices:
-    """Inverse of a distribution function: what has probability zero is never chosen.
+    """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices, shape (n,).
 
-    Args:
-        distribution: Distribution functions as from `cumulative`, shape (n, k) or (k,).
-        uniforms: In [0, 1), shape (n,).
-
-    Returns:
-        Indices below k, shape (n,).
+    What has probability zero is never chosen.
     """
     chosen: Indices = np.sum(uniforms[:, None] >= distribution, axis=-1, dtype=np.int64)
     return chosen

@@ -1,4 +1,4 @@
-"""Misses that depend on what a vessel looks like: log-odds added to those of its state."""
+"""Misses that depend on what a vessel looks like, as log-odds added to those of its state."""
 
 from __future__ import annotations
 
@@ -52,14 +52,7 @@ class Effect(Protocol):
 
 @dataclass(frozen=True)
 class Slope:
-    """Log-odds in proportion to an attribute, or to its logarithm.
-
-    Attributes:
-        attribute: One of `ATTRIBUTES`.
-        log_odds: Change of the log-odds of a miss for each unit, or for each doubling.
-        reference: Where the change is zero.
-        doublings: Whether it is for each doubling.
-    """
+    """Log-odds that change by `log_odds` for each unit of an attribute, or for each doubling; not at the reference."""
 
     attribute: str
     log_odds: float
@@ -75,12 +68,9 @@ class Slope:
 
 @dataclass(frozen=True)
 class Table:
-    """Odds by ranges of an attribute.
+    """Factors on the odds of a miss by ranges of an attribute, one factor more than edges.
 
-    Attributes:
-        attribute: One of `ATTRIBUTES`.
-        edges: Ascending; a value at an edge is in the range above it.
-        odds: What the odds of a miss are multiplied by in each range, one more than edges.
+    Edges ascend; a value at an edge is in the range above it.
     """
 
     attribute: str
@@ -103,7 +93,7 @@ class Dropout:
     """How the rate of misses depends on what a vessel looks like.
 
     Attributes:
-        effects: Their log-odds add up.
+        effects: Effects of the vessel's attributes; their log-odds add up.
         anchored: Whether each state's rate is held as the average over the scene.
     """
 
@@ -125,15 +115,9 @@ def shifted_rate(rate: Array, log_odds: Array) -> Array:
 
 
 def anchor(rate: float, log_odds: Array, weights: Array) -> float:
-    """The log-odds to add to all so that the weighted mean of the changed rates is the rate.
+    """The log-odds to add to those of a sample (n,) so that the weighted mean of the changed rates is the rate.
 
-    Args:
-        rate: In [0, 1].
-        log_odds: Of a sample, shape (n,).
-        weights: How often each occurs, shape (n,).
-
-    Returns:
-        Found by bisection to 1e-12; 0 if there is no sample or nothing can be changed.
+    Found by bisection to 1e-12; 0 if there is no sample or nothing can be changed. Weights have shape (n,).
     """
     if not len(weights) or rate in (0.0, 1.0):
         return 0.0

@@ -19,11 +19,11 @@ class Gates:
     """Rules before and after the draws; each is off unless given.
 
     Attributes:
-        max_range_m: Vessels at a greater depth are never seen.
-        min_box_px: Vessels whose box is narrower or lower are never seen.
-        max_occlusion: Vessels of which a larger share is hidden are never seen; unknown shares pass.
+        max_range_m: Vessels at a greater depth are never detected.
+        min_box_px: Vessels whose box is narrower or lower are never detected.
+        max_occlusion: Vessels of which a larger share is hidden are never detected; unknown shares pass.
         update_interval_s: The detector runs at the first frame at or after each multiple of this.
-        max_detections: Output the most confident that many of each frame.
+        max_detections: Only so many detections of each frame are output, the most confident ones.
     """
 
     max_range_m: float | None = None
@@ -55,13 +55,7 @@ class Gates:
         return passed
 
     def most_confident(self, frame: Indices, confidence: Array, key: Array) -> Mask:
-        """Which detections are output, shape (m,).
-
-        Args:
-            frame: Frame of each detection, shape (m,).
-            confidence: Shape (m,).
-            key: Breaks ties, shape (m,).
-        """
+        """Which detections are output, given their frame, confidence and a key that breaks ties, shapes (m,)."""
         if self.max_detections is None:
             return np.ones(len(frame), dtype=bool)
         order = np.lexsort((key, -confidence, frame))

@@ -24,9 +24,9 @@ class MergesAndSplits:
     Attributes:
         duplicates: Probability that a detected vessel gets a second box.
         merges: Probability that two detected vessels that overlap are merged into one box.
-        merge_overlap: Least share of the smaller box that lies in the larger one.
+        merge_overlap: Least share of the smaller box inside the larger one for which they overlap.
         splits: Probability that a long vessel is split into two boxes.
-        split_aspect: Least width over height of a long one.
+        split_aspect: Least width over height of a long vessel's box.
     """
 
     duplicates: float = 0.0
@@ -60,21 +60,16 @@ class MergesAndSplits:
         long: Mask = width >= self.split_aspect * height
         return long
 
-    def events(self, streams: Streams, frames: CameraFrames, shown: Targets, boxes_px: Array, single: Mask) -> Events:
-        """Which detections are duplicated or split, and the expected numbers of both.
+    def events(self, streams: Streams, frames: CameraFrames, vessels: Targets, boxes_px: Array, single: Mask) -> Events:
+        """Which of n detected vessels are duplicated or split, and the expected numbers of both.
 
-        Args:
-            streams: Random numbers.
-            frames: The frames.
-            shown: The detected vessels; n of them.
-            boxes_px: Their boxes with errors, shape (n, 4).
-            single: Whether each is a vessel of its own, not two merged, shape (n,).
+        Boxes have their errors, shape (n, 4). `single` says which are one vessel, not two merged, shape (n,).
         """
         if not self.duplicates and not self.splits:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
-        uniforms = target_uniforms(streams, Purpose.DOUBLE, frames, shown, width=2)
-        long = single & self.looks_long(shown.boxes_px) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
+        uniforms = target_uniforms(streams, Purpose.DOUBLE, frames, vessels, width=2)
+        long = single & self.looks_long(vessels.boxes_px) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
         doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
         split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
         expected = self.duplicates * single + self.splits * long
@@ -82,7 +77,7 @@ class MergesAndSplits:
             doubled,
             split,
             _LEAST_CUT + (_MOST_CUT - _LEAST_CUT) * uniforms[split, 1],
-            np.bincount(shown.frame, weights=expected, minlength=len(frames)).astype(np.float64),
+            np.bincount(vessels.frame, weights=expected, minlength=len(frames)).astype(np.float64),
         )
 
 
@@ -93,7 +88,7 @@ class Events:
     Attributes:
         doubled: Rows that get a second box, shape (d,).
         split: Rows that are split, shape (k,).
-        cut: Where those are cut, as a share of their width, shape (k,).
+        cut: Share of their width at which they are cut, shape (k,).
         expected: Expected number of extra boxes in each frame, given the detected vessels, shape (S,).
     """
 

@@ -26,14 +26,11 @@ class PerformanceState:
     """How the detector behaves under one kind of conditions.
 
     Attributes:
-        name: Such as `excellent`.
         confusion: Pr(detected as i | label j), rows labels then background, shape (k + 1, k), columns sum
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
         false_discovery_rate: False positives over all detections, in [0, 1).
-        box_error: How far boxes are from the truth.
-        confidence: Of true and of false detections.
-        false_positives_per_image: For the model of false positives that has such a rate.
+        false_positives_per_image: Rate for the model of false positives that has such a one.
     """
 
     name: str
@@ -53,15 +50,9 @@ class DetectorModel:
         labels: Names of the k classes.
         confidence_threshold: Least confidence of a detection.
         initial_state: Index of the state at the first step.
-        transition_matrix: Pr(next is i | now is j), columns sum to one (Jessen & Mohr (2023), eq. 6.1).
-        states: In the order of the matrix's rows and columns.
+        transition_matrix: Pr(next is i | now is j), shape (states, states), columns sum to one (Jessen & Mohr (2023),
+            eq. 6.1).
         transition_interval_s: Time between transitions; None means one at each step.
-        dropout: How misses follow what a vessel looks like.
-        gates: Hard limits.
-        persistence: How long noise stays with a vessel.
-        clutter: How false positives are made.
-        merges_and_splits: How often boxes and vessels do not match one to one.
-        performance: Who shares the chain of states, and when a state is forced.
     """
 
     labels: tuple[str, ...]

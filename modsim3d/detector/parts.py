@@ -1,8 +1,7 @@
 """The parts of a detector, and the models that each part can be.
 
-Each model is registered once here, under the name that detector files use. The room that checks runs registers its
-checks under the same part and name, and so may the room that learns detectors; a model without checks is listed as
-such among the verdicts.
+Each model is registered once here, under the name that detector files use. `verify` registers its checks under the same
+part and name, and so may `learn`; a model without checks is listed as such among the verdicts.
 """
 
 from __future__ import annotations
@@ -11,12 +10,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.clutter_models import CLUTTER_MODELS
+from modsim3d.detector.confidence import SCORES
 from modsim3d.detector.dropout import EFFECTS
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.scores import SCORES
 from modsim3d.detector.states import PerformanceStates
 
 
@@ -44,14 +43,7 @@ MODELS: Mapping[Part, Mapping[str, object]] = {
 
 @dataclass(frozen=True)
 class UsedModel:
-    """A model that a detector uses.
-
-    Attributes:
-        part: Of the detector.
-        name: Under which it is registered.
-        key: Where a detector file chooses it.
-        state: The performance state that uses it, None if all do.
-    """
+    """A model that a detector uses: its registered name, the key of the file that chooses it, and its state, if one."""
 
     part: Part
     name: str

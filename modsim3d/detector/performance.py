@@ -13,11 +13,9 @@ _EARLY_S = 1e-9  # a time read from text and one worked out may differ by roundi
 
 @dataclass(frozen=True)
 class Performance:
-    """How states are shared and forced.
+    """Whether each camera has a chain of its own, and which states are forced.
 
-    Attributes:
-        per_camera: Whether each camera has a chain of its own.
-        schedule: Times in seconds, ascending, and the state forced from each on; −1 returns to the chain.
+    The schedule has ascending times in seconds and the state forced from each on; −1 returns to the chain.
     """
 
     per_camera: bool = False

@@ -1,8 +1,8 @@
 """Noise that stays with a vessel for a while.
 
 Both kinds run over all steps of the scene from its first, whatever a camera saw: a vessel that was hidden comes back
-with the noise that it would have had. Fresh numbers are those that a detector without persistence would use, so a
-vanishing correlation time gives its output.
+with the noise that it would have had. Fresh numbers are those that a detector without persistence would use, so with a
+vanishing correlation time the output is the same.
 """
 
 from __future__ import annotations
@@ -16,25 +16,19 @@ from typing import Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
-from modsim3d.detector.error_distributions import ERROR_NORMALS
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.errors import ModsimError
 from modsim3d.random_streams import Purpose, Streams, normals
 
 Clock = Callable[[int, int], Array]
-"""Times of steps first to stop − 1 since the scene's first."""
+"""Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
 _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
 @dataclass(frozen=True)
 class Persistence:
-    """Correlation times; 0 means independent draws.
-
-    Attributes:
-        class_s: Of misses and confusions.
-        box_s: Of box errors.
-    """
+    """Correlation times of misses and confusions, and of box errors; 0 means independent draws."""
 
     class_s: float = 0.0
     box_s: float = 0.0
@@ -49,13 +43,13 @@ class Process(Protocol):
 
     @property
     def width(self) -> int:
-        """Numbers a vessel and step."""
+        """Numbers per vessel and step."""
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """Random numbers that steps are made from, shape (count, at least width)."""
+        """Random numbers of one vessel that steps are made from, shape (count, at least width)."""
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
-        """The next values from the last ones, which have kept the share `decay`; shapes (vessels, ...)."""
+        """The next values from the last ones and fresh numbers; `decay` is e^(−Δt/τ). Shapes (vessels, ...)."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +64,13 @@ class KeptUniform:
     width: int = 1
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """A new number, and one that decides whether it is taken."""
+        """A new number, and one that decides whether it is taken, shape (count, 2)."""
         new = streams.uniforms(Purpose.CLASS, camera, vessel, first=first, count=count)
         decides = streams.uniforms(Purpose.CLASS_KEPT, camera, vessel, first=first, count=count)
         return np.concatenate([new, decides], axis=1)
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
-        """Keep or take the new one."""
+        """Keep the number or take the new one, shape (vessels, 1)."""
         return np.where(fresh[:, 1:] < decay, values, fresh[:, :1])
 
 
@@ -92,13 +86,13 @@ class Autoregressive:
     width: int = ERROR_NORMALS
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """Independent standard normal numbers."""
+        """Independent standard normal numbers, shape (count, width)."""
         parts = BOX_ERROR_STREAMS.widths(self.width - ERROR_NORMALS).items()
         uniforms = [streams.uniforms(name, camera, vessel, first=first, count=count, width=n) for name, n in parts]
         return normals(np.concatenate(uniforms, axis=1))
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
-        """Mix old and new."""
+        """Mix old and new numbers, shape (vessels, width)."""
         return decay * values + math.sqrt(1 - decay * decay) * fresh
 
 
@@ -106,7 +100,7 @@ class Walk:
     """The values of one process of all vessels of a camera, computed step by step from the first."""
 
     def __init__(self, process: Process, streams: Streams, clock: Clock, camera: str, vessels: tuple[str, ...]) -> None:
-        """Stand before the first step."""
+        """Begin before the first step."""
         self._process, self._streams, self._clock = process, streams, clock
         self._camera, self._vessels = camera, vessels
         self._next, self._stride = 0, max(1, min(_MOST_STEPS, _VESSEL_STEPS // max(len(vessels), 1)))
@@ -128,7 +122,7 @@ class Walk:
         return result
 
     def _piece(self, stop: int) -> Array:
-        """Go on to a step, shape (steps gone, vessels, width)."""
+        """The values from the next step up to `stop`, shape (steps, vessels, width)."""
         first, process = self._next, self._process
         times = self._clock(max(first - 1, 0), stop).tolist()
         # One exponential at a time: how a run is split must not show in how an array of them is rounded.
@@ -146,22 +140,12 @@ class Walk:
         return piece
 
 
-def _no_clock(first: int, stop: int) -> Array:
-    raise ModsimError("persistence needs the times of all steps of the scene: give the Detector a clock")
-
-
 class VesselNoise:
     """The noise of each target: drawn for each step, or kept for a while."""
 
-    def __init__(self, persistence: Persistence, streams: Streams, clock: Clock | None) -> None:
-        """Use a clock, which persistence needs.
-
-        Raises:
-            ModsimError: There is none.
-        """
-        self._persistence, self._streams, self._clock = persistence, streams, clock or _no_clock
-        if persistence.class_s or persistence.box_s:
-            self._clock(0, 0)
+    def __init__(self, persistence: Persistence, streams: Streams, clock: Clock) -> None:
+        """Read the times of steps from a clock where noise persists."""
+        self._persistence, self._streams, self._clock = persistence, streams, clock
         self._walks: dict[tuple[type[Process], str, tuple[str, ...]], Walk] = {}
 
     def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:

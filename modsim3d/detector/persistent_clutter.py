@@ -28,10 +28,10 @@ class PersistentClutter:
     """Persistent false positives, a row for each frame that shows one.
 
     Attributes:
-        frame: Non-decreasing, shape (m,).
-        age_s: Since birth, shape (m,).
-        uniforms: Place (3), size and label: the same as long as it lives, shape (m, 5).
-        sign: Which way it drifts, 1 or −1, shape (m,).
+        frame: Index of the frame, non-decreasing, shape (m,).
+        age_s: Time since birth, shape (m,).
+        uniforms: Uniform numbers for place (3), size and label, the same in all frames of one, shape (m, 5).
+        sign: Direction in which it drifts, 1 or −1, shape (m,).
     """
 
     frame: Indices
@@ -41,18 +41,9 @@ class PersistentClutter:
 
 
 def persistent_clutter(streams: Streams, frames: CameraFrames, rates: Array, lifetime_s: float) -> PersistentClutter:
-    """Persistent false positives in a camera's frames.
-
-    Args:
-        streams: Random numbers.
-        frames: The frames.
-        rates: Mean number in each frame, shape (S,).
-        lifetime_s: Mean lifetime.
-    """
-    layers = [
-        _layer(streams, frames, rates - layer, lifetime_s, layer)
-        for layer in range(int(np.ceil(rates.max(initial=0.0))))
-    ]
+    """Persistent false positives in a camera's frames, given their mean number in each, shape (S,), and lifetime."""
+    count = int(np.ceil(rates.max(initial=0.0)))
+    layers = [_layer(streams, frames, rates - layer, lifetime_s, layer) for layer in range(count)]
     if not layers:
         nothing, none = np.empty(0), np.empty(0, dtype=np.int64)
         return PersistentClutter(none, nothing, np.empty((0, 5)), nothing)

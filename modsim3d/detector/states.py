@@ -6,7 +6,7 @@ import bisect
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Array, Indices
 from modsim3d.detector.draws import cumulative
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames
@@ -21,7 +21,7 @@ _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition
 class PerformanceStates:
     """The states that a detector's cameras are in.
 
-    Where the schedule forces a state, the chain goes on behind it, so all else stays as it would have been.
+    The chain goes on while the schedule forces a state, so the states after it are those of a run without a schedule.
     """
 
     def __init__(self, model: DetectorModel, streams: Streams) -> None:
@@ -41,11 +41,18 @@ class PerformanceStates:
         return performance.forced(frames.times_s, chain.at(frames))
 
 
+def transitions_before(interval_s: float | None, steps: Indices, times_s: Array) -> Indices:
+    """Number of transitions up to each frame, shapes (S,): one at each step unless there is an interval."""
+    if interval_s is None:
+        return steps
+    return np.floor(times_s / interval_s + _EARLY).astype(np.int64)
+
+
 class StateSequence:
     """The states of a run, one realisation of the chain.
 
-    Transition k uses the k-th number of one stream, so the states at a time are the same for every camera that
-    shares it, whatever was asked before. What has been worked out is kept.
+    Transition k uses the k-th number of one stream, so every camera that shares the chain has the same states at the
+    same time. States are kept once they have been computed.
     """
 
     def __init__(self, model: DetectorModel, streams: Streams, *owner: str) -> None:
@@ -56,21 +63,11 @@ class StateSequence:
         self._states = np.array([model.initial_state], dtype=np.int16)
 
     def at(self, frames: CameraFrames) -> Indices:
-        """Index of the state at each frame, shape (S,).
-
-        Raises:
-            ModsimError: The transition interval is so short that the transitions cannot be worked through.
-        """
-        transitions = self._transitions_before(frames)
+        """Index of the chain's state at each frame, shape (S,)."""
+        transitions = transitions_before(self._interval_s, frames.steps, frames.times_s)
         if len(transitions):
             self._extend(int(transitions.max()))
         return self._states[transitions].astype(np.int64)
-
-    def _transitions_before(self, frames: CameraFrames) -> Indices:
-        """Number of transitions up to each frame, shape (S,)."""
-        if self._interval_s is None:
-            return frames.steps
-        return np.floor(frames.times_s / self._interval_s + _EARLY).astype(np.int64)
 
     def _extend(self, last: int) -> None:
         if last > _MOST_TRANSITIONS:

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel, sizes
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.error_distributions import ERROR_NORMALS, ErrorDistribution, Normal
+from modsim3d.detector.box_error_law import ERROR_NORMALS, ErrorDistribution, Normal
 
 POINTS = 128
 """Points of Sobol's sequence for each box, shifted for each box by an amount of its own (Cranley & Patterson, 1976),
@@ -39,10 +39,9 @@ _NORMAL = Normal()
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """Points of the truncated law of some boxes.
+    """Points of the truncated law of some rows of boxes.
 
     Attributes:
-        rows: Which boxes.
         errors: In the order e_x, e_y, e_w, e_h, shape (rows, points, 4).
         weights: Sum to one over the points, shape (rows, points).
         acceptance: Probability that a first draw counts, shape (rows,).
@@ -72,10 +71,10 @@ def accepted_errors(
     Args:
         boxes_px: What the errors are added to, at least a pixel wide and high, shape (n, 4).
         images_px: Width and height of each box's image, shape (n, 2).
-        mean: Of the law before truncation, e_x, e_y, e_w, e_h in pixels, shape (4,) or (n, 4).
-        covariance: In px², shape (4, 4) or (n, 4, 4).
-        distribution: Of the standardised errors.
-        points: For each box, a power of two.
+        mean: Mean of e_x, e_y, e_w, e_h before truncation in pixels, shape (4,) or (n, 4).
+        covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
+        distribution: Distribution of the standardised errors.
+        points: Number of points for each box, a power of two.
     """
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
@@ -91,10 +90,9 @@ def accepted_errors(
 
 
 def ordered_root(covariance: Array) -> Array:
-    """Root of covariances in drawing order, shapes (..., 4, 4); zero columns where an error is determined.
+    """Lower triangular L with L·Lᵀ the covariance of e_w, e_h, e_x, e_y, shapes (..., 4, 4).
 
-    Returns:
-        Lower triangular L with L·Lᵀ the covariance of e_w, e_h, e_x, e_y.
+    A column is zero where an error is determined by those before it.
     """
     matrix = np.asarray(covariance)[..., _ORDER[:, None], _ORDER]
     root = np.zeros_like(matrix)
@@ -171,7 +169,7 @@ class TruncatedErrors:
     second_moments: Array
 
     def covariances(self) -> Array:
-        """Shape (n, 4, 4)."""
+        """Covariance of the errors of each box, shape (n, 4, 4)."""
         return self.second_moments - self.means[:, :, None] * self.means[:, None, :]
 
 
@@ -184,15 +182,9 @@ def truncated_errors(
     in_file_units: bool = False,
     points: int = SINGLE_BOX_POINTS,
 ) -> TruncatedErrors:
-    """Errors of boxes in one state, as far as the boxes that they make are not degenerate.
+    """Errors of annotated boxes, shape (n, 4), in one state, without those that make degenerate boxes.
 
-    Args:
-        source: The box errors of the detector.
-        state: Index of the state.
-        boxes_px: Annotated boxes, shape (n, 4).
-        image_size_px: Width and height.
-        in_file_units: Return moments as if every box had the file's mean and covariance, and not in pixels.
-        points: For each box, a power of two.
+    They are in pixels or, with `in_file_units`, in the units of the file. `points` is a power of two.
     """
     accepted, means, seconds = np.empty(len(boxes_px)), np.empty((len(boxes_px), 4)), np.empty((len(boxes_px), 4, 4))
     truth = at_least_a_pixel(boxes_px, image_size_px)

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import clip, move, sizes
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
 from modsim3d.detector.merges_and_splits import LEAST_SPLIT_PX
 from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel, PerformanceState
 from modsim3d.detector.parts import Part, model_name
@@ -19,20 +19,19 @@ from modsim3d.verify.class_checks import correlation_note
 from modsim3d.verify.error_fit import ErrorSample, FitStep, MomentTable, StateFit, fit_step, fitted_law
 from modsim3d.verify.error_likelihoods import LIKELIHOODS
 from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.max_detections import max_detections_note
+from modsim3d.verify.evidence import Evidence, max_detections_note
 from modsim3d.verify.measures import Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 
 LEAST_DETECTIONS = 150
-"""True detections in a state, below which its box errors are not tested."""
+"""Box errors of a state with fewer true detections are not tested."""
 LEAST_WORTH = 300
-"""Independent errors that errors that persist have to be worth.
+"""Persistent errors are tested where they are worth so many independent ones.
 
 They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
 """
 MOST_SHAPE_ERROR = 1.0
-"""Standard error of a number of the distribution itself, in its own units, above which it is not tested."""
+"""A number of the distribution itself is tested up to this standard error, in its own units."""
 _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
 
@@ -40,13 +39,9 @@ _CONDITION = 1e8
 def box_error_checks(
     model: DetectorModel, evidence: Evidence, table: MomentTable, states: Collection[str] | None = None
 ) -> list[Parameter]:
-    """The parameters of each state; the boxes themselves; correlation from frame to frame.
+    """The parameters of each of the named states, or of all; the boxes themselves; correlation from frame to frame.
 
-    Args:
-        model: The detector file.
-        evidence: The truth and the detections of the run.
-        table: Expectations that are known already.
-        states: Names of the states to look at; all if None.
+    The table holds expectations that are known already.
     """
     chosen = [s for s, state in enumerate(model.states) if states is None or state.name in states]
     rows = {s: _rows(model, evidence, s) for s in chosen if _has_check(model.states[s])}
@@ -77,7 +72,7 @@ def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
 
 
 def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
-    """Why a state cannot be tested: among the most confident detections, boxes that came out large are too many."""
+    """Why a state cannot be tested: too many of the most confident detections have boxes that came out large."""
     return max_detections_note(model, evidence) if model.states[s].confidence.size_slope else ""
 
 
@@ -118,7 +113,7 @@ def _fit(state: PerformanceState, evidence: Evidence, rows: Indices, table: Mome
 def _state_checks(
     state: PerformanceState, evidence: Evidence, rows: Indices, fit: StateFit | None, replayed: Array | None
 ) -> list[Parameter]:
-    """The parameters of a state's law; `replayed` are their standard errors where errors persist, shape (p,)."""
+    """The parameters of a state's law; where errors persist, `replayed` are their standard errors, shape (p,)."""
     if _is_singular(state):
         return _exact_checks(state, evidence, rows)
     law = ErrorParameters.of(state.box_error)
@@ -129,13 +124,12 @@ def _state_checks(
         few = measure is not None and replayed is not None and measure.count < LEAST_WORTH
         few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MOST_SHAPE_ERROR
         path, unit = f"states.{state.name}.box_error.{name}", "" if k >= 8 else "sides" if law.relative else "px"
-        parameter = Parameter(path, Part.BOX_ERROR, None if few else measure, float(asked), unit, state.name)
-        parameters.append(replace(parameter, note=note) if k == 0 else parameter)
-    return parameters
+        parameters.append(Parameter(path, Part.BOX_ERROR, None if few else measure, float(asked), unit, state.name))
+    return [replace(parameters[0], note=note), *parameters[1:]]
 
 
 def _estimate(fit: StateFit, k: int, replayed: Array | None) -> Estimate:
-    """One of the law's numbers; replays say by how much errors that persist count for fewer."""
+    """One of the law's numbers; replays say how many independent errors persistent ones are worth."""
     step = fit.step
     error = step.errors[k] if replayed is None else replayed[k]
     wider = error / step.errors[k]
@@ -156,10 +150,11 @@ def _truncation_note(step: FitStep) -> str:
 
 
 def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) -> list[Parameter]:
-    """Of a covariance without an inverse: errors that have no spread are their mean."""
+    """Checks of a singular covariance: errors without spread must be their mean."""
     law = ErrorParameters(state.box_error.mean, np.zeros(4), np.eye(4), state.box_error.relative)
-    means, _ = law.at(evidence.instances.boxes_px[evidence.true_detections.instance[rows]])
-    off = np.abs(evidence.true_detections.errors_px[rows] - means) > _ROUNDING_PX
+    found = evidence.true_detections
+    means, _ = law.at(evidence.instances.boxes_px[found.instance[rows]])
+    off = np.abs(found.errors_px[rows] - means) > _ROUNDING_PX
     still = (state.box_error.std <= 0) & (state.box_error.growth <= 0)
     parameters = []
     for k, entry in enumerate(ERROR_COMPONENTS):
@@ -172,13 +167,10 @@ def _exact_checks(state: PerformanceState, evidence: Evidence, rows: Indices) ->
 
 def _box_check(evidence: Evidence) -> Parameter:
     """Whether every box is its truth moved by its error and clipped to the image."""
-    single = np.flatnonzero(evidence.true_detections.kind == TRUE)
-    true_detections, instances = evidence.true_detections, evidence.instances
-    rows = true_detections.instance[single]
-    wrong = 0
-    for camera, seen in enumerate(evidence.cameras):
-        ours = np.flatnonzero(instances.camera[rows] == camera)
-        moved = move(instances.boxes_px[rows[ours]], true_detections.errors_px[single[ours]])
-        off = np.abs(true_detections.boxes_px[single[ours]] - clip(moved, seen.frames.image_size_px))
-        wrong += int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
+    found, instances = evidence.true_detections, evidence.instances
+    single = np.flatnonzero(found.kind == TRUE)
+    rows = found.instance[single]
+    moved = move(instances.boxes_px[rows], found.errors_px[single])
+    off = np.abs(found.boxes_px[single] - clip(moved, instances.image_px[rows]))
+    wrong = int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
     return Parameter("boxes are truth and error, clipped", Part.BOX_ERROR, Exact(wrong, len(single)), in_file=False)

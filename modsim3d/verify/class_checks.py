@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.classification import ConfusionClassifier
-from modsim3d.detector.draws import cumulative
+from modsim3d.detector.draws import cumulative, log2
+from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Slope, Table
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.parts import Part
-from modsim3d.verify.dropout_checks import dropout_checks
-from modsim3d.verify.evidence import Evidence
-from modsim3d.verify.max_detections import max_detections_note
+from modsim3d.detector.parts import Part, model_name
+from modsim3d.verify.evidence import Evidence, max_detections_note
 from modsim3d.verify.measures import Estimate, Exact, Measure
-from modsim3d.verify.pairs import inflation, turn_before
+from modsim3d.verify.pairs import inflation, lag_pairs, turn_before
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.rate_measures import Rate
 
@@ -32,7 +32,7 @@ class ExpectedOutcomes:
 
     Attributes:
         passed: Whether the gates let it pass, shape (n,).
-        edges: Limits between which a uniform number means each label, then a miss, shape (n, labels + 2).
+        edges: Ends of the ranges of uniform numbers that mean each label, then a miss, shape (n, labels + 2).
     """
 
     passed: Mask
@@ -46,7 +46,7 @@ class ExpectedOutcomes:
 
 
 def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:
-    """What a detector's gates, confusion matrices and dropout expect of every annotated box."""
+    """What a detector expects of every annotated box."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
     classifier = ConfusionClassifier.from_model(model, evidence.census(model))
     instances = evidence.instances
@@ -105,9 +105,7 @@ def _entry(
     outcome = evidence.instances.outcome[rows]
     low, high = expected.edges[rows, row], expected.edges[rows, row + 1]
     happened = outcome == (-1 if row == background else row)
-    if (
-        model.merges_and_splits.merges and row < background
-    ):  # of a merged vessel the label is not known: among the others
+    if model.merges_and_splits.merges and row < background:  # merged vessels, whose label is not known, do not count
         known = outcome >= 0
         share = (high - low) / np.where(expected.missed[rows] < 1, 1 - expected.missed[rows], 1)
         rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
@@ -117,20 +115,19 @@ def _entry(
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
 ) -> Measure | None:
-    """How often a uniform number was between the bounds low and high of each row, shapes (n,)."""
+    """How often a uniform number was between the bounds `low` and `high` of each row, shapes (n,)."""
     if len(rows) < LEAST_CHANCES:
         return None
     probability = high - low
     spread = probability * (1 - probability)
 
     def covariance(later: Indices, earlier: Indices) -> Array:
+        """Covariance of pairs of rows that have kept a number, shapes (m,)."""
         common = np.minimum(high[later], high[earlier]) - np.maximum(low[later], low[earlier])
         kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
         return kept
 
-    instances = evidence.instances
-    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
-    factor = inflation(tracks, instances.time_s[rows], model.persistence.class_s, spread, covariance)
+    factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
     if len(rows) / factor < LEAST_CHANCES:
         return None
     mean, count = float(probability.mean()), int(happened.sum())
@@ -164,18 +161,16 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
 
 def correlation_note(measure: Estimate | None) -> str:
     """A note on the unit of the numbers beside a correlation time."""
-    return (
-        "as the correlation from one frame at which the detector runs to the next"
-        if measure is not None and measure.asked
-        else ""
-    )
+    if measure is None or not measure.asked:
+        return ""
+    return "as the correlation from one frame at which the detector runs to the next"
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes) -> Estimate | None:
-    """Probability that a vessel keeps its number from one frame to the next.
+    """Probability κ that a vessel keeps its uniform number from one frame to the next.
 
-    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in that chance
-    κ: κ times that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
+    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in κ: κ times
+    that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
     """
     instances = evidence.instances
     rows_before = turn_before(model, evidence)
@@ -203,3 +198,72 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     step = float((residual * slope / spread).sum()) / information
     skewness = float((slope**3 * (1 - 2 * q) / spread**2).sum()) / information**1.5
     return Estimate(asked_kappa + step, asked_kappa, 1 / math.sqrt(information), len(now), skewness)
+
+
+LEAST_MISSES = 30
+
+
+def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
+    """Each slope, and each range of each table, with the rates of all states and labels free.
+
+    Given which instances the gates let pass and the asked probability of a miss, shapes (n,).
+    """
+    parameters = []
+    for effect in model.dropout.effects:
+        check = EFFECT_CHECKS.get(model_name(EFFECTS, effect))
+        if check is None:
+            continue
+        values = np.concatenate([ATTRIBUTES[effect.attribute](seen.targets) for seen in evidence.cameras])
+        for name, asked, column in check(effect, values):
+            measure = _effect(model, evidence, passed, missed, column, asked)
+            parameters.append(Parameter(f"dropout.{effect.attribute}.{name}", Part.CLASS, measure, asked))
+    return parameters
+
+
+Column = tuple[str, float, Array]
+"""Name and asked value of a number of an effect, and the derivative of the log-odds by it at each instance."""
+
+
+def _slope_columns(effect: Slope, values: Array) -> list[Column]:
+    filled = np.where(np.isnan(values), effect.reference, values)
+    amount = log2(filled / effect.reference) if effect.doublings else filled - effect.reference
+    return [("per_doubling" if effect.doublings else "per_unit", effect.log_odds, amount)]
+
+
+def _table_columns(effect: Table, values: Array) -> list[Column]:
+    known, place = ~np.isnan(values), np.searchsorted(effect.edges, values, side="right")
+    return [(f"odds[{k}]", odds, np.where(known & (place == k), 1 / odds, 0.0)) for k, odds in enumerate(effect.odds)]
+
+
+EFFECT_CHECKS: Mapping[str, Callable[..., list[Column]]] = {"logistic": _slope_columns, "table": _table_columns}
+"""The columns of an effect, given the attribute of each instance, by the name of the effect's model."""
+
+
+def _effect(
+    model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array, column: Array, asked: float
+) -> Estimate | None:
+    """One step of a logistic regression from the asked probabilities, with an intercept for each state and label."""
+    instances = evidence.instances
+    rows = np.flatnonzero(passed & (missed > 0) & (missed < 1))
+    p = missed[rows]
+    happened = instances.outcome[rows] == -1
+    if happened.sum() < LEAST_MISSES:
+        return None
+    spread, amount = p * (1 - p), column[rows]
+    group = instances.state[rows] * len(model.labels) + instances.label[rows]
+    weight = np.bincount(group, spread)
+    mean = np.bincount(group, spread * amount) / np.where(weight > 0, weight, 1)
+    free = amount - mean[group]  # changes of the states' rates cannot explain this part
+    information = float((spread * free**2).sum())
+    if information < 1e-9 * max(float((spread * amount**2).sum()), 1e-300):
+        return None
+    variance = information
+    if model.persistence.class_s > 0:
+        for later, earlier, apart in lag_pairs(*instances.tracks(rows), model.persistence.class_s):
+            kept = np.minimum(p[later], p[earlier]) - p[later] * p[earlier]
+            shared = np.exp(-apart / model.persistence.class_s) * kept * free[later] * free[earlier]
+            variance += 2 * float(shared.sum())
+    step = float(((happened - p) * free).sum()) / information
+    error = max(variance, 0.1 * information) ** 0.5 / information
+    skewness = float((spread * (1 - 2 * p) * free**3).sum()) / information**1.5
+    return Estimate(asked + step, asked, error, len(rows) * information / variance, skewness)

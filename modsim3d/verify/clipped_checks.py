@@ -19,20 +19,14 @@ _LEVELS = 100
 
 @dataclass(frozen=True, eq=False)
 class Clipped:
-    """Clipped numbers and what their means depend on.
-
-    Attributes:
-        scores: Shape (n,).
-        design: Their means are this times the coefficients, shape (n, k).
-        threshold: Lower end.
-    """
+    """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients."""
 
     scores: Array
     design: Array
     threshold: float
 
     def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
-        """Estimates of the first coefficient, the standard deviation, and the other coefficients.
+        """Estimates of the first coefficient, the standard deviation, and the other coefficients, shape (k,) in all.
 
         One step from the asked values towards the maximum likelihood, which is also the score test of each with the
         others free; several steps for an estimate that is far off.
@@ -60,7 +54,7 @@ class Clipped:
         return value
 
     def _step(self, coefficients: Array, std: float) -> tuple[Array | None, Array, Array]:
-        """Step, its covariance under the law, and its third cumulants."""
+        """Step from the law towards the maximum likelihood, its covariance, and its third cumulants."""
         means = self.design @ coefficients
         # In this order: first coefficient, standard deviation, the others.
         design = np.insert(self.design, 1, 1.0, axis=1)
@@ -77,7 +71,7 @@ class Clipped:
         if not np.all(np.isfinite(matrix)) or np.linalg.cond(matrix) > _SINGULAR:
             return None, matrix, total
         covariance = np.linalg.inv(matrix)
-        # Of a few rows, spread evenly, as many as all stand for.
+        # From a few rows, spread evenly, that stand for all.
         rows = np.linspace(0, len(means) - 1, min(len(means), 64)).astype(np.int64)
         third = np.zeros(len(total))
         for row in rows:

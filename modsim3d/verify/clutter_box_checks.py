@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
@@ -14,9 +16,8 @@ from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, CameraFrames, Targets
 from modsim3d.random_streams import Streams
-from modsim3d.verify.evidence import CameraEvidence, Evidence
+from modsim3d.verify.evidence import CameraEvidence, Evidence, max_detections_note
 from modsim3d.verify.law_measures import Law
-from modsim3d.verify.max_detections import max_detections_note
 from modsim3d.verify.measures import Estimate
 from modsim3d.verify.parameters import Parameter
 
@@ -25,16 +26,13 @@ LEAST_LIFETIMES = 20
 """Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
 _DRAWS_EACH = 40
 _REPLAYS = 150
-_DIGITS = 6  # of a pixel: equal sides that were read back from centre and size stay equal
+_DIGITS = 6  # decimals of a pixel: equal sides that were read back from centre and size stay equal
 
 
 def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
-    """Places and sizes of transient ones, and the lifetime of persistent ones.
+    """Places and sizes of transient false positives, and the lifetime of persistent ones.
 
-    Args:
-        model: The detector file.
-        evidence: The truth and the detections of the run.
-        persistent: Expected number of persistent ones in each frame, shape (s,).
+    `persistent` is the expected number of persistent ones in each frame, shape (s,).
     """
     note = max_detections_note(model, evidence)
     names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
@@ -52,7 +50,7 @@ def clutter_box_checks(model: DetectorModel, evidence: Evidence, persistent: Arr
 
 
 def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
-    """Distance of each column of `_places_and_sizes` from that of many draws in the same frames (Smirnov (1939))."""
+    """Distance of each column of `_places_and_sizes` from many draws in the same frames (Smirnov (1939))."""
     source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
@@ -65,12 +63,12 @@ def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     values, expected = np.concatenate(found), np.concatenate(drawn)
     if len(values) < LEAST_FALSE:
         return [None] * 4
-    worth = len(values) * _DRAWS_EACH // (_DRAWS_EACH + 1)  # of draws that are many, but not all there could be
+    worth = len(values) * _DRAWS_EACH // (_DRAWS_EACH + 1)  # the draws too are a sample
     return [Law(_distance(values[:, k], expected[:, k]), worth) for k in range(4)]
 
 
 def _kept(seen: CameraEvidence) -> Targets:
-    """The detected vessels as the detector had them, with two merged ones as one."""
+    """The detected vessels as the detector had them, with merged ones in one box."""
     found = seen.detections
     true = np.flatnonzero(~found.false())
     true = true[np.argsort(found.frame[true], kind="stable")]
@@ -78,15 +76,7 @@ def _kept(seen: CameraEvidence) -> Targets:
     merged = np.flatnonzero(found.partner[true] >= 0)
     boxes = kept.boxes_px.copy()
     boxes[merged] = unions(boxes[merged], seen.targets.boxes_px[found.partner[true[merged]]])
-    return Targets(
-        vessel_ids=kept.vessel_ids,
-        frame=kept.frame,
-        vessel=kept.vessel,
-        label=kept.label,
-        boxes_px=boxes,
-        visible_fraction=kept.visible_fraction,
-        depth_m=kept.depth_m,
-    )
+    return replace(kept, boxes_px=boxes)
 
 
 def _places_and_sizes(frames: CameraFrames, frame: Indices, boxes_px: Array) -> Array:
@@ -108,10 +98,10 @@ def _distance(found: Array, expected: Array) -> float:
 
 
 def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Estimate | None:
-    """Estimated from how much the number of persistent ones changes from frame to frame.
+    """Estimate ρ = e^(−Δt/lifetime) from how much the number of persistent ones changes from frame to frame.
 
-    With m to be expected in one and m' in the next, the number less its expectation changes by m + m' − 2ρ·min(m, m')
-    in the mean square, ρ = e^(−Δt/lifetime). How far ρ strays by chance is what replays of the process show.
+    With m expected in one frame and m' in the next, the mean square change of the number less its expectation is
+    m + m' − 2ρ·min(m, m'). Replays of the process give the standard error.
     """
     images, lifetime = evidence.frames, model.clutter.lifetime_s
     rows = np.flatnonzero(persistent > 0)
@@ -143,7 +133,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
 
 
 def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: int) -> Array:
-    """Number of persistent ones in each frame with another seed, shape (s,)."""
+    """Number of persistent false positives in each frame with another seed, shape (s,)."""
     numbers, streams, first = [], Streams(seed), 0
     for seen in evidence.cameras:
         means = persistent[first : first + len(seen.frames)]

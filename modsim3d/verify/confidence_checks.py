@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import sizes
-from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.confidence import SCORES, NormalScores, QuantileScores, Scores, StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part, model_name
-from modsim3d.detector.scores import SCORES, NormalScores, QuantileScores, Scores
 from modsim3d.verify.clipped_checks import Clipped
-from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, max_detections_note
 from modsim3d.verify.law_measures import Law
-from modsim3d.verify.max_detections import max_detections_note
 from modsim3d.verify.measures import Exact, Measure
 from modsim3d.verify.parameters import Parameter
 
@@ -25,12 +23,10 @@ LEAST_DETECTIONS = 50
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Detections of a state with what their confidence may depend on; shapes (n,).
+    """Detections of a state with their confidence and what it may depend on; shapes (n,).
 
-    Attributes:
-        scores: Their confidence.
-        hidden: Share of the vessel that is hidden, 0 where there is none.
-        halvings: Of the box's size below the reference.
+    `hidden` is the share of the vessel that is hidden, 0 where there is none; `halvings` says how often the reference
+    size must be halved to give that of the box.
     """
 
     scores: Array
@@ -38,9 +34,9 @@ class Scored:
     halvings: Array
 
     def __add__(self, other: Scored) -> Scored:
-        """Both together."""
-        columns = ("scores", "hidden", "halvings")
-        return Scored(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in columns))
+        """The detections of both."""
+        columns = zip(astuple(self), astuple(other), strict=True)
+        return Scored(*(np.concatenate(pair) for pair in columns))
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
@@ -51,11 +47,9 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
     for s, state in enumerate(model.states):
         law = state.confidence
         true, false = _scored(evidence, s, law)
-        groups = (
-            [("", law.true, true + false)]
-            if law.true is law.false
-            else [(".true", law.true, true), (".false", law.false, false)]
-        )
+        groups = [(".true", law.true, true), (".false", law.false, false)]
+        if law.true is law.false:
+            groups = [("", law.true, true + false)]
         for name, scores, found in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [
@@ -69,19 +63,16 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
 
 def _scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[Scored, Scored]:
     """True and false detections of a state."""
-    true_detections, clutter, instances = evidence.true_detections, evidence.false_detections, evidence.instances
-    true, false = np.flatnonzero(instances.state[true_detections.instance] == s), np.flatnonzero(clutter.state == s)
-    seen = np.append(instances.visible_fraction, np.nan)  # the last for chance −1: no vessel
-    parts = []
-    for scores, chance, boxes in (
-        (true_detections.confidence[true], true_detections.instance[true], true_detections.boxes_px[true]),
-        (clutter.confidence[false], clutter.instance[false], clutter.boxes_px[false]),
-    ):
-        visible = seen[chance]
-        width, height = sizes(boxes).T
+    true, false, instances = evidence.true_detections, evidence.false_detections, evidence.instances
+    seen = np.append(instances.visible_fraction, np.nan)  # the last for instance −1: no vessel
+
+    def scored(found: TrueDetections | FalseDetections, ours: Mask) -> Scored:
+        visible = seen[found.instance[ours]]
+        width, height = sizes(found.boxes_px[ours]).T
         smaller = np.minimum(np.sqrt(width * height) / law.size_reference_px, 1.0)
-        parts.append(Scored(scores, np.where(np.isnan(visible), 0, 1 - visible), -np.log2(smaller)))
-    return parts[0], parts[1]
+        return Scored(found.confidence[ours], np.where(np.isnan(visible), 0, 1 - visible), -np.log2(smaller))
+
+    return scored(true, instances.state[true.instance] == s), scored(false, false.state == s)
 
 
 Slope = tuple[str, float, Array]
@@ -92,15 +83,11 @@ Number = tuple[str, float, Measure | None]
 
 def _measures(law: StateConfidence, scores: Scores, found: Scored, threshold: float) -> list[Number]:
     slopes = [
-        (name, slope, -amount)
-        for name, slope, amount in (
-            ("visibility_slope", law.visibility_slope, found.hidden),
-            ("size_slope", law.size_slope, found.halvings),
-        )
-        if slope
+        ("visibility_slope", law.visibility_slope, -found.hidden),
+        ("size_slope", law.size_slope, -found.halvings),
     ]
     check = SCORE_CHECKS.get(model_name(SCORES, scores))
-    return [] if check is None else check(scores, slopes, found, threshold)
+    return [] if check is None else check(scores, [slope for slope in slopes if slope[1]], found, threshold)
 
 
 def _quantiles(scores: QuantileScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
@@ -111,19 +98,18 @@ def _quantiles(scores: QuantileScores, slopes: list[Slope], found: Scored, thres
 
 
 def _normal(scores: NormalScores, slopes: list[Slope], found: Scored, threshold: float) -> list[Number]:
-    shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(len(found.scores)))
+    count, own = len(found.scores), [slope for _, slope, _ in slopes]
     names = ["mean", "std", *(name for name, _, _ in slopes)]
-    asked = [scores.mean, scores.std, *(slope for _, slope, _ in slopes)]
-    if len(found.scores) < LEAST_DETECTIONS:
-        return [(name, value, None) for name, value in zip(names, asked, strict=True)]
-    if scores.std == 0:
-        expected = np.clip(scores.mean + shift, threshold, 1)
-        wrong = int((np.abs(found.scores - expected) > 1e-12).sum())
-        return [("std", 0.0, Exact(wrong, len(found.scores)))]
-    clipped = Clipped(found.scores, np.column_stack([np.ones(len(shift)), *(a for _, _, a in slopes)]), threshold)
-    fitted = clipped.measures(np.array([scores.mean, *(slope for _, slope, _ in slopes)]), scores.std)
-    return [(name, value, measure) for name, value, measure in zip(names, asked, fitted, strict=True)]
+    measures: Sequence[Measure | None] = [None] * len(names)
+    if scores.std == 0 and count >= LEAST_DETECTIONS:
+        shift = sum((slope * amount for _, slope, amount in slopes), np.zeros(count))
+        wrong = int((np.abs(found.scores - np.clip(scores.mean + shift, threshold, 1)) > 1e-12).sum())
+        return [("std", 0.0, Exact(wrong, count))]
+    if count >= LEAST_DETECTIONS:
+        design = np.column_stack([np.ones(count), *(amount for _, _, amount in slopes)])
+        measures = Clipped(found.scores, design, threshold).measures(np.array([scores.mean, *own]), scores.std)
+    return list(zip(names, [scores.mean, scores.std, *own], measures, strict=True))
 
 
 SCORE_CHECKS: Mapping[str, Callable[..., list[Number]]] = {"normal": _normal, "quantiles": _quantiles}
-"""From scores, slopes, detections and threshold, by the name of the distribution."""
+"""The numbers of a distribution, given scores, slopes, detections and threshold, by the distribution's name."""

@@ -19,11 +19,11 @@ from modsim3d.verify.error_parameters import ErrorParameters
 
 _FAR, _STEPS, _SETTLED = 4.5, 6, 1e-3
 _SINGULAR = 1e10
-_SKEWNESS_BOXES = 100  # about as many, from which the skewness is taken
+_SKEWNESS_BOXES = 100  # the skewness is computed from about as many boxes
 
 
 def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator[tuple[Accepted, Array]]:
-    """Points of the truncated law of boxes, some at a time, and the statistics at each."""
+    """Points of the truncated law of some of the boxes at a time, and the statistics (rows, points, m) at each."""
     means, stds = law.at(boxes_px)
     covariances = law.correlation * stds[:, :, None] * stds[:, None, :]
     for part in accepted_errors(boxes_px, images_px, means, covariances, law.distribution):
@@ -34,8 +34,7 @@ def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator
 class MomentTable:
     """Expectations of the statistics and of their products, box by box.
 
-    Boxes that were integrated before under the same law are not integrated again: many seeds over one truth cost
-    hardly more than one.
+    They are kept for each law and box, so many seeds over one truth cost hardly more than one.
     """
 
     def __init__(self) -> None:
@@ -43,22 +42,16 @@ class MomentTable:
         self._known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
 
     def branch(self) -> MomentTable:
-        """A table that knows what this one does, and keeps further laws to itself."""
+        """A copy of this table; laws that it adds are not added here."""
         branch = MomentTable()
         branch._known = dict(self._known)
         return branch
 
     def of(self, law: ErrorParameters, boxes_px: Array, images_px: Array, rows: Indices) -> tuple[Array, Array, Array]:
-        """Moments of some of the boxes of a truth.
+        """Moments of n rows of a truth under a law truncated to what each box allows.
 
-        Args:
-            law: Before it is cut.
-            boxes_px: All of the truth, the same whenever this table is asked, shape (N, 4).
-            images_px: Shape (N, 2).
-            rows: Which of them, shape (n,).
-
-        Returns:
-            Expectations of the m statistics, shape (n, m), of their products (n, m, m), and acceptance (n,).
+        Boxes (N, 4) and sizes of their images (N, 2) are the whole truth, the same in each call. Returns expectations
+        of the m statistics, shape (n, m), of their products (n, m, m), and acceptance (n,).
         """
         key = repr((law.distribution, law.relative)).encode() + law.numbers().tobytes()
         if key not in self._known:
@@ -78,14 +71,7 @@ class MomentTable:
 
 @dataclass(frozen=True, eq=False)
 class ErrorSample:
-    """Errors found in a state.
-
-    Attributes:
-        errors_px: Shape (n, 4).
-        rows: Of the truth, of each, shape (n,).
-        boxes_px: The truth's boxes that errors were added to, shape (N, 4).
-        images_px: Their images' width and height, shape (N, 2).
-    """
+    """Errors (n, 4) of a state, their rows (n,) of the truth, and the truth's boxes (N, 4) and image sizes (N, 2)."""
 
     errors_px: Array
     rows: Indices
@@ -93,7 +79,7 @@ class ErrorSample:
     images_px: Array
 
     def standardised(self, law: ErrorParameters) -> Array:
-        """The errors in the standard deviations of a law, box by box, shape (n, 4)."""
+        """The errors less the means of a law, in its standard deviations, shape (n, 4)."""
         means, stds = law.at(self.boxes_px[self.rows])
         result: Array = (self.errors_px - means) / stds
         return result
@@ -101,15 +87,15 @@ class ErrorSample:
 
 @dataclass(frozen=True, eq=False)
 class FitStep:
-    """What one pass over the boxes says about the p parameters, in the units of `ErrorParameters.moved`.
+    """What one pass over n boxes says about the p parameters, in the units of `ErrorParameters.moved`.
 
     Attributes:
         step: From the law towards the largest likelihood, shape (p,).
         errors: Standard errors of the step under the law if errors do not persist, shape (p,).
-        skewness: Of each entry of the step, shape (p,).
-        weights: Of the statistics in the score of each parameter, before `gains`, shape (p, m).
+        skewness: Skewness of each entry of the step, shape (p,).
+        weights: Weights of the m statistics in the score of each parameter, before `gains`, shape (p, m).
         covariance: Inverse of the information, shape (p, p).
-        gains: Box by box, shape (n, p).
+        gains: Factors on the scores, box by box, shape (n, p).
         expected: Expectation of the statistics, shape (n, m).
         whitened: The first four statistics, centred and made independent with variance one, shape (n, 4).
         roots: Inverse roots that whiten, shape (n, 4, 4).
@@ -135,15 +121,9 @@ class FitStep:
 
 
 def fit_step(law: ErrorParameters, sample: ErrorSample, table: MomentTable) -> FitStep | None:
-    """One step of the fit.
+    """One step of the fit from a law to a sample; None where the errors say nothing about some parameter.
 
-    Args:
-        law: Where it starts: what was asked for.
-        sample: What was found.
-        table: Of the truth that the sample is of.
-
-    Returns:
-        None where the errors say nothing about some parameter.
+    The table is that of the sample's truth.
     """
     boxes = sample.boxes_px[sample.rows]
     weights, gains = law.score_weights(boxes)
@@ -157,16 +137,12 @@ def fit_step(law: ErrorParameters, sample: ErrorSample, table: MomentTable) -> F
     if not np.all(np.isfinite(information)) or np.linalg.cond(information) > _SINGULAR:
         return None
     covariance = np.linalg.inv(information)
-    found = sample.standardised(law)
-    residuals = law.statistics(found) - expected
-    step = covariance @ ((residuals @ weights.T) * gains).sum(axis=0)
-    errors = np.sqrt(np.diag(covariance))
-    skewness = _third_cumulants(law, sample, weights, covariance) / errors**3
-    roots = _inverse_roots(covariances[:, :4, :4])
+    residuals = law.statistics(sample.standardised(law)) - expected
+    errors, roots = np.sqrt(np.diag(covariance)), _inverse_roots(covariances[:, :4, :4])
     return FitStep(
-        step=step,
+        step=covariance @ ((residuals @ weights.T) * gains).sum(axis=0),
         errors=errors,
-        skewness=skewness,
+        skewness=_third_cumulants(law, sample, weights, covariance) / errors**3,
         weights=weights,
         covariance=covariance,
         gains=gains,
@@ -186,7 +162,7 @@ def _inverse_roots(covariances: Array) -> Array:
 
 
 def _third_cumulants(law: ErrorParameters, sample: ErrorSample, weights: Array, covariance: Array) -> Array:
-    """Of the step, shape (p,), from some of the boxes."""
+    """Third cumulants of the step, shape (p,), estimated from some of the boxes."""
     rows = sample.rows[:: max(1, len(sample.rows) // _SKEWNESS_BOXES)]
     _, gains = law.score_weights(sample.boxes_px[rows])
     third = np.zeros(len(covariance))
@@ -214,14 +190,9 @@ def fitted_law(law: ErrorParameters, step: FitStep, sample: ErrorSample) -> Erro
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
-    """The box errors of a performance state.
+    """The box errors of a performance state: the law asked for, the law found, and the step between them.
 
-    Attributes:
-        law: Asked for.
-        found: Fitted.
-        step: From one to the other.
-        sample: The errors.
-        rows: Rows of `TrueDetections` that they are of, shape (n,).
+    `rows` are the rows (n,) of `TrueDetections` that the sample is of.
     """
 
     law: ErrorParameters

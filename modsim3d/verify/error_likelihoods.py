@@ -1,8 +1,8 @@
-"""How the likelihood of standardised box errors follows mean, standard deviations, correlations and shape.
+"""Likelihoods of standardised box errors: how they depend on mean, standard deviations, correlations and shape.
 
-All distributions here are elliptical: their log-likelihood follows mean and covariance through four values and ten
-products of values, each with a weight that depends on the distribution. These are the statistics of a fit; numbers of
-the distribution itself add one statistic each.
+All distributions here are elliptical: their log-likelihood depends on mean and covariance through four values and ten
+products of values, each with a weight that depends on the distribution. These are the statistics of a fit; each number
+of the distribution itself adds one statistic.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array
-from modsim3d.detector.error_distributions import ErrorDistribution, StudentT
+from modsim3d.detector.box_error_law import ErrorDistribution, StudentT
 from modsim3d.detector.model import ERROR_PAIRS
 
 FIRST, SECOND = np.triu_indices(4)
@@ -34,7 +34,7 @@ class ErrorLikelihood(Protocol):
         """The distribution's own numbers, shape (s,)."""
 
     def shape_units(self, distribution: Any) -> Array:
-        """What a step of one is worth in these numbers, shape (s,)."""
+        """The size of a step of one in these numbers, shape (s,)."""
 
     def reshaped(self, distribution: Any, step: Array) -> ErrorDistribution:
         """The distribution a step of shape (s,) away."""
@@ -47,20 +47,18 @@ class ErrorLikelihood(Protocol):
 
 
 class NormalLikelihood:
-    """Of the normal distribution: the statistics are the values and their products themselves."""
+    """The normal distribution: the statistics are the values and their products themselves."""
 
     shape_names: tuple[str, ...] = ()
 
     def shape(self, distribution: Any) -> Array:
-        """None."""
+        """No numbers, shape (0,)."""
         return np.empty(0)
 
-    def shape_units(self, distribution: Any) -> Array:
-        """None."""
-        return np.empty(0)
+    shape_units = shape
 
     def reshaped(self, distribution: Any, step: Array) -> ErrorDistribution:
-        """The same."""
+        """The same distribution; the step has shape (0,)."""
         kept: ErrorDistribution = distribution
         return kept
 
@@ -69,12 +67,12 @@ class NormalLikelihood:
         return np.concatenate([standardised, products_of(standardised)], axis=-1)
 
     def latent_share(self, distribution: Any) -> float:
-        """All of it."""
+        """All of the correlation."""
         return 1.0
 
 
 class StudentTLikelihood:
-    """Of Student's t: values and products weigh less the farther out the error is, and ν has a statistic of its own.
+    """Student's t: values and products weigh less the farther out the error is, and ν has a statistic of its own.
 
     With q = yᵀ R⁻¹ y for the correlation R, the log-density is, but for constants, −(ν + 4)/2 · log(1 + q/(ν − 2)) −
     2·log(ν − 2) + log Γ((ν + 4)/2) − log Γ(ν/2). Its derivatives by mean and covariance are those of a normal one with
@@ -92,7 +90,7 @@ class StudentTLikelihood:
         return np.array([distribution.degrees_of_freedom - 2])
 
     def reshaped(self, distribution: StudentT, step: Array) -> ErrorDistribution:
-        """ν − 2 times the exponential of the step."""
+        """ν − 2 times the exponential of the step, shape (1,)."""
         return StudentT(min(2 + (distribution.degrees_of_freedom - 2) * float(np.exp(step[0])), _MOST_FREEDOM))
 
     def statistics(self, distribution: StudentT, correlation: Array, standardised: Array) -> Array:
@@ -104,7 +102,7 @@ class StudentTLikelihood:
         return np.concatenate([weight * standardised, weight * products_of(standardised), of_nu[..., None]], axis=-1)
 
     def latent_share(self, distribution: StudentT) -> float:
-        """Of whitened weighted values with the latent normal ones, by integration over z and w."""
+        """Correlation of whitened weighted values with the latent normal ones, by integration over z and w."""
         levels = (np.arange(_LEVELS) + 0.5) / _LEVELS
         length = 2 * special.gammaincinv(2.0, levels)[:, None]  # of z: chi-square of 4 degrees of freedom
         scale = distribution.scales(special.ndtri(levels)[:, None])

@@ -8,8 +8,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
-from modsim3d.detector.box_error_law import BoxErrorLaw
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS, ErrorDistribution, Normal
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS, BoxErrorLaw, ErrorDistribution, Normal, size_factors
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.detector.parts import model_name
 from modsim3d.verify.error_likelihoods import LIKELIHOODS, PLAIN, ErrorLikelihood, directions
@@ -19,15 +18,9 @@ _LEAST_EIGENVALUE, _LEAST_GROWTH = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ErrorParameters:
-    """A law of box errors before truncation, as a fit moves it.
+    """A law of box errors before truncation, in a form that a fit can move; see `BoxErrorLaw` for its numbers.
 
-    Attributes:
-        mean: In pixels, or in sides of the box where relative, shape (4,).
-        std: In the same unit, shape (4,), all positive.
-        correlation: Shape (4, 4), not singular.
-        relative: Whether errors are in sides of the box.
-        growth: By how many pixels each standard deviation grows with each pixel of the side, shape (4,).
-        distribution: Of the standardised errors.
+    Mean, standard deviations, all positive, and growth have shape (4,), the correlation, not singular, (4, 4).
     """
 
     mean: Array
@@ -39,39 +32,33 @@ class ErrorParameters:
 
     @classmethod
     def of(cls, law: BoxErrorLaw) -> ErrorParameters:
-        """The parameters of a law whose covariance is not singular."""
+        """The parameters of a law with a covariance that is not singular."""
         correlation = law.covariance / np.outer(law.std, law.std)
         return cls(law.mean, law.std, correlation, law.relative, law.growth, law.distribution)
 
     @property
     def likelihood(self) -> ErrorLikelihood:
-        """Of the distribution."""
+        """The likelihood of the distribution."""
         return LIKELIHOODS[model_name(ERROR_DISTRIBUTIONS, self.distribution)]
 
     @property
     def growing(self) -> Indices:
-        """Components whose standard deviations grow."""
+        """Components whose standard deviations grow, shape (g,)."""
         return np.flatnonzero(self.growth > 0)
 
     def at(self, boxes_px: Array) -> tuple[Array, Array]:
         """Means and standard deviations of the errors of boxes (n, 4) in pixels, shapes (n, 4)."""
-        sides = np.tile(sizes(boxes_px), 2)
-        if self.relative:
-            return self.mean * sides, self.std * sides
-        return np.broadcast_to(self.mean, sides.shape), self.std + self.growth * sides
+        factor, spread = size_factors(sizes(boxes_px), self.relative, self.growth / self.std)
+        return self.mean * factor, self.std * factor * spread
 
     def statistics(self, standardised: Array) -> Array:
         """Statistics of standardised errors of shape (..., 4), shape (..., m)."""
         return self.likelihood.statistics(self.distribution, self.correlation, standardised)
 
     def score_weights(self, boxes_px: Array) -> tuple[Array, Array]:
-        """How statistics add up to the derivatives of the log-likelihood by the p parameters.
+        """How statistics add up to the derivatives of the log-likelihood by the p parameters, for boxes (n, 4).
 
-        Args:
-            boxes_px: Shape (n, 4).
-
-        Returns:
-            Weights of the statistics, shape (p, m), and what they are multiplied by box by box, shape (n, p).
+        Returns weights of the statistics, shape (p, m), and factors on their sums box by box, shape (n, p).
         """
         shape = len(self.likelihood.shape_names)
         every = np.eye(PLAIN + shape)
@@ -87,23 +74,25 @@ class ErrorParameters:
 
     def names(self) -> list[str]:
         """The keys of the parameters in the order of `numbers`."""
-        names = [f"{key}[{c}]" for key in ("mean", "std") for c in ERROR_COMPONENTS]
-        names += [f"correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS]
-        return [*names, *(f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing), *self.likelihood.shape_names]
+        return [
+            *parameter_names(),
+            *(f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing),
+            *self.likelihood.shape_names,
+        ]
 
     def numbers(self) -> Array:
-        """Four means, four standard deviations, six correlations, growths that are not zero, shape; shape (p,)."""
+        """Four means, four standard deviations, six correlations, growths that are not 0, own numbers; shape (p,)."""
         correlations = [self.correlation[i, j] for i, j in ERROR_PAIRS]
         shape = self.likelihood.shape(self.distribution)
         return np.concatenate([self.mean, self.std, correlations, self.growth[self.growing], shape])
 
     def units(self) -> Array:
-        """What a step of one is worth in these numbers, shape (p,)."""
+        """The size of a step of one in these numbers, shape (p,)."""
         shape = self.likelihood.shape_units(self.distribution)
         return np.concatenate([self.std, self.std, np.ones(len(ERROR_PAIRS) + len(self.growing)), shape])
 
     def moved(self, step: Array) -> ErrorParameters:
-        """The law a step away: means in standard deviations, standard deviations in parts of themselves."""
+        """The law a step of shape (p,) away: means in standard deviations, these in parts of themselves."""
         step = min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-12)) * step
         correlation = self.correlation.copy()
         for value, (i, j) in zip(step[8:PLAIN], ERROR_PAIRS, strict=True):
@@ -118,6 +107,12 @@ class ErrorParameters:
             growth=growth,
             distribution=self.likelihood.reshaped(self.distribution, step[shape:]),
         )
+
+
+def parameter_names() -> list[str]:
+    """The keys of four means, four standard deviations and six correlations."""
+    names = [f"{key}[{c}]" for key in ("mean", "std") for c in ERROR_COMPONENTS]
+    return [*names, *(f"correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS)]
 
 
 def _definite(correlation: Array) -> Array:

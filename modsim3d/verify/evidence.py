@@ -29,22 +29,19 @@ class CameraEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Instances:
-    """The annotated boxes of all cameras, n rows: each is a chance to detect a vessel.
+    """The annotated boxes of all cameras: each is a chance to detect a vessel; shapes (n,) unless given.
 
     Attributes:
-        camera: Index of the camera, shape (n,).
-        time_s: Shape (n,).
-        frame: Index of the camera's frame, shape (n,).
-        vessel: Index of the vessel, shape (n,).
-        state: Shape (n,).
-        label: True label, shape (n,).
-        outcome: Detected label; −1 where it was missed, −2 where it was merged into another's box and its label is
-            not known, shape (n,).
-        before: Row of the same vessel in the camera's frame before, −1 if it was not annotated there, shape (n,).
+        camera: Index of the camera.
+        frame: Index of the camera's frame.
+        vessel: Index of the vessel.
+        state: Index of the performance state.
+        label: True label.
+        outcome: Detected label; −1 if missed, −2 if merged into another's box, so that its label is not known.
+        before: Row of the same vessel in the camera's frame before, −1 if it was not annotated there.
         boxes_px: The boxes that errors are added to, shape (n, 4).
         image_px: Width and height of the camera's image, shape (n, 2).
-        visible_fraction: NaN where unknown, shape (n,).
-        depth_m: Shape (n,).
+        visible_fraction: NaN where unknown.
     """
 
     camera: Indices
@@ -58,19 +55,21 @@ class Instances:
     boxes_px: Array
     image_px: Array
     visible_fraction: Array
-    depth_m: Array
+
+    def tracks(self, rows: Indices) -> tuple[Indices, Array]:
+        """Numbers that are equal in rows of one vessel in one camera, shape (k, 2), and times of rows, shape (k,)."""
+        return np.stack([self.camera[rows], self.vessel[rows]], axis=1), self.time_s[rows]
 
 
 @dataclass(frozen=True, eq=False)
 class TrueDetections:
-    """True detections, m rows: one of each vessel that is seen, two of them in one box where they are merged.
+    """Detections that count as that of a vessel; two vessels that are merged are one. Shapes (m,) unless given.
 
     Attributes:
-        instance: Row of `Instances` that each came from, shape (m,).
-        kind: Index into `KINDS`, shape (m,).
+        instance: Row of `Instances`.
+        kind: Index into `KINDS`.
         errors_px: e_x, e_y, e_w, e_h before clipping, NaN where it is not one box of one vessel, shape (m, 4).
-        confidence: Shape (m,).
-        boxes_px: As output, shape (m, 4).
+        boxes_px: Boxes as output, shape (m, 4).
     """
 
     instance: Indices
@@ -82,16 +81,13 @@ class TrueDetections:
 
 @dataclass(frozen=True, eq=False)
 class FalseDetections:
-    """False positives, m rows; second boxes of vessels among them.
+    """False positives, second boxes of vessels among them; shapes (m,) unless given.
 
     Attributes:
-        frame_row: Row of `FrameTable`, shape (m,).
-        instance: Row of `Instances` of a second box, −1 for all others, shape (m,).
-        state: Shape (m,).
-        label: Shape (m,).
-        confidence: Shape (m,).
-        kind: Index into `KINDS`, shape (m,).
-        boxes_px: As output, shape (m, 4).
+        frame_row: Row of `FrameTable`.
+        instance: Row of `Instances` of a second box, −1 for all others.
+        kind: Index into `KINDS`.
+        boxes_px: Boxes as output, shape (m, 4).
     """
 
     frame_row: Indices
@@ -105,16 +101,7 @@ class FalseDetections:
 
 @dataclass(frozen=True, eq=False)
 class FrameTable:
-    """Every camera's frames, s rows in order of camera and time.
-
-    Attributes:
-        camera: Shape (s,).
-        time_s: Shape (s,).
-        step: Shape (s,).
-        state: Shape (s,).
-        n_kept: True detections, shape (s,).
-        n_false: False positives, shape (s,).
-    """
+    """The frames of all cameras in order of camera and time, with their true and false detections; shapes (s,)."""
 
     camera: Indices
     time_s: Array
@@ -126,15 +113,7 @@ class FrameTable:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A whole run, all cameras.
-
-    Attributes:
-        cameras: The evidence of each camera.
-        frames: The frames of all cameras.
-        instances: All annotated boxes.
-        true_detections: All detections that count as the detection of a vessel.
-        false_detections: All others.
-    """
+    """A whole run, all cameras."""
 
     cameras: tuple[CameraEvidence, ...]
     frames: FrameTable
@@ -147,16 +126,14 @@ class Evidence:
         """Join the evidence of cameras."""
         first_row = np.cumsum([0, *(len(seen.targets) for seen in cameras)])
         first_frame = np.cumsum([0, *(len(seen.frames) for seen in cameras)])
-        frames = [_frames(index, seen) for index, seen in enumerate(cameras)]
-        instances = [_instances(index, seen) for index, seen in enumerate(cameras)]
         true = [_true(seen.detections) for seen in cameras]
         false = [_false(seen.detections) for seen in cameras]
         return cls(
             tuple(cameras),
-            FrameTable(**_joined(frames)),
-            Instances(**_joined(instances, {"before": first_row})),
-            TrueDetections(**_joined(true, {"instance": first_row})),
-            FalseDetections(**_joined(false, {"frame_row": first_frame, "instance": first_row})),
+            FrameTable(**_joined([_frames(index, seen) for index, seen in enumerate(cameras)])),
+            Instances(**_joined([_instances(index, seen) for index, seen in enumerate(cameras)], before=first_row)),
+            TrueDetections(**_joined(true, instance=first_row)),
+            FalseDetections(**_joined(false, frame_row=first_frame, instance=first_row)),
         )
 
     def census(self, model: DetectorModel) -> TargetCensus:
@@ -164,17 +141,12 @@ class Evidence:
         return take_census(model, ((seen.frames, seen.targets) for seen in self.cameras))
 
 
-def _joined(parts: Sequence[Columns], offsets: dict[str, Indices] | None = None) -> Columns:
-    """Columns of all cameras joined; columns that index rows get offsets, −1 stays."""
-    columns: Columns = {}
-    for name in parts[0]:
-        start = (offsets or {}).get(name)
-        values = [
-            part[name] if start is None else np.where(part[name] < 0, -1, part[name] + start[i])
-            for i, part in enumerate(parts)
-        ]
-        columns[name] = np.concatenate(values)
-    return columns
+def _joined(parts: Sequence[Columns], **offsets: Indices) -> Columns:
+    """Columns of all cameras joined; those that index rows get their camera's offset, and −1 stays."""
+    for name, first in offsets.items():
+        for part, start in zip(parts, first.tolist(), strict=False):
+            part[name] = np.where(part[name] < 0, -1, part[name] + start)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _frames(index: int, seen: CameraEvidence) -> Columns:
@@ -210,7 +182,6 @@ def _instances(index: int, seen: CameraEvidence) -> Columns:
         "boxes_px": at_least_a_pixel(targets.boxes_px, frames.image_size_px),
         "image_px": np.tile(np.array(frames.image_size_px, dtype=np.float64), (len(targets), 1)),
         "visible_fraction": targets.visible_fraction,
-        "depth_m": targets.depth_m,
     }
 
 
@@ -237,3 +208,18 @@ def _rows_before(targets: Targets) -> Indices:
     before = np.full(len(targets), -1)
     before[order[1:][follows]] = order[:-1][follows]
     return before
+
+
+def max_detections_note(model: DetectorModel, evidence: Evidence) -> str:
+    """Why rates and confidence cannot be tested; empty if they can."""
+    limit = model.gates.max_detections
+    if limit is None:
+        return ""
+    reached = int((evidence.frames.n_kept + evidence.frames.n_false >= limit).sum())
+    return f"max_detections was reached in {reached} images: what was left out is not known" if reached else ""
+
+
+def frames_above_max(model: DetectorModel, evidence: Evidence) -> int:
+    """Images with more detections than the limit."""
+    limit = model.gates.max_detections
+    return 0 if limit is None else int(np.sum(evidence.frames.n_kept + evidence.frames.n_false > limit))

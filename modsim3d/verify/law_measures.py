@@ -18,9 +18,7 @@ from modsim3d.verify.tails import two_sided
 class Occupancy:
     """Share of the frames that a state takes, against the law of a Markov chain.
 
-    Attributes:
-        found: Number of frames.
-        law: Probability of each number from 0 on, shape (frames + 1,).
+    `found` is the number of its frames, `law` the probability of each number from 0 on, shape (frames + 1,).
     """
 
     found: int
@@ -73,13 +71,7 @@ class Occupancy:
 
 @dataclass(frozen=True)
 class Law:
-    """Greatest distance between an empirical distribution function and the one asked for (Kolmogorov (1933)).
-
-    Attributes:
-        measured: The distance.
-        count: Numbers.
-        asked: No distance.
-    """
+    """Greatest distance between an empirical distribution function and the one asked for (Kolmogorov (1933))."""
 
     measured: float
     count: float
@@ -87,16 +79,20 @@ class Law:
 
     @classmethod
     def of(cls, values: Array, quantiles: Array) -> Law:
-        """Against a law that is straight between evenly spaced quantiles; where it has steps the test is cautious."""
-        share = np.linspace(0, 1, len(quantiles))
+        """The distance of values from a law that is straight between evenly spaced quantiles, shapes (n,) and (k,).
+
+        Where the law has steps, the test is cautious.
+        """
+        share, steps = np.linspace(0, 1, len(quantiles)), np.flatnonzero(np.diff(quantiles) > 0)
         ordered = np.sort(values)
-        below = np.interp(ordered, *_last(quantiles, share))
-        above = np.interp(ordered, *_first_of(quantiles, share))
-        rank = np.arange(len(ordered))
+        # At equal quantiles the distribution function is the last share from above, and the first from below.
+        last, first = np.append(steps, len(quantiles) - 1), np.append(0, steps + 1)
+        below = np.interp(ordered, quantiles[last], share[last])
+        above = np.interp(ordered, quantiles[first], share[first])
         # A step of the law takes in every rank within it.
         high = np.searchsorted(ordered, ordered, side="right") / len(ordered) - below
         low = above - np.searchsorted(ordered, ordered, side="left") / len(ordered)
-        return cls(float(max(high.max(initial=0), low.max(initial=0), 0.0)), len(rank))
+        return cls(float(max(high.max(initial=0), low.max(initial=0), 0.0)), len(ordered))
 
     def p_value(self) -> float:
         """Of the two-sided test."""
@@ -114,15 +110,3 @@ class Law:
     def noticed(self, alpha: float) -> Noticed:
         """A distance that the test does not miss: what chance may bring, from both sides."""
         return None, float(kstwo.isf(alpha, int(self.count)) + kstwo.isf(1 - POWER, int(self.count)))
-
-
-def _last(values: Array, share: Array) -> tuple[Array, Array]:
-    """Distribution function from above: at equal values the last."""
-    place = np.append(np.flatnonzero(np.diff(values) > 0), len(values) - 1)
-    return values[place], share[place]
-
-
-def _first_of(values: Array, share: Array) -> tuple[Array, Array]:
-    """Distribution function from below: at equal values the first."""
-    place = np.append(0, np.flatnonzero(np.diff(values) > 0) + 1)
-    return values[place], share[place]

@@ -15,12 +15,7 @@ from modsim3d.verify.evidence import CameraEvidence, Evidence
 
 @dataclass(frozen=True, eq=False)
 class ManyDetections:
-    """The truth of a whole run, ready for any detector.
-
-    Attributes:
-        scene: The scene.
-        inputs: What each camera's detector is given.
-    """
+    """The truth of a whole run, as the inputs of each camera's detector."""
 
     scene: Scene
     inputs: tuple[DetectorInput, ...]

@@ -50,15 +50,15 @@ class Measure(Protocol):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with a standard error, nearly normal.
+    """A nearly normal number with a standard error.
 
     Attributes:
         measured: The estimate.
         asked: The value asked for.
         error: Standard error of the test statistic if the asked value holds.
-        count: Observations.
-        skewness: Of the statistic.
-        statistic: Of the test, in standard errors; (measured − asked) / error if None.
+        count: Number of independent observations.
+        skewness: Skewness of the test statistic.
+        statistic: Test statistic in standard errors; (measured − asked) / error if None.
         grows: Whether the standard error is in proportion to the value, as that of a standard deviation.
     """
 
@@ -84,7 +84,7 @@ class Estimate:
         return abs(self.z)
 
     def interval(self, alpha: float) -> Interval:
-        """Such that the asked value is outside just where the test fails; infinite where it cannot fail."""
+        """Excludes the asked value exactly where the test fails; infinite where it cannot fail."""
         upper = skewed_quantile(alpha / 2, self.skewness)
         lower = skewed_quantile(alpha / 2, -self.skewness)
         centre = self.asked + self.z * self.error
@@ -104,12 +104,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Exact:
-    """Something that must never fail.
-
-    Attributes:
-        wrong: How often it failed.
-        count: How often it was tried.
-    """
+    """A rule that must never fail: how often it did, of how many times."""
 
     wrong: int
     count: float
@@ -129,7 +124,7 @@ class Exact:
         return math.inf if self.wrong else 0.0
 
     def interval(self, alpha: float) -> Interval:
-        """No doubt about it."""
+        """The number itself: there is no chance in it."""
         return self.measured, self.measured
 
     def noticed(self, alpha: float) -> Noticed:

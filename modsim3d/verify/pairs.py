@@ -1,4 +1,4 @@
-"""Pairs of rows of one track: how much the noise that they share adds to a variance."""
+"""Pairs of rows of one track, and how much the noise that they share adds to a variance."""
 
 from __future__ import annotations
 
@@ -17,13 +17,8 @@ _FORGOTTEN = 10.0
 def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator[tuple[Indices, Indices, Array]]:
     """Pairs of rows of one track that are near enough in time to be correlated, neighbours first.
 
-    Args:
-        tracks: Numbers that are equal in rows of one track, shape (n, k).
-        times_s: Shape (n,).
-        correlation_s: Time in which the correlation falls to 1/e.
-
-    Yields:
-        Later rows, earlier rows, and seconds between, shapes (m,).
+    Rows (n, k) of `tracks` are equal in one track; times have shape (n,). The correlation falls to 1/e in
+    `correlation_s`. Yields later rows, earlier rows, and seconds between, shapes (m,).
     """
     order = np.lexsort((times_s, *tracks.T[::-1]))
     ordered, times = tracks[order], times_s[order]
@@ -47,7 +42,7 @@ def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
         due = model.gates.due(seen.frames)
         turn[ours], ran[ours] = np.cumsum(due)[instances.frame[ours]], due[instances.frame[ours]]
     rows = np.flatnonzero(ran)
-    tracks = np.stack([instances.camera[rows], instances.vessel[rows]], axis=1)
+    tracks, _ = instances.tracks(rows)
     order = np.lexsort((turn[rows], *tracks.T[::-1]))
     same = (tracks[order][1:] == tracks[order][:-1]).all(axis=1)
     follows = same & (np.diff(turn[rows[order]]) == 1)
@@ -63,14 +58,10 @@ def inflation(
     variances: Array,
     covariance: Callable[[Indices, Indices], Array],
 ) -> float:
-    """Variance of the sum of rows that persist over that of independent rows.
+    """Variance of the sum of rows whose noise persists, over that of independent rows with variances of shape (n,).
 
-    Args:
-        tracks: Shape (n, k).
-        times_s: Shape (n,).
-        correlation_s: Two rows have kept the same noise with probability e^(−Δt / this).
-        variances: Of each row, shape (n,).
-        covariance: Of later and earlier rows that have kept it.
+    Two rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / correlation_s).
+    `covariance` is that of later and earlier rows that have kept it.
     """
     alone = float(variances.sum())
     if correlation_s <= 0 or alone <= 0:

@@ -51,11 +51,10 @@ class Verdict:
     """A parameter with the verdict on it.
 
     Attributes:
-        parameter: The parameter.
         asked: The value asked for, by the model's rule where that differs from the file's.
         measured: None where too little was seen.
-        interval: Of the measured value, at the level of all tests together.
-        p_value: Before correction for the number of tests.
+        interval: Interval of the measured value, at the level of all tests together.
+        p_value: The p-value before correction for the number of tests.
         noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
         verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
     """
@@ -70,18 +69,13 @@ class Verdict:
 
     @property
     def fails(self) -> bool:
-        """Whether the run does not obey."""
+        """Whether the run does not obey its file in this parameter."""
         return self.verdict == DIFFERS
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Whether a run obeys its detector file.
-
-    Attributes:
-        verdicts: In the order of the parameters.
-        alpha: Level of each test.
-    """
+    """Whether a run obeys its detector file: a verdict on each parameter, at level `alpha`."""
 
     verdicts: tuple[Verdict, ...]
     alpha: float
@@ -98,17 +92,13 @@ class Verification:
 
     @property
     def cause(self) -> Verdict | None:
-        """The entry of the file that stands out most of those that fail, of equals the first; None if none fails."""
-        return max(
-            self.failed,
-            key=lambda verdict: (verdict.parameter.in_file, _strength(verdict)),
-            default=None,
-        )
+        """The failing verdict that stands out most, first of all of those in the file; None if none fails."""
+        return max(self.failed, key=lambda verdict: (verdict.parameter.in_file, _strength(verdict)), default=None)
 
 
 def _strength(verdict: Verdict) -> float:
     measure = verdict.parameter.measure
-    # To six digits: of two entries that say the same, rounding must not decide.
+    # To six digits: between two entries that say the same, rounding must not decide.
     return 0.0 if measure is None else float(f"{measure.strength():.6g}")
 
 

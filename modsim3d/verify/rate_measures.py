@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from scipy import special
@@ -19,11 +21,7 @@ def _deviance(observed: float, expected: float) -> float:
 class Rate:
     """A share of trials; correlated trials count for fewer.
 
-    Attributes:
-        successes: Number of successes.
-        trials: Number of trials.
-        asked: The probability asked for.
-        inflation: Variance of the number of successes over that of independent trials.
+    `inflation` is the variance of the number of successes over that of independent trials.
     """
 
     successes: float
@@ -66,25 +64,14 @@ class Rate:
         many = _first(trials, lambda k: binomial_tails(k, trials, self.asked)[1] <= alpha / 2)
         few = _first(trials, lambda k: binomial_tails(trials - k, trials, self.asked)[0] <= alpha / 2)
         above = None if many is None else float(special.betaincinv(many, trials - many + 1, POWER)) - self.asked
-        below = None
-        if few is not None:
-            least = trials - few
-            below = self.asked - (1 - float(special.betaincinv(trials - least, least + 1, POWER)))
+        below = None if few is None else self.asked - (1 - float(special.betaincinv(few, trials - few + 1, POWER)))
         return below, above
 
 
-def _first(last: int, holds) -> int | None:  # type: ignore[no-untyped-def]
-    """Least k ≤ last for which a condition holds that stays true once it is; by halving."""
-    if not holds(last):
-        return None
-    low, high = 0, last
-    while low < high:
-        middle = (low + high) // 2
-        if holds(middle):
-            high = middle
-        else:
-            low = middle + 1
-    return high
+def _first(last: int, holds: Callable[[int], bool]) -> int | None:
+    """Least k ≤ last for which a condition holds that stays true from there on."""
+    place = bisect.bisect_left(range(last + 1), True, key=holds)
+    return place if place <= last else None
 
 
 @dataclass(frozen=True)
@@ -94,7 +81,7 @@ class DiscoveryRate:
     Attributes:
         false: Number of false positives.
         true: Number of true detections.
-        expected: False positives expected; of the asked rate r with n true detections n·r / (1 − r).
+        expected: False positives expected: for a rate r and n true detections n·r / (1 − r).
         inflation: Variance of the number over that of a Poisson number.
     """
 
@@ -156,14 +143,7 @@ class DiscoveryRate:
 
 @dataclass(frozen=True)
 class ImageRate:
-    """False positives for each image, a Poisson number.
-
-    Attributes:
-        false: Number of false positives.
-        images: Number of images.
-        asked: The rate asked for.
-        inflation: Variance of the number over that of a Poisson number.
-    """
+    """False positives for each image, a Poisson number with its variance times `inflation`."""
 
     false: float
     images: float

@@ -16,11 +16,12 @@ from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.verify.class_checks import miss_probabilities
+from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.parameters import FALLS_SHORT, OVERALL_ALPHA, UNCHECKED, UNTESTED, Verdict, Verification
 from modsim3d.verify.run_lengths import expected_run_lengths, missed_again, run_lengths
-from modsim3d.verify.verify_run import VerifiedRun
+from modsim3d.verify.verification import VerifiedRun
 from modsim3d.view.pages import charts, page
 
 FORMAT = 1
@@ -39,29 +40,21 @@ def groups_of(verification: Verification) -> dict[str, list[Verdict]]:
 
 def row_of(verdict: Verdict) -> tuple[str, ...]:
     """A verdict as cells under `HEADER`."""
-    unit = f" {verdict.parameter.unit}" if verdict.parameter.unit else ""
+    parameter = verdict.parameter
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    asked, promised = _number(verdict.asked) + unit, parameter.promised
     if verdict.measured is None or verdict.interval is None:
-        asked = _number(verdict.asked) + unit if math.isfinite(verdict.asked) else "–"
-        return verdict.parameter.name, asked, "–", "–", "–", verdict.verdict
-    low, high = verdict.interval
-    if isinstance(verdict.parameter.measure, Exact):
-        wrong, count = _counts(verdict.parameter.measure)
-        asked = "always" if verdict.parameter.asked is None else _number(verdict.asked) + unit
-        return verdict.parameter.name, asked, f"{wrong} of {count} wrong", "exact", "once", verdict.verdict
-    promised = verdict.parameter.promised
-    asked = _number(verdict.asked) if promised is None else f"{_number(promised)}, by rule {_number(verdict.asked)}"
-    return (
-        verdict.parameter.name,
-        asked + unit,
-        _number(verdict.measured),
-        f"{_number(low)} … {_number(high)}",
-        _noticed(verdict),
-        verdict.verdict,
-    )
+        return parameter.name, asked if math.isfinite(verdict.asked) else "–", "–", "–", "–", verdict.verdict
+    if isinstance(parameter.measure, Exact):
+        wrong = "{} of {} wrong".format(*_counts(parameter.measure))
+        return parameter.name, "always" if parameter.asked is None else asked, wrong, "exact", "once", verdict.verdict
+    asked = asked if promised is None else f"{_number(promised)}, by rule {asked}"
+    interval = " … ".join(map(_number, verdict.interval))
+    return parameter.name, asked, _number(verdict.measured), interval, _noticed(verdict), verdict.verdict
 
 
 def notes_of(verification: Verification) -> list[str]:
-    """What else a reader should know, each thing once."""
+    """What else a reader should know."""
     notes = []
     for verdict in verification.verdicts:
         parameter = verdict.parameter
@@ -200,15 +193,13 @@ def _table(verdicts: Sequence[Verdict]) -> str:
 
 
 def _timelines(model: DetectorModel, evidence: Evidence) -> list[str]:
-    """One for all cameras, or for each its own where they have states of their own."""
+    """One timeline for all cameras, or one for each where they have states of their own."""
     cameras = evidence.cameras if model.performance.per_camera else evidence.cameras[:1]
-    return [
-        charts.figure(
-            [_timeline(model, evidence, camera)],
-            "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else ""),
-        )
-        for camera, seen in enumerate(cameras)
-    ]
+    figures = []
+    for camera, seen in enumerate(cameras):
+        caption = "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else "")
+        figures.append(charts.figure([_timeline(model, evidence, camera)], caption))
+    return figures
 
 
 def _timeline(model: DetectorModel, evidence: Evidence, camera: int) -> str:
@@ -246,9 +237,8 @@ Law = tuple[Array, Array] | None
 
 
 def _law(found: dict[str, Verdict], path: str, measured: bool) -> Law:
-    """Mean and covariance of a state's box errors, asked or measured; None where it was not looked at."""
-    names = [f"{path}.mean[{c}]" for c in ERROR_COMPONENTS] + [f"{path}.std[{c}]" for c in ERROR_COMPONENTS]
-    names += [f"{path}.correlation[{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}]" for i, j in ERROR_PAIRS]
+    """Mean and covariance of a state's box errors, asked or measured; None where they were not tested."""
+    names = [f"{path}.{name}" for name in parameter_names()]
     values = [(found[name].measured if measured else found[name].asked) if name in found else None for name in names]
     numbers = np.array([np.nan if value is None else value for value in values])
     if np.isnan(numbers).any():

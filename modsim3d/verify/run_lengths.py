@@ -10,7 +10,10 @@ from modsim3d.verify.evidence import Evidence
 
 
 def run_lengths(evidence: Evidence) -> Indices:
-    """Number of runs of misses by length, from 0 on; a run ends where the vessel is detected or not annotated."""
+    """Number of runs of misses by length from 0 on, shape (most + 1,).
+
+    A run ends where the vessel is detected or not annotated.
+    """
     instances = evidence.instances
     missed = instances.outcome == -1  # −2 is detected in another's box
     length = missed.astype(np.int64)
@@ -38,11 +41,8 @@ def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Arr
 def expected_run_lengths(miss_probability: Array, again: Array, before: Indices, most: int) -> Array:
     """Expected number of runs of 1, 2, ... `most` misses, shape (most,).
 
-    Args:
-        miss_probability: Of each instance, shape (n,).
-        again: Probability of a miss given that the frame before was one, shape (n,).
-        before: Row of the same vessel in the frame before, −1 if there is none, shape (n,).
-        most: Greatest length.
+    Instances have a probability of a miss, one given that the frame before was a miss, and the row of the same vessel
+    in the frame before, −1 if there is none; shapes (n,).
     """
     after = np.full(len(before), -1)
     follows = np.flatnonzero(before >= 0)

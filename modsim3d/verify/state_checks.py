@@ -9,26 +9,24 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import Part
+from modsim3d.detector.states import transitions_before
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.law_measures import Occupancy
 from modsim3d.verify.measures import Exact
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.rate_measures import Rate
 
-_EARLY = 1e-6  # of an interval, as in the detector: 0.6 / 0.2 is a hair below 3
 _ANGLES_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The states of a chain in a run.
+    """The states of a chain in a run, frame by frame; shapes (s,).
 
     Attributes:
         name: Appended to the names of its parameters, empty if it is the only chain.
-        steps: Steps of its frames, shape (s,).
-        times_s: Shape (s,).
-        states: Shape (s,).
-        forced: Whether the schedule, and not the chain, decided, shape (s,).
+        forced: Whether the schedule, and not the chain, decided.
+        transitions: Number of transitions from each frame to the next, shape (s − 1,).
     """
 
     name: str
@@ -36,6 +34,13 @@ class Chain:
     times_s: Array
     states: Indices
     forced: Mask
+    transitions: Indices
+
+    @property
+    def pairs(self) -> tuple[Indices, Indices, Indices]:
+        """State before, state after and transitions between, of pairs of frames that are not forced, shapes (k,)."""
+        free = ~(self.forced[1:] | self.forced[:-1])
+        return self.states[:-1][free], self.states[1:][free], self.transitions[free]
 
 
 def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
@@ -72,44 +77,20 @@ def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
         groups = [(f", {seen.frames.camera}", np.flatnonzero(images.camera == i)) for i, seen in enumerate(cameras)]
     else:
         groups = [("", np.unique(images.step, return_index=True)[1])]
-    return [
-        Chain(
-            name,
-            images.step[rows],
-            images.time_s[rows],
-            images.state[rows],
-            # What the schedule decides is the same whatever the chain does.
-            model.performance.forced(images.time_s[rows], np.full(len(rows), -1)) >= 0,
-        )
-        for name, rows in groups
-    ]
-
-
-def transition_counts(model: DetectorModel, steps: Indices, times_s: Array) -> Indices:
-    """Number of transitions from each frame to the next, shape (frames − 1,)."""
-    if model.transition_interval_s is None:
-        return np.asarray(np.diff(steps), dtype=np.int64)
-    due = np.floor(times_s / model.transition_interval_s + _EARLY)
-    return np.asarray(np.diff(due), dtype=np.int64)
+    chains = []
+    for name, rows in groups:
+        steps, times_s = images.step[rows], images.time_s[rows]
+        # The schedule decides whatever the chain does: it leaves only the states of other frames at −1.
+        forced = model.performance.forced(times_s, np.full(len(rows), -1)) >= 0
+        transitions = np.diff(transitions_before(model.transition_interval_s, steps, times_s)).astype(np.int64)
+        chains.append(Chain(name, steps, times_s, images.state[rows], forced, transitions))
+    return chains
 
 
 def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parameter]:
     """The transition matrix, from pairs of frames of all chains with the usual number of transitions between them."""
-    before, after, transitions = (
-        np.concatenate(columns)
-        for columns in zip(
-            *(
-                (
-                    chain.states[:-1][ours],
-                    chain.states[1:][ours],
-                    transition_counts(model, chain.steps, chain.times_s)[ours],
-                )
-                for chain in chains
-                for ours in [~(chain.forced[1:] | chain.forced[:-1])]
-            ),
-            strict=True,
-        )
-    )
+    pairs_of_chains = zip(*(chain.pairs for chain in chains), strict=True)
+    before, after, transitions = (np.concatenate(columns) for columns in pairs_of_chains)
     moved = transitions > 0
     parameters = []
     if not moved.all():
@@ -134,30 +115,21 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
 
 
 def _occupancy_checks(model: DetectorModel, chain: Chain) -> list[Parameter]:
-    transitions = transition_counts(model, chain.steps, chain.times_s)
-    return [
-        Parameter(
-            f"share of frames in {state.name}{chain.name}",
-            Part.STATE,
-            Occupancy(int((chain.states == s).sum()), occupancy_law(model, s, transitions, int(chain.states[0]))),
-            state=state.name,
-            in_file=False,
-        )
-        for s, state in enumerate(model.states)
-    ]
+    parameters = []
+    for s, state in enumerate(model.states):
+        law = occupancy_law(model, s, chain.transitions, int(chain.states[0]))
+        share = Occupancy(int((chain.states == s).sum()), law)
+        name = f"share of frames in {state.name}{chain.name}"
+        parameters.append(Parameter(name, Part.STATE, share, state=state.name, in_file=False))
+    return parameters
 
 
 def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start: int) -> Array:
-    """Probability of each number of frames in a state, exactly, shape (frames + 1,).
+    """Exact probability of each number of frames in a state, shape (frames + 1,), from the state of the first frame.
 
     The characteristic function of the number is a product of matrices, one for each frame; the inverse Fourier
-    transform of its values at as many angles as there are numbers gives their probabilities.
-
-    Args:
-        model: The detector.
-        state: Whose frames are counted.
-        transitions: Number of transitions from each frame to the next.
-        start: State of the first frame.
+    transform of its values at as many angles as there are numbers gives their probabilities. `transitions` are the
+    numbers of transitions from each frame to the next, shape (frames − 1,).
     """
     frames = len(transitions) + 1
     lengths, repeats = _runs(transitions)
@@ -179,7 +151,7 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
 
 
 def _runs(values: Indices) -> tuple[Indices, Indices]:
-    """Runs of equal values: the values and the lengths of the runs."""
+    """Runs of equal values: the values and the lengths of the runs, shapes (runs,)."""
     if not len(values):
         return values, values
     starts = np.flatnonzero(np.diff(values, prepend=values[0] - 1))

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, Part, used_models
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.files.detection_reader import read_detections
+from modsim3d.runs.pipeline import detector_inputs
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.scene.reading import load_scene
 from modsim3d.verify.box_error_checks import box_error_checks
-from modsim3d.verify.class_checks import class_checks
-from modsim3d.verify.clutter_checks import clutter_checks
-from modsim3d.verify.clutter_rate_checks import RATE_CHECKS
+from modsim3d.verify.class_checks import EFFECT_CHECKS, class_checks
+from modsim3d.verify.clutter_checks import RATE_CHECKS, clutter_checks
 from modsim3d.verify.confidence_checks import SCORE_CHECKS, confidence_checks
-from modsim3d.verify.dropout_checks import EFFECT_CHECKS
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.error_likelihoods import LIKELIHOODS
-from modsim3d.verify.evidence import Evidence
+from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import Parameter, Verification, judge
 from modsim3d.verify.state_checks import state_checks
 
@@ -51,3 +56,33 @@ def unchecked(model: DetectorModel) -> list[Parameter]:
         for used in used_models(model)
         if used.name not in CHECKED[used.part]
     ]
+
+
+@dataclass(frozen=True, eq=False)
+class VerifiedRun:
+    """A run, the detector file that it was held against (None for its own), what it shows, and the verdicts on it."""
+
+    run: StoredRun
+    detector: Path | None
+    model: DetectorModel
+    evidence: Evidence
+    verification: Verification
+
+
+def verify_run(run: StoredRun, detector: Path | None = None) -> VerifiedRun:
+    """Hold a finished run against a detector file, the run's own copy if None.
+
+    Raises:
+        ModsimError: The run was interrupted, or this detector cannot have made it.
+    """
+    if not run.finished:
+        raise RunDirectoryError(f"{run.folder} holds an interrupted run: {run.how_to_finish}")
+    scene = run.scene if detector is None else load_scene(run.scene.path, detector=detector)
+    model = scene.detector
+    evidence = Evidence.of(
+        [
+            CameraEvidence(part.frames, part.targets, read_detections(run.folder, model, part.frames, part.targets))
+            for part in detector_inputs(scene, run.truth(0, run.steps), 0, run.steps)
+        ]
+    )
+    return VerifiedRun(run, detector, model, evidence, verify(model, evidence))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.detector import CameraFrames, Detections, Detector, DetectorModel, Targets, take_census
+from modsim3d.detector.persistence import Clock
 
 IMAGE_PX = (3600, 2400)
 ALL_SEA = (0.0, 0.0, 1.0)
@@ -21,6 +22,10 @@ COVARIANCE_PX2 = [
     [-169, -389, 115, 1225],
 ]
 """The thesis's `excellent` state, Jessen & Mohr (2023), Table 9.3."""
+
+
+def clock(step_s: float = 0.1) -> Clock:
+    return lambda first, stop: np.arange(first, stop) * step_s
 
 
 def state_data(**changes: Any) -> dict[str, Any]:
@@ -149,4 +154,4 @@ def all_bytes(detections: Detections) -> dict[str, bytes]:
 
 
 def run(model: DetectorModel, frames: CameraFrames, targets: Targets, seed: int = 1) -> Detections:
-    return Detector(model, seed, take_census(model, [(frames, targets)])).detect(frames, targets)
+    return Detector(model, seed, take_census(model, [(frames, targets)]), clock()).detect(frames, targets)

@@ -14,6 +14,7 @@ from tests.detector.detector_builders import (
     IMAGE_PX,
     all_bytes,
     box_error,
+    clock,
     detect_in_chunks,
     detector_data,
     make_frames,
@@ -53,12 +54,14 @@ def test_chunk_borders_change_nothing(detector_file: dict[str, Any], borders: li
     assert np.sum(whole.kind == FALSE_POSITIVE) > 10
     assert whole.redrawn.sum() > 10
     assert len(set(whole.states)) == 2
-    assert all_bytes(detect_in_chunks(Detector(model, 1, TargetCensus()), frames, targets, borders)) == all_bytes(whole)
+    assert all_bytes(
+        detect_in_chunks(Detector(model, 1, TargetCensus(), clock()), frames, targets, borders)
+    ) == all_bytes(whole)
 
 
 def test_chunks_may_come_in_any_order() -> None:
     model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    detector = Detector(model, 1, TargetCensus())
+    detector = Detector(model, 1, TargetCensus(), clock())
     late = detect_in_chunks(detector, frames, targets, [80, 120])
     whole = detector.detect(frames, targets)
     assert np.array_equal(late.boxes_px, whole.boxes_px[whole.frame >= 80])
@@ -162,7 +165,7 @@ def test_confidence_is_clipped_not_dropped() -> None:
 
 
 def test_no_frames_and_no_targets_give_no_detections() -> None:
-    detector = Detector(parse_detector(detector_data()), 1, TargetCensus())
+    detector = Detector(parse_detector(detector_data()), 1, TargetCensus(), clock())
     nothing = make_targets(np.empty((0, 3, 4)))
     assert len(detector.detect(make_frames(0), nothing)) == 0
     empty_sea = detector.detect(make_frames(9), nothing)

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from modsim3d.detector import Detections, Targets, parse_detector
-from modsim3d.detector.scores import PrecisionRecall, QuantileScores
+from modsim3d.detector.confidence import PrecisionRecall, QuantileScores
 from tests.detector.detector_builders import (
     box_error,
     centred,

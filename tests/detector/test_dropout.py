@@ -21,6 +21,7 @@ from modsim3d.detector import (
 from modsim3d.detector.classification import ConfusionClassifier
 from tests.detector.detector_builders import (
     all_bytes,
+    clock,
     make_frames,
     make_targets,
     no_error,
@@ -54,7 +55,7 @@ def model_data(**changes: Any) -> dict[str, Any]:
 
 def detect(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detections:
     model = parse_detector(data)
-    return Detector(model, 1, take_census(model, [(frames, targets)])).detect(frames, targets)
+    return Detector(model, 1, take_census(model, [(frames, targets)]), clock()).detect(frames, targets)
 
 
 def labels_of(found: Detections, targets: Targets) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modsim3d.detector import load_detector, parse_detector
-from modsim3d.detector.scores import NormalScores
+from modsim3d.detector.confidence import NormalScores
 from modsim3d.errors import InputError
 from tests.detector.detector_builders import COVARIANCE_PX2, box_error, detector_data, state_data
 

@@ -15,7 +15,7 @@ from modsim3d.detector.parts import MODELS, Part, model_name, used_models
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
 from modsim3d.verify.verification import CHECKED, unchecked, verify
-from tests.detector.detector_builders import make_frames, make_targets, one_state_data, same_boxes
+from tests.detector.detector_builders import clock, make_frames, make_targets, one_state_data, same_boxes
 from tests.detector_variants import CHANGES, variant
 
 DRAWING = {
@@ -60,7 +60,9 @@ class EverySecondFrame(PerImage):
 
 def seen(model: Any) -> Evidence:
     frames, targets = make_frames(200), make_targets(same_boxes(200, 2, [100, 100, 300, 200]))
-    return Evidence.of([CameraEvidence(frames, targets, Detector(model, 1, TargetCensus()).detect(frames, targets))])
+    return Evidence.of(
+        [CameraEvidence(frames, targets, Detector(model, 1, TargetCensus(), clock()).detect(frames, targets))]
+    )
 
 
 def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,13 +9,12 @@ import pytest
 from scipy import stats
 
 from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, Targets, parse_detector
-from modsim3d.detector.persistence import Clock
-from modsim3d.errors import ModsimError
 from tests.detector.detector_builders import (
     COVARIANCE_PX2,
     MEAN_PX,
     all_bytes,
     centred,
+    clock,
     detect_in_chunks,
     detector_data,
     make_frames,
@@ -25,10 +24,6 @@ from tests.detector.detector_builders import (
 )
 
 VESSELS, TAU_S = 40, 0.9
-
-
-def clock(step_s: float) -> Clock:
-    return lambda first, stop: np.arange(first, stop) * step_s
 
 
 def detect(data: dict[str, Any], targets: Targets, frames: int, step_s: float, seed: int = 1) -> Detections:
@@ -187,6 +182,6 @@ def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> No
     assert all_bytes(split) == all_bytes(whole)
 
 
-def test_persistence_without_a_clock_is_an_error() -> None:
-    with pytest.raises(ModsimError, match="give the Detector a clock"):
-        Detector(parse_detector(detector_data(persistence={"box_s": 1})), 1, TargetCensus())
+def test_a_detector_cannot_be_made_without_a_clock() -> None:
+    with pytest.raises(TypeError, match="clock"):
+        Detector(parse_detector(detector_data()), 1, TargetCensus())  # type: ignore[call-arg]

@@ -16,6 +16,7 @@ from modsim3d.random_streams import Streams
 from tests.detector.detector_builders import (
     all_bytes,
     centred,
+    clock,
     detect_in_chunks,
     make_frames,
     make_targets,
@@ -119,6 +120,6 @@ def test_they_drift_along_the_horizon_at_their_speed() -> None:
 def test_chunk_borders_change_nothing_in_persistent_ones() -> None:
     model = parse_detector(detector_file(lifetime_s=3.0, drift_px_s=9.0, share=0.5))
     targets, frames = make_targets(same_boxes(400, 6, centred(80, 40))), make_frames(400, first_step=70)
-    detector = Detector(model, 1, take_census(model, [(frames, targets)]))
+    detector = Detector(model, 1, take_census(model, [(frames, targets)]), clock())
     whole = detector.detect(frames, targets)
     assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 1, 133, 400])) == all_bytes(whole)

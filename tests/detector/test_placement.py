@@ -15,6 +15,7 @@ from modsim3d.errors import ModsimError
 from tests.detector.detector_builders import (
     IMAGE_PX,
     centred,
+    clock,
     detector_data,
     make_frames,
     make_targets,
@@ -101,7 +102,7 @@ def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6
     boxes[:, :1] = [100, 100, 300, 150]
     targets = make_targets(boxes)
     model, seen = parse_detector(data | {"false_positives": false_positives}), make_frames(frames)
-    return Detector(model, 1, take_census(model, [(seen, targets)])).detect(seen, targets)
+    return Detector(model, 1, take_census(model, [(seen, targets)]), clock()).detect(seen, targets)
 
 
 FIXED = {"model": "fixed", "px": [30, 20]}

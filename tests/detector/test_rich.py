@@ -19,15 +19,11 @@ from modsim3d.detector import (
     load_detector,
     take_census,
 )
-from tests.detector.detector_builders import all_bytes, detect_in_chunks, make_frames, make_targets
+from tests.detector.detector_builders import all_bytes, clock, detect_in_chunks, make_frames, make_targets
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
 STEPS, VESSELS, STEP_S = 600, 9, 0.2
 MODEL = load_detector(RICH)
-
-
-def clock(first: int, stop: int) -> np.ndarray:
-    return np.arange(first, stop) * STEP_S
 
 
 def rich_frames() -> CameraFrames:
@@ -54,7 +50,7 @@ def whole() -> Detections:
 
 
 def detector(seed: int = 5) -> Detector:
-    return Detector(MODEL, seed, take_census(MODEL, [(rich_frames(), rich_targets())]), clock)
+    return Detector(MODEL, seed, take_census(MODEL, [(rich_frames(), rich_targets())]), clock(STEP_S))
 
 
 def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections) -> None:

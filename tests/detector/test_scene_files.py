@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from modsim3d.detector import DetectorModel, load_detector
+from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.file.checks import covariance_problems
-from modsim3d.detector.scores import NormalScores
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTORS = ROOT / "scenes" / "detectors"

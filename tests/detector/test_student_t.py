@@ -11,7 +11,7 @@ from scipy import special, stats
 from modsim3d.boxes import inside_image, move
 from modsim3d.detector import TRUE, Detections, Detector, TargetCensus, parse_detector
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.error_distributions import StudentT
+from modsim3d.detector.box_error_law import StudentT
 from modsim3d.detector.truncation import truncated_errors
 from modsim3d.errors import InputError
 from modsim3d.scene.reading import load_scene
@@ -25,6 +25,7 @@ from tests.detector.detector_builders import (
     MEAN_PX,
     all_bytes,
     centred,
+    clock,
     detect_in_chunks,
     detector_data,
     make_frames,
@@ -49,7 +50,7 @@ def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
 
 def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
     model = parse_detector(one_state_data(**SEEN, box_error=error) | sections)
-    detector = Detector(model, 1, TargetCensus(), lambda first, stop: np.arange(first, stop) * 0.1)
+    detector = Detector(model, 1, TargetCensus(), clock())
     return detector.detect(make_frames(frames), make_targets(same_boxes(frames, 20, box_px)))
 
 
@@ -133,10 +134,9 @@ def test_scales_persist_like_the_errors_do() -> None:
 def test_chunk_borders_change_nothing(borders: list[int]) -> None:
     data = detector_data(persistence={"box_s": 0.7}) | {"states": {"clear": state_data(), "fog": state_data()}}
     data["states"]["fog"]["box_error"] = t_error()
-    clock = lambda first, stop: np.arange(first, stop) * 0.1  # noqa: E731
     targets, frames = make_targets(same_boxes(900, 3, centred(60, 40))), make_frames(900)
-    whole = Detector(parse_detector(data), 1, TargetCensus(), clock).detect(frames, targets)
-    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock), frames, targets, borders)
+    whole = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(frames, targets)
+    split = detect_in_chunks(Detector(parse_detector(data), 1, TargetCensus(), clock()), frames, targets, borders)
     assert all_bytes(split) == all_bytes(whole)
 
 

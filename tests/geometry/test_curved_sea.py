@@ -12,7 +12,7 @@ from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify.compare_sources import compare_sources
+from modsim3d.verify.sources.compare import compare_sources
 from tests.scenes import write_scene
 
 LONG_LENS = {

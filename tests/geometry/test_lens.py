@@ -18,7 +18,7 @@ from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.truth.triangles import subdivided
-from modsim3d.verify.comparison import Agreement, compare_with_analytic
+from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel, write_scene
 
 BARREL = Distortion(k1=-0.21, k2=0.07, p1=0.0013, p2=-0.0021, k3=-0.011)

@@ -15,7 +15,7 @@ import shapely
 from modsim3d.errors import InputError
 from modsim3d.motion.poses.agents import AgentsKeys, drive_agents
 from modsim3d.scene.reading import data_folder, load_scene
-from modsim3d.verify.compare_sources import compare_sources
+from modsim3d.verify.sources.compare import compare_sources
 from modsim3d.vessels.vessel import Vessel
 
 ROOT = Path(__file__).resolve().parents[2]

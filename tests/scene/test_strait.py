@@ -10,7 +10,7 @@ import yaml
 from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import data_folder, load_scene
-from modsim3d.verify.compare_sources import compare_sources
+from modsim3d.verify.sources.compare import compare_sources
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.occlusion_order import order_of
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.verify.comparison import compare_with_analytic
+from modsim3d.verify.sources.agreement import compare_with_analytic
 from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
 
 SHIP, BOAT = 0, 1

@@ -14,8 +14,8 @@ import pytest
 from modsim3d import cli
 from modsim3d.truth import full_frame, rendered
 from modsim3d.truth.occlusion import HiddenPixels
-from modsim3d.verify import compare_sources as compare
-from modsim3d.verify.comparison import EXPLANATIONS, Agreement
+from modsim3d.verify.sources import compare
+from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]

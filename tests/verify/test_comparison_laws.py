@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.verify.comparison import Agreement, compare_with_analytic
+from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import mirrored, moved, outlines_at, outlines_of, random_scene
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify import compare_pictures
+from modsim3d.verify.sources import report
 from modsim3d.view import palette
 from modsim3d.view.pictures.comparison_picture import (
     BOTH,
@@ -64,7 +64,7 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
 )
 def test_the_key_says_what_the_rendered_pixels_are_held_against(monkeypatch, name, vessel, region):
     """A mesh's silhouette is no exact visible region: what is missing of it may simply be hidden."""
-    monkeypatch.setattr(compare_pictures, "comparison_picture", lambda *arguments: arguments[-1])
+    monkeypatch.setattr(report, "comparison_picture", lambda *arguments: arguments[-1])
     scene = load_scene(name)
     case = SimpleNamespace(camera=0, step=0, vessel=scene.vessel_names.index(vessel), boxes_px={})
-    assert compare_pictures.draw_case(scene, case, None) == region
+    assert report.draw_case(scene, case, None) == region

@@ -10,11 +10,11 @@ from modsim3d.boxes import inside_image, move
 from modsim3d.detector.clipped_normal import clipped_score
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.truncation import accepted_errors, ordered_root
+from modsim3d.verify.box_persistence_checks import latent_paths, replayed_errors
 from modsim3d.verify.clipped_checks import Clipped
 from modsim3d.verify.error_fit import ErrorSample, MomentTable, fit_step, fitted_law
 from modsim3d.verify.error_likelihoods import directions
 from modsim3d.verify.error_parameters import ErrorParameters
-from modsim3d.verify.error_replay import latent_paths, replayed_errors
 from modsim3d.verify.pairs import inflation, lag_pairs
 from modsim3d.verify.run_lengths import expected_run_lengths
 from modsim3d.verify.state_checks import occupancy_law
@@ -147,7 +147,7 @@ def test_replayed_errors_have_the_truncated_law_and_keep_their_correlation():
     sample = ErrorSample(np.zeros((frames, 4)), np.arange(frames), boxes, np.tile([3600.0, 2400], (frames, 1)))
     tracks, times = np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames)
     rng = np.random.default_rng(2)
-    errors = replayed_errors(law, sample, latent_paths(tracks, times, 0.5, rng, 400), rng)
+    errors = replayed_errors(law, sample, latent_paths(tracks, times, 0.5, rng, 400, 4), rng)
     direct = sampled(law, BOXES_PX[1], 100_000)
     np.testing.assert_allclose(errors.mean(axis=(0, 1)), direct.mean(axis=0), atol=0.06)
     lagged = [np.corrcoef(errors[:, :-1, k].ravel(), errors[:, 1:, k].ravel())[0, 1] for k in range(4)]

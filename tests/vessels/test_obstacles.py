@@ -19,7 +19,7 @@ from modsim3d.truth.occlusion_order import order_of
 from modsim3d.truth.outlines import outline
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.truth_record import COLUMNS, concatenate
-from modsim3d.verify.comparison import Agreement, compare_with_analytic
+from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.vessels.obstacles import Obstacle, extruded, obstacle_bodies
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, random_scene, vessel, write_scene

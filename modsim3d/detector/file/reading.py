@@ -11,12 +11,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from modsim3d.arrays import Array, read_only
-from modsim3d.detector.box_error_law import BoxErrorLaw
-from modsim3d.detector.clutter import ClutterOptions
-from modsim3d.detector.clutter_sizes import FixedSize, LognormalSize, Sizes
-from modsim3d.detector.confidence import StateConfidence
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS, BoxErrorLaw
+from modsim3d.detector.clutter import ClutterOptions, FixedSize, LognormalSize, Sizes
+from modsim3d.detector.confidence import NormalScores, PrecisionRecall, QuantileScores, Scores, StateConfidence
 from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.file.agreement import agreement_problems
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (
@@ -32,7 +30,6 @@ from modsim3d.detector.model import DetectorModel, PerformanceState
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.placement import Placement
-from modsim3d.detector.scores import NormalScores, PrecisionRecall, QuantileScores, Scores
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import describe

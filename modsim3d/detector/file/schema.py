@@ -1,14 +1,14 @@
-"""The form of a detector file. The names in it are known through the validation context, see `loader`."""
+"""The form of a detector file. The names in it are known through the validation context, see `reading`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from modsim3d.detector.box_error_law import ERROR_DISTRIBUTIONS
 from modsim3d.detector.clutter_models import CLUTTER_MODELS
-from modsim3d.detector.error_distributions import ERROR_DISTRIBUTIONS
 from modsim3d.detector.file import checks
 from modsim3d.detector.file.schema_models import (
     ClutterKeys,
@@ -40,81 +40,75 @@ def _against(names_of: str, find: Callable[[Any, Sequence[str]], list[str]]) -> 
     return AfterValidator(check)
 
 
-def _covariance(value: list[list[float]]) -> list[list[float]]:
-    _raise(checks.covariance_problems(value))
-    return value
+def _checked_by(find: Callable[[Any], list[str]]) -> AfterValidator:
+    """A check that needs nothing but the value."""
+
+    def check(value: Any) -> Any:
+        _raise(find(value))
+        return value
+
+    return AfterValidator(check)
 
 
-def _mean(value: list[float]) -> list[float]:
-    if len(value) != len(ERROR_COMPONENTS):
-        raise ValueError(f"has {len(value)} entries, must have 4: {', '.join(ERROR_COMPONENTS)}")
-    return value
+def _length_problems(value: list[float]) -> list[str]:
+    whole = len(value) == len(ERROR_COMPONENTS)
+    return [] if whole else [f"has {len(value)} entries, must have 4: {', '.join(ERROR_COMPONENTS)}"]
 
 
-def _labels(value: list[str]) -> list[str]:
+def _label_problems(value: list[str]) -> list[str]:
     if not value:
-        raise ValueError("is empty, must name at least one label")
-    _raise([f"label '{name}' appears twice" for name in dict.fromkeys(value) if value.count(name) > 1])
-    return value
+        return ["is empty, must name at least one label"]
+    return [f"label '{name}' appears twice" for name in dict.fromkeys(value) if value.count(name) > 1]
 
 
 GREATEST_FALSE_DISCOVERY_RATE = 0.99
 
 
-def _false_discovery_rate(value: float) -> float:
+def _discovery_problems(value: float) -> list[str]:
     if value == 1:
-        raise ValueError(
+        return [
             "is 1, must be below 1: it is the share of false positives among all detections, "
             "and 1 would take infinitely many of them for each true one"
-        )
-    if not 0 <= value <= GREATEST_FALSE_DISCOVERY_RATE:
-        raise ValueError(
-            f"is {value:g}, must be from 0 to {GREATEST_FALSE_DISCOVERY_RATE}, which already makes 99 false positives "
-            "for each true detection"
-        )
-    return value
+        ]
+    if 0 <= value <= GREATEST_FALSE_DISCOVERY_RATE:
+        return []
+    return [
+        f"is {value:g}, must be from 0 to {GREATEST_FALSE_DISCOVERY_RATE}, which already makes 99 false positives "
+        "for each true detection"
+    ]
 
 
-def _known_clutter(value: str) -> str:
-    if value not in CLUTTER_MODELS:
-        raise ValueError(f"unknown model '{value}' ({nearest(value, CLUTTER_MODELS)})")
-    return value
+def _one_of(models: Collection[str], what: str) -> AfterValidator:
+    """A check that a name is registered."""
+    return _checked_by(
+        lambda value: [] if value in models else [f"unknown {what} '{value}' ({nearest(value, models)})"]
+    )
 
 
-def _known_error_law(value: str) -> str:
-    if value not in ERROR_DISTRIBUTIONS:
-        raise ValueError(f"unknown law '{value}' ({nearest(value, ERROR_DISTRIBUTIONS)})")
-    return value
-
-
-def _degrees_of_freedom(value: float) -> float:
-    if value <= 2:
-        raise ValueError(f"is {value:g}, must be above 2: with 2 or fewer Student's t has no covariance")
-    return value
+def _freedom_problems(value: float) -> list[str]:
+    return [] if value > 2 else [f"is {value:g}, must be above 2: with 2 or fewer Student's t has no covariance"]
 
 
 def _unknown_state(value: str, states: Sequence[str]) -> list[str]:
     return [] if value in states else [f"unknown state '{value}' ({nearest(value, states)})"]
 
 
-def _some_states(value: dict[str, StateSection]) -> dict[str, StateSection]:
-    if not value:
-        raise ValueError("is empty, must describe at least one state")
-    return value
+def _state_problems(value: dict[str, StateSection]) -> list[str]:
+    return [] if value else ["is empty, must describe at least one state"]
 
 
 Name = Annotated[str, Field(strict=True, min_length=1)]
-Labels = Annotated[list[Name], AfterValidator(_labels)]
-Mean = Annotated[list[Number], AfterValidator(_mean)]
-Covariance = Annotated[list[list[Number]], AfterValidator(_covariance)]
+Labels = Annotated[list[Name], _checked_by(_label_problems)]
+Mean = Annotated[list[Number], _checked_by(_length_problems)]
+Covariance = Annotated[list[list[Number]], _checked_by(checks.covariance_problems)]
 Transition = Annotated[list[list[Probability]], _against("states", checks.transition_problems)]
 Confusion = Annotated[list[list[Probability]], _against("labels", checks.confusion_problems)]
 LabelDistribution = Annotated[list[Probability], _against("labels", checks.distribution_problems)]
 StateName = Annotated[Name, _against("states", _unknown_state)]
-ClutterName = Annotated[Name, AfterValidator(_known_clutter)]
-ErrorLawName = Annotated[Name, AfterValidator(_known_error_law)]
-DegreesOfFreedom = Annotated[Number, AfterValidator(_degrees_of_freedom)]
-FalseDiscoveryRate = Annotated[Number, AfterValidator(_false_discovery_rate)]
+ClutterName = Annotated[Name, _one_of(CLUTTER_MODELS, "model")]
+ErrorLawName = Annotated[Name, _one_of(ERROR_DISTRIBUTIONS, "law")]
+DegreesOfFreedom = Annotated[Number, _checked_by(_freedom_problems)]
+FalseDiscoveryRate = Annotated[Number, _checked_by(_discovery_problems)]
 
 
 class BoxErrorSection(Strict):
@@ -125,7 +119,7 @@ class BoxErrorSection(Strict):
     unit: Literal["px", "relative", "mixed"]
     mean: Mean
     covariance: Covariance
-    growth: Annotated[list[NotNegative], AfterValidator(_mean)] | None = None
+    growth: Annotated[list[NotNegative], _checked_by(_length_problems)] | None = None
 
     @model_validator(mode="after")
     def _growth_fits(self) -> BoxErrorSection:
@@ -176,4 +170,4 @@ class DetectorFile(Strict):
     gates: GatesSection = GatesSection()
     persistence: PersistenceSection = PersistenceSection()
     performance: PerformanceSection = PerformanceSection()
-    states: Annotated[dict[Name, StateSection], AfterValidator(_some_states)]
+    states: Annotated[dict[Name, StateSection], _checked_by(_state_problems)]

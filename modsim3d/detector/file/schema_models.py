@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
+from modsim3d.detector.confidence import PrecisionRecall
 from modsim3d.detector.dropout import ATTRIBUTES
-from modsim3d.detector.scores import PrecisionRecall
 from modsim3d.inputs.validation import Number, Positive, Probability, Strict, nearest
 
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]

@@ -1,4 +1,4 @@
-"""The figures of a comparison of sources: what `compare.json` holds, in its order and with its names."""
+"""The figures of a comparison of sources, with the names and in the order that `compare.json` has."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.verify.compare_findings import Findings, RectangleRuleCheck
-from modsim3d.verify.comparison import EXPLANATIONS, Agreement
-from modsim3d.verify.shoebox_fit import ShoeboxFit
+from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement
+from modsim3d.verify.sources.findings import Findings, RectangleRuleCheck, ShoeboxFit
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,11 @@ class RuleFigures:
     visible_vessel_dropped: int
     wrong_share: float
 
+    @classmethod
+    def of(cls, rule: RectangleRuleCheck) -> RuleFigures:
+        """The figures of a check."""
+        return cls(rule.occluded, rule.off, rule.kept_hidden, rule.dropped_visible, rule.wrong_share)
+
 
 @dataclass(frozen=True)
 class ShoeboxFigures:
@@ -65,19 +69,24 @@ class ShoeboxFigures:
     max_side_px: float
     within_a_pixel: int
 
+    @classmethod
+    def of(cls, fit: ShoeboxFit) -> ShoeboxFigures:
+        """The figures of a fit."""
+        return cls(fit.frames, fit.ratio_sum / fit.frames, fit.ratio_max, fit.side_max_px, fit.within_a_pixel)
+
 
 @dataclass(frozen=True)
 class Figures:
-    """Everything that a comparison found but its pictures.
+    """Everything that `compare.json` holds.
 
     Attributes:
         format: Version of the file's layout.
         scene: Name of the scene.
         supersample: Buffer pixels per image pixel and axis of the rendered source.
-        steps: Number of steps that were looked at.
-        frames: Number of camera frames.
-        vessel_frames: Number of vessels in them.
-        occluded: Number of these with a hidden pixel.
+        steps: Number of steps compared.
+        frames: Number of camera frames compared.
+        vessel_frames: Number of vessels in these frames.
+        occluded: Vessel-frames with a hidden pixel.
         unexplained: Number of differences that nothing explains.
         full_box: Differences of full boxes.
         visible_box: Differences of visible boxes.
@@ -85,7 +94,7 @@ class Figures:
         visible_at_all_differs: Vessel-frames that are visible to one source only.
         pixels_looked_at: Vessel-frames of which every pixel was checked.
         intersecting: Pair of vessels or obstacles that intersect → number of frames.
-        rectangles_against_rendered: The rectangle rule.
+        rectangles_against_rendered: How the rectangle rule does.
         shoebox_against_mesh: ID of a vessel with a mesh → how well its shoebox fits.
         ms_per_frame: Source of truth → computing time per frame.
     """
@@ -110,14 +119,7 @@ class Figures:
 
 
 def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> Figures:
-    """The figures of findings.
-
-    Args:
-        findings: What was found in all frames.
-        scene: Name of the scene.
-        supersample: Buffer pixels per image pixel and axis of the rendered source.
-        steps: Number of steps that were looked at.
-    """
+    """The figures of the findings in all frames of some steps."""
     differences, frames = findings.differences, max(findings.frames, 1)
     compared = differences.visible != Agreement.INTERSECTING
     return Figures(
@@ -135,8 +137,8 @@ def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> 
         visible_at_all_differs=int((differences.seen_differs & compared).sum()),
         pixels_looked_at=int(differences.pixels_looked_at.sum()),
         intersecting=dict(findings.intersecting),
-        rectangles_against_rendered=_rule_figures(findings.rule),
-        shoebox_against_mesh={name: _shoebox_figures(fit) for name, fit in sorted(findings.shoebox_fits.items())},
+        rectangles_against_rendered=RuleFigures.of(findings.rule),
+        shoebox_against_mesh={name: ShoeboxFigures.of(fit) for name, fit in sorted(findings.shoebox_fits.items())},
         ms_per_frame={source: 1e3 * seconds / frames for source, seconds in findings.seconds.items()},
     )
 
@@ -159,11 +161,3 @@ def _fraction_figures(differences: Array, bounds: Array) -> FractionFigures:
         above_bound=int((difference > bound).sum()),
         largest_share_of_bound=float(np.max(difference / np.where(bound > 0, bound, 1.0))),
     )
-
-
-def _rule_figures(rule: RectangleRuleCheck) -> RuleFigures:
-    return RuleFigures(rule.occluded, rule.off, rule.kept_hidden, rule.dropped_visible, rule.wrong_share)
-
-
-def _shoebox_figures(fit: ShoeboxFit) -> ShoeboxFigures:
-    return ShoeboxFigures(fit.frames, fit.ratio_sum / fit.frames, fit.ratio_max, fit.side_max_px, fit.within_a_pixel)

@@ -1,4 +1,4 @@
-"""What comparing the sources of truth finds: parts, each for a camera and a block of steps, and their total."""
+"""What a comparison of the sources of truth finds. Findings in different frames add up."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from modsim3d.truth.modes import SOURCES
-from modsim3d.verify.comparison import Agreement, Comparison, concatenate_comparisons
-from modsim3d.verify.shoebox_fit import ShoeboxFit
-from modsim3d.view.pictures.comparison_picture import SourceBoxes
+import numpy as np
 
-_Value = TypeVar("_Value", int, float, ShoeboxFit)
+from modsim3d.arrays import Array
+from modsim3d.boxes import areas
+from modsim3d.truth.modes import SOURCES
+from modsim3d.truth.outlines import Outlines
+from modsim3d.verify.sources.agreement import Agreement, Comparison, concatenate_comparisons
+from modsim3d.vessels.vessel import Vessel
+from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,11 @@ class RectangleRuleCheck:
     """How the thesis's rectangle rule does on vessels that something hides.
 
     Attributes:
-        occluded: Vessel-frames with a hidden pixel.
-        off: Number of them that both see and that have a side more than 2 px off.
-        kept_hidden: Number of them that are wholly hidden, yet kept by the rule.
-        dropped_visible: Number of them that are visible, yet dropped by the rule.
-        worst: The vessel whose box is most off; None if none is occluded.
+        occluded: Number of vessel-frames with a hidden pixel.
+        off: Number of these that both sources see, with a side more than 2 px off.
+        kept_hidden: Number of these that are wholly hidden, yet kept by the rule.
+        dropped_visible: Number of these that are visible, yet dropped by the rule.
+        worst: The box that is farthest off; None if no vessel is occluded.
     """
 
     occluded: int = 0
@@ -71,6 +74,48 @@ class RectangleRuleCheck:
         return wrong / self.occluded if self.occluded else 0.0
 
 
+@dataclass(frozen=True)
+class ShoeboxFit:
+    """One vessel's full boxes of mesh and shoebox, summed over frames. Fits of different frames add up.
+
+    Attributes:
+        frames: Number of frames in which the mesh is in the image.
+        ratio_sum: Sum over frames of the area of the shoebox's box over the area of the mesh's box.
+        ratio_max: The greatest of these ratios.
+        side_max_px: The greatest distance by which a side of the shoebox's box is farther out.
+        within_a_pixel: Number of frames in which no side is more than a pixel farther out.
+    """
+
+    frames: int
+    ratio_sum: float
+    ratio_max: float
+    side_max_px: float
+    within_a_pixel: int
+
+    @classmethod
+    def between(cls, mesh_boxes_px: Array, shoebox_boxes_px: Array) -> ShoeboxFit:
+        """The fit over n frames, given the full boxes of mesh and shoebox in each, shapes (n, 4)."""
+        ratio = areas(shoebox_boxes_px) / areas(mesh_boxes_px)
+        out = ((shoebox_boxes_px - mesh_boxes_px) * (-1, -1, 1, 1)).max(axis=1)
+        return cls(
+            frames=len(ratio),
+            ratio_sum=float(ratio.sum()),
+            ratio_max=float(ratio.max(initial=0.0)),
+            side_max_px=float(out.max(initial=0.0)),
+            within_a_pixel=int((out <= 1).sum()),
+        )
+
+    def __add__(self, other: ShoeboxFit) -> ShoeboxFit:
+        """The fit over the frames of both."""
+        return ShoeboxFit(
+            self.frames + other.frames,
+            self.ratio_sum + other.ratio_sum,
+            max(self.ratio_max, other.ratio_max),
+            max(self.side_max_px, other.side_max_px),
+            self.within_a_pixel + other.within_a_pixel,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Findings:
     """What was found in some frames.
@@ -95,12 +140,7 @@ class Findings:
 
     @classmethod
     def total(cls, parts: Sequence[Findings], most_shown: int) -> Findings:
-        """The findings in the frames of all parts.
-
-        Args:
-            parts: Findings in different frames, in the order of the frames.
-            most_shown: Number of vessels to keep in `worst`.
-        """
+        """The findings in the frames of all parts, with at most `most_shown` vessels in `worst`."""
         shown = [difference for part in parts for difference in part.worst]
         return cls(
             sum(part.frames for part in parts),
@@ -119,6 +159,9 @@ class Findings:
         return sum(int((column == Agreement.UNEXPLAINED).sum()) for column in (differences.full, differences.visible))
 
 
+_Value = TypeVar("_Value", int, float, ShoeboxFit)
+
+
 def _summed(parts: Sequence[Mapping[str, _Value]]) -> dict[str, _Value]:
     """The sum of the values of each key."""
     total: dict[str, _Value] = {}
@@ -126,3 +169,23 @@ def _summed(parts: Sequence[Mapping[str, _Value]]) -> dict[str, _Value]:
         for key, value in part.items():
             total[key] = total[key] + value if key in total else value
     return total
+
+
+def shoebox_fits(vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outlines) -> dict[str, ShoeboxFit]:
+    """Vessel ID → fit, for each vessel with a mesh that is in an image.
+
+    Args:
+        vessels: Vessels of the scene.
+        meshes: Rows of vessels with their own shapes.
+        shoeboxes: The same frames with every vessel as its shoebox. It contains the mesh, so no row is missing.
+    """
+    keys = zip(shoeboxes.frame.tolist(), shoeboxes.occluder.tolist(), strict=True)
+    place = {key: row for row, key in enumerate(keys)}
+    fits = {}
+    for part in meshes.parts:
+        for vessel in np.unique(meshes.occluder[part.rows]).tolist():
+            if vessels[vessel].has_mesh:
+                rows = part.rows[meshes.occluder[part.rows] == vessel]
+                same = [place[frame, vessel] for frame in meshes.frame[rows].tolist()]
+                fits[vessels[vessel].name] = ShoeboxFit.between(meshes.boxes_px[rows], shoeboxes.boxes_px[same])
+    return fits

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import orjson
+from PIL import Image
 
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
-from modsim3d.verify.compare_figures import BoxFigures, Figures
-from modsim3d.verify.compare_pictures import describe_case, draw_case
-from modsim3d.verify.compare_sources import RULE_OFF_PX, SourceComparison
+from modsim3d.truth.analytic import image_silhouettes, visible_regions
+from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
+from modsim3d.verify.sources.figures import BoxFigures, Figures
+from modsim3d.verify.sources.findings import VesselDifference
 from modsim3d.view.pages import page
+from modsim3d.view.pictures.comparison_picture import comparison_picture
+from modsim3d.view.pictures.solids import Solids
 
 Rows = list[tuple[str, str]]
 
@@ -24,7 +29,7 @@ def verdict_rows(figures: Figures) -> list[tuple[str, str, str]]:
 
 
 def figure_rows(figures: Figures) -> Rows:
-    """The figures of rendered against analytic."""
+    """How rendered and analytic truth differ."""
     fraction = figures.visible_fraction
     return [
         ("vessel-frames compared", f"{figures.vessel_frames} in {figures.frames} frames"),
@@ -136,3 +141,23 @@ def _introduction(figures: Figures) -> list[str]:
         "must be set if its centre is inside the exact region, and only then."
     )
     return [page.paragraph(answer, "bad" if figures.unexplained else "lead"), page.paragraph(method, "soft")]
+
+
+def draw_case(scene: Scene, case: VesselDifference, renderer: IdRenderer) -> Image.Image:
+    """A picture of a vessel with the boxes of all sources and the pixels that differ."""
+    solids = Solids.at(scene, scene.cameras[case.camera], case.step)
+    outlines = solids.outlines
+    (row,) = np.flatnonzero((outlines.occluder == case.vessel) & outlines.boxed)
+    if outlines.convex[row]:
+        known = np.flatnonzero(outlines.convex)
+        exact = visible_regions(outlines.take(known), solids.intrinsics).visible[known.searchsorted(row)]
+        region = "exact region" if len(known) == len(outlines) else "region that only meshes may hide"
+    else:  # the analytic source does not know what hides a mesh
+        exact, region = image_silhouettes(outlines.take(np.array([row])), solids.intrinsics)[0], "whole silhouette"
+    return comparison_picture(case.boxes_px, case.vessel, solids, exact, renderer, region)
+
+
+def describe_case(scene: Scene, case: VesselDifference) -> str:
+    """Which vessel a case shows, when, from which camera, and why."""
+    (time,) = scene.timestamps(case.step, case.step + 1)
+    return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {case.reason}"

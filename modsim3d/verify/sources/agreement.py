@@ -1,12 +1,11 @@
-"""Whether the rendered truth agrees with the analytic truth, and if it does not, why.
+"""Whether the rendered truth agrees with the analytic truth of the same outlines, and if it does not, why.
 
-Both sources start from the same outlines and are otherwise independent. The rendered source uses an ID buffer with a
-depth buffer. The analytic source cuts polygons by polygons, in an order that comes from separating planes. They may
-differ only because pixels sample regions at their centres.
+The rendered source draws ID buffers with a depth buffer. The analytic source cuts polygons by polygons, in an order
+that comes from separating planes. They may differ only because pixels sample regions at their centres.
 
-Where they differ by more than a pixel, all pixels of the vessel are drawn again and checked. Each pixel must be set if
-its centre is inside the exact region, and only then, except in a band along the boundary that is as wide as the
-rasteriser's rounding of corners. The box and the count of the truth must be those of these pixels.
+Where they differ by more than a pixel, all pixels of the vessel are drawn again and checked. A pixel must be set where
+its centre is inside the exact region, and nowhere else, except in a band along the boundary as wide as the rasteriser's
+rounding of corners. The box and the count of the truth must be those of these pixels.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
+import shapely
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
@@ -24,7 +24,7 @@ from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
 from modsim3d.truth.pixel_masks import PixelMasks, counted_from, mask_fits
-from modsim3d.verify.sampling_bounds import boundary_pixels, fraction_bound
+from modsim3d.truth.polygon_occlusion import Polygons
 
 
 class Agreement(IntEnum):
@@ -78,7 +78,7 @@ class Comparison:
     pixels_looked_at: Mask
 
     def take(self, rows: Indices) -> Comparison:
-        """The chosen rows."""
+        """The chosen rows, shape (k,)."""
         return Comparison(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
@@ -96,26 +96,19 @@ def concatenate_comparisons(parts: Sequence[Comparison]) -> Comparison:
 
 
 def compare_with_analytic(
-    outlines: Outlines,
-    intrinsics: Intrinsics,
-    rendered: Occlusion,
-    draw_masks: DrawMasks,
-    supersample: int = 1,
+    outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, draw_masks: DrawMasks, supersample: int = 1
 ) -> Comparison:
-    """Compare rendered truth with the analytic truth, vessel by vessel.
+    """Compare rendered with analytic truth, with a row for each vessel in the outlines.
 
     The analytic source knows convex solids only. It says nothing about a mesh, nor about what is visible of a vessel
     that overlaps a mesh in the image.
 
     Args:
-        outlines: What both sources started from; n of its rows are vessels.
+        outlines: What both sources start from.
         intrinsics: Intrinsics of the camera.
-        rendered: What the rendered source found, for all rows.
-        draw_masks: Draws the pixels of a row of `outlines`; called where the sources differ by more than a pixel.
+        rendered: What the rendered source found, for all rows of `outlines`.
+        draw_masks: Called with rows of `outlines` where the sources differ by more than a pixel.
         supersample: Buffer pixels per image pixel and axis.
-
-    Returns:
-        The comparison of the n vessels.
     """
     convex = np.flatnonzero(outlines.convex)
     found = _compare_convex(
@@ -217,11 +210,7 @@ class _PixelCheck:
 def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: Agreement) -> Agreement:
     """Why two boxes (4,) differ, given whether the pixels fit the exact region.
 
-    Args:
-        fits: Whether they do.
-        rendered_px: Box from pixels.
-        analytic_px: Exact box.
-        if_smaller: The reason if the box from pixels is the smaller one.
+    `if_smaller` is the reason if the box from pixels lies inside the exact one.
     """
     if not fits:
         return Agreement.UNEXPLAINED
@@ -229,3 +218,33 @@ def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: A
     outside = np.concatenate([analytic_px[:2] - rendered_px[:2], rendered_px[2:] - analytic_px[2:]])
     larger = (nothing_exact and not nothing_drawn) or bool(np.any(outside > 1))
     return Agreement.BOUNDARY_ROUNDING if larger else if_smaller
+
+
+def boundary_pixels(regions: Polygons, supersample: int) -> Array:
+    """How many buffer pixels the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
+
+    Only these pixels can be counted otherwise than by their share of the area, each by less than one. Regions are
+    polygons in image pixels, shape (n,).
+    """
+    boundaries = shapely.boundary(regions)
+    points, row = shapely.get_coordinates(boundaries, return_index=True)
+    steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
+    steps[row[1:] != row[:-1]] = 0.0
+    crossed: Array = np.bincount(row[1:], steps, minlength=len(regions)).astype(np.float64)
+    return crossed
+
+
+def fraction_bound(regions: VisibleRegions, analytic: Occlusion, supersample: int) -> Array:
+    """The greatest difference of visible fractions that boundary pixels can explain, shape (n,).
+
+    A region of area A is counted as N pixels, and |N − A| is less than the number B of pixels on its boundary. With
+    areas S of the silhouette and V of its visible part, the fraction from pixels therefore lies between
+    (V − B_V) / (S + B_S) and (V + B_V) / (S − B_S).
+    """
+    scale = supersample**2
+    whole, seen = analytic.silhouette_px * scale, analytic.visible_px * scale
+    edge, seen_edge = (boundary_pixels(r, supersample) for r in (regions.silhouettes, regions.visible))
+    fraction = analytic.visible_fraction()
+    least = np.maximum(seen - seen_edge, 0) / (whole + edge)
+    greatest = np.where(whole > edge, (seen + seen_edge) / np.maximum(whole - edge, 1e-9), 1.0)
+    return np.maximum(fraction - least, np.minimum(greatest, 1.0) - fraction)

@@ -1,7 +1,7 @@
-"""The sources of truth side by side on a scene: the check that an auditor can run.
+"""Compares the sources of truth on a scene: the check that an auditor can run.
 
-The rendered truth is compared with the analytic one and every difference is explained. The thesis's rectangle rule is
-compared with the rendered truth.
+Every difference between the rendered and the analytic truth is explained. The thesis's rectangle rule is held against
+the rendered truth.
 """
 
 from __future__ import annotations
@@ -21,48 +21,39 @@ from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.full_frame import full_frame_occlusion, pixel_masks
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.pixel_masks import PixelMasks
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.verify.compare_figures import Figures, figures_of
-from modsim3d.verify.compare_findings import Findings, RectangleRuleCheck, VesselDifference
-from modsim3d.verify.comparison import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
-from modsim3d.verify.shoebox_fit import shoebox_fits
+from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Comparison, compare_with_analytic
+from modsim3d.verify.sources.figures import Figures, figures_of
+from modsim3d.verify.sources.findings import Findings, RectangleRuleCheck, VesselDifference, shoebox_fits
 from modsim3d.vessels.vessel import shoebox
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
 BLOCK_STEPS = 50
 WORST = 10
-"""Number of vessels that are shown because their differences are the largest."""
+"""Number of vessels, those with the largest differences, that the report shows."""
 RULE_OFF_PX = 2.0
-"""The rectangle rule's box is called wrong when a side is off by more."""
+"""The rectangle rule's box counts as wrong where a side is off by more."""
 
 
 @dataclass(frozen=True, eq=False)
 class SourceComparison:
-    """What `modsim3d compare` found.
-
-    Attributes:
-        findings: What was found in all frames that were looked at.
-        figures: What `compare.json` holds.
-    """
+    """What `modsim3d compare` found in all frames that it looked at, and the figures of `compare.json`."""
 
     findings: Findings
     figures: Figures
 
 
 def compare_sources(
-    scene: Scene,
-    renderer: IdRenderer,
-    *,
-    every: int = 1,
-    progress: Callable[[int], None] = lambda steps: None,
+    scene: Scene, renderer: IdRenderer, *, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> SourceComparison:
     """Compare rendered, analytic and rectangle truth on every camera of a scene.
 
     Args:
-        scene: From `load_scene`.
+        scene: The scene.
         renderer: Draws the ID buffers.
-        every: Look at every K-th frame of each camera.
+        every: Compare every K-th frame of each camera.
         progress: Called with the number of steps done since its last call.
 
     Raises:
@@ -75,7 +66,7 @@ def compare_sources(
         )
     steps = np.arange(0, scene.steps, every)
     frames = [scene.frame_steps(camera, 0, scene.steps)[::every] for camera in scene.cameras]
-    shoebox()  # loads what makes solids, which is no part of the time per frame
+    shoebox()  # loads the library that makes solids, so that the time per frame does not include it
     parts = []
     for start in range(0, len(steps), BLOCK_STEPS):
         chosen = steps[start : start + BLOCK_STEPS]
@@ -88,65 +79,57 @@ def compare_sources(
     return SourceComparison(findings, figures_of(findings, scene.name, scene.annotation.supersample, len(steps)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Sources:
-    """What the three sources say about the same outlines, and the computing time of each."""
-
-    rendered: Occlusion
-    analytic: Occlusion
-    rectangles: Occlusion
-    seconds: dict[str, float]
-
-
 def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indices) -> Findings:
     """Compare the sources on the frames that a camera takes at some steps."""
     intrinsics, supersample = scene.cameras[camera].intrinsics, scene.annotation.supersample
     started = time.perf_counter()
     sight = scene.sight(scene.cameras[camera], steps)
     outlines = sight.outlines()
-    sources = _computed(scene, renderer, camera, outlines, shared_s=time.perf_counter() - started)
-    differences = compare_with_analytic(
-        outlines,
-        intrinsics,
-        sources.rendered,
-        lambda row: pixel_masks(outlines, intrinsics, renderer, row, supersample),
-        supersample,
-    )
-    vessels = _Vessels.of(outlines, sources, camera, steps)
+    sources, seconds = _occlusions(scene, renderer, camera, outlines, shared_s=time.perf_counter() - started)
+
+    def draw_masks(row: int) -> PixelMasks:
+        return pixel_masks(outlines, intrinsics, renderer, row, supersample)
+
+    differences = compare_with_analytic(outlines, intrinsics, sources["rendered"], draw_masks, supersample)
+    boxed = np.flatnonzero(outlines.boxed)
+    seen = {source: occlusion.take(boxed) for source, occlusion in sources.items()}
+    vessels = _Vessels(camera, steps, outlines.take(boxed), seen)
     fits = {}
     if not outlines.convex.all():
         shoeboxes = sight.outlines(as_shoeboxes=True)
         fits = shoebox_fits(scene.vessels, vessels.outlines, shoeboxes)
     names = scene.occluder_names
-    pairs = outlines.occluder[sources.analytic.intersecting].tolist()
+    pairs = outlines.occluder[sources["analytic"].intersecting].tolist()
     return Findings(
         frames=len(steps),
         differences=differences,
         rule=_check_rule(vessels),
         intersecting=Counter(f"{names[first]} and {names[second]}" for first, second in pairs),
         shoebox_fits=fits,
-        seconds=sources.seconds,
+        seconds=seconds,
         worst=_worst(differences, vessels),
     )
 
 
-def _computed(scene: Scene, renderer: IdRenderer, camera: int, outlines: Outlines, shared_s: float) -> _Sources:
-    """Compute the truth of outlines from each source; the time for the outlines counts for each of them."""
+def _occlusions(
+    scene: Scene, renderer: IdRenderer, camera: int, outlines: Outlines, shared_s: float
+) -> tuple[dict[str, Occlusion], dict[str, float]]:
+    """What each source says about outlines, and its computing time with that of the outlines, `shared_s`."""
     intrinsics, annotation = scene.cameras[camera].intrinsics, scene.annotation
     draw = full_frame_occlusion if annotation.render == "full" else rendered_occlusion
-    seconds = {}
-
-    def timed(source: str, compute: Callable[[], Occlusion]) -> Occlusion:
+    convex = np.flatnonzero(outlines.convex)  # the analytic source knows convex solids only
+    compute = {
+        "rendered": lambda: draw(outlines, intrinsics, renderer, annotation.supersample),
+        "analytic": lambda: analytic_occlusion(outlines.take(convex), intrinsics),
+        "rectangles": lambda: rectangle_occlusion(outlines),
+    }
+    occlusions, seconds = {}, {}
+    for source in compute:
         started = time.perf_counter()
-        occlusion = compute()
+        occlusions[source] = compute[source]()
         seconds[source] = time.perf_counter() - started + shared_s
-        return occlusion
-
-    convex = np.flatnonzero(outlines.convex)  # the analytic source knows no others
-    rendered = timed("rendered", lambda: draw(outlines, intrinsics, renderer, annotation.supersample))
-    analytic = timed("analytic", lambda: analytic_occlusion(outlines.take(convex), intrinsics))
-    rectangles = timed("rectangles", lambda: rectangle_occlusion(outlines))
-    return _Sources(rendered, analytic.among(convex, len(outlines)), rectangles, seconds)
+    occlusions["analytic"] = occlusions["analytic"].among(convex, len(outlines))
+    return occlusions, seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,31 +139,23 @@ class _Vessels:
     camera: int
     steps: Indices
     outlines: Outlines
-    rendered: Occlusion
-    analytic: Occlusion
-    rectangles: Occlusion
-
-    @classmethod
-    def of(cls, outlines: Outlines, sources: _Sources, camera: int, steps: Indices) -> _Vessels:
-        rows = np.flatnonzero(outlines.boxed)
-        seen = (occlusion.take(rows) for occlusion in (sources.rendered, sources.analytic, sources.rectangles))
-        return cls(camera, steps, outlines.take(rows), *seen)
+    sources: dict[str, Occlusion]
 
     def difference(self, row: int, badness: float, reason: str) -> VesselDifference:
         """A row with the boxes of all sources."""
         boxes = SourceBoxes(
-            rendered_full=self.rendered.full_boxes_px[row].tolist(),
-            rendered_visible=self.rendered.visible_boxes_px[row].tolist(),
-            analytic_full=self.analytic.full_boxes_px[row].tolist(),
-            analytic_visible=self.analytic.visible_boxes_px[row].tolist(),
-            rectangles_visible=self.rectangles.visible_boxes_px[row].tolist(),
+            rendered_full=self.sources["rendered"].full_boxes_px[row].tolist(),
+            rendered_visible=self.sources["rendered"].visible_boxes_px[row].tolist(),
+            analytic_full=self.sources["analytic"].full_boxes_px[row].tolist(),
+            analytic_visible=self.sources["analytic"].visible_boxes_px[row].tolist(),
+            rectangles_visible=self.sources["rectangles"].visible_boxes_px[row].tolist(),
         )
         step, vessel = int(self.steps[self.outlines.frame[row]]), int(self.outlines.occluder[row])
         return VesselDifference(self.camera, step, vessel, badness, reason, boxes)
 
 
 def _worst(differences: Comparison, vessels: _Vessels) -> tuple[VesselDifference, ...]:
-    """The largest differences: unexplained ones first, those that the analytic source cannot tell last."""
+    """The largest differences: unexplained ones first, those that the analytic source cannot judge last."""
     sides = np.abs(np.concatenate([differences.full_side_px, differences.visible_side_px], axis=1))
     size_px: Array = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(differences.seen_differs, 1.0, 0.0)
     unknown = (differences.visible == Agreement.INTERSECTING) | (differences.worst == Agreement.NOT_COMPARABLE)
@@ -195,7 +170,7 @@ def _worst(differences: Comparison, vessels: _Vessels) -> tuple[VesselDifference
 
 def _check_rule(vessels: _Vessels) -> RectangleRuleCheck:
     """Check the rectangle rule's visible boxes of occluded vessels against those from pixels."""
-    rendered, rectangles = vessels.rendered, vessels.rectangles
+    rendered, rectangles = vessels.sources["rendered"], vessels.sources["rectangles"]
     occluded = rendered.visible_px < rendered.silhouette_px
     visible, kept = rendered.visible_px > 0, rectangles.visible_px > 0
     off_px = np.nan_to_num(np.abs(rendered.visible_boxes_px - rectangles.visible_boxes_px)).max(axis=1, initial=0.0)
