@@ -69,9 +69,9 @@ def write_report(
 
 def _count_tables(rows: RunRows) -> CountTables:
     """The columns that are counted for the tables of the page."""
-    known, labels = rows.drawn_vessel >= 0, rows.scene.detector.labels
+    known, labels = rows.detection_vessel >= 0, rows.scene.detector.labels
     true_label = np.array([labels.index(vessel.label) for vessel in rows.scene.vessels])
-    label = indices(rows.drawn, "label", labels)
+    label = indices(rows.detections, "label", labels)
     return CountTables(
         frame_state=rows.frame_state,
         vessel=rows.truth_vessel,
@@ -80,8 +80,8 @@ def _count_tables(rows: RunRows) -> CountTables:
         visible_px=rows.numbers("visible_px"),
         annotated=rows.annotated,
         detected=rows.detected,
-        false_state=rows.states_of(rows.drawn_frame[~known]),
-        mislabelled=int((label[known] != true_label[rows.drawn_vessel[known]]).sum()),
+        false_state=rows.states_of(rows.detection_frame[~known]),
+        mislabelled=int((label[known] != true_label[rows.detection_vessel[known]]).sum()),
     )
 
 
