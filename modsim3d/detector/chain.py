@@ -210,12 +210,12 @@ class Detector:
             errors_px=np.full((count, 4), np.nan),
             redrawn=np.zeros(count, dtype=bool),
             visible_fraction=unknown,
-            uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
+            uniforms=clutter.uniforms(self._streams, purpose, frames),
         )
 
     def _final(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
         """Numbers for confidence and order, shape (n, 2)."""
-        return target_uniforms(self._streams, purpose, frames, vessels, width=2)
+        return target_uniforms(self._streams, purpose, frames, vessels)
 
     def _scored(self, states: Indices, found: Sequence[_Found], passed: Mask) -> Detections:
         """All of them with their confidence; their order within a frame is random."""

@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.boxes import SIDES
 from modsim3d.runs.files.columns import flags, numbers
+from modsim3d.runs.files.tables import BOX_SIDES
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def pick_highlights(folder: Path) -> list[Highlight]:
             best[k] = _better(best[k], table, np.where(kind.wanted(rows), kind.rank(rows), np.inf))
     found = [
         Highlight(
-            row["step"], row["camera"], tuple(row[f"full_{side}_px"] for side in SIDES), f"{row['vessel']}: {caption}"
+            row["step"], row["camera"], tuple(row[f"full_{side}"] for side in BOX_SIDES), f"{row['vessel']}: {caption}"
         )
         for row, caption in (
             (entry[1], kind.caption(entry[1])) for entry, kind in zip(best, KINDS, strict=True) if entry
