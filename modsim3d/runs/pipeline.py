@@ -96,14 +96,7 @@ def occlusion_by(
 
 @dataclass(frozen=True, eq=False)
 class DetectorInput:
-    """What the detector of one camera is given for a block.
-
-    Attributes:
-        truth: What the camera sees.
-        rows: Rows of `truth` that are annotated, shape (n,).
-        frames: The frames that the camera takes.
-        targets: The n annotated vessels.
-    """
+    """What one camera's detector is given for a block: `targets` are the annotated `rows` of `truth`, shape (n,)."""
 
     truth: Truth
     rows: Indices

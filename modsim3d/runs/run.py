@@ -28,9 +28,6 @@ class RunResult:
     """A finished run.
 
     Attributes:
-        folder: The run directory.
-        counts: Counts of vessels and detections.
-        steps: Number of time steps.
         seconds: Wall-clock time.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
         intersecting: Pairs of vessels or obstacles that overlap in space: the analytic source cannot tell what is

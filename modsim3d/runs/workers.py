@@ -29,9 +29,7 @@ class Tally:
     """What happened in one or more blocks; tallies can be added.
 
     Attributes:
-        steps: Number of steps.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
-        counts: Counts of vessels and detections.
         boxes: A sample of the detected boxes.
         intersecting: Pairs of vessels or obstacles that overlap in space, as indices: the analytic source cannot tell
             what is visible of them.

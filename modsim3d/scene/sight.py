@@ -26,7 +26,7 @@ class Sight:
     Attributes:
         steps: The steps, shape (S,).
         vessels: All V vessels of the scene.
-        poses: Poses of all vessels as the camera sees them: where the sea is curved, the others lie lower.
+        poses: Poses of all vessels as the camera sees them: on a curved sea, the other vessels lie lower.
         world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
         others: Vessels that are present and do not carry the camera, shape (S, V).
         carriers: The vessel that carries the camera, shape (S, V).
