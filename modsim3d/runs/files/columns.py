@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import corner_form
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM, ERRORS
+from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
 
 NOBODY = -1
 """The index of a name that is null, or not among the names."""
@@ -78,11 +78,6 @@ def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
 def detection_boxes_px(table: pa.Table) -> Array:
     """The boxes of a table of detections as x_min, y_min, x_max, y_max, shape (n, 4)."""
     return corner_form(np.column_stack([numbers(table, name) for name in CENTRE_FORM]))
-
-
-def errors_px(table: pa.Table) -> Array:
-    """The box errors of a table of detections as e_x, e_y, e_w, e_h; NaN for a false positive, shape (n, 4)."""
-    return np.column_stack([numbers(table, name) for name in ERRORS])
 
 
 @dataclass(frozen=True, eq=False)

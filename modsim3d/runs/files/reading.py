@@ -17,7 +17,6 @@ from modsim3d.runs.files.columns import (
     Filters,
     Occluders,
     detection_boxes_px,
-    errors_px,
     flags,
     indices,
     integers,
@@ -27,7 +26,7 @@ from modsim3d.runs.files.columns import (
     read_rows,
     truth_boxes_px,
 )
-from modsim3d.runs.files.tables import TRUTH_NUMBERS
+from modsim3d.runs.files.tables import ERRORS, TRUTH_NUMBERS
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import Truth
 
@@ -78,7 +77,7 @@ def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, ta
         label=_known_indices(table, "label", model.labels, path),
         confidence=numbers(table, "confidence"),
         boxes_px=detection_boxes_px(table),
-        errors_px=errors_px(table),
+        errors_px=np.column_stack([numbers(table, name) for name in ERRORS]),
         redrawn=np.zeros(len(table), dtype=bool),
         gated=~model.gates.passed(frames, targets),
     )

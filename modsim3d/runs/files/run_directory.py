@@ -95,10 +95,8 @@ class RunDirectory:
             raise self._unwritable(error) from error
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
-        return RunDirectoryError(
-            f"{self.folder} cannot be written to: {error.strerror or error}; what was finished is kept: go on with "
-            "--resume"
-        )
+        problem = f"{self.folder} cannot be written to: {error.strerror or error}"
+        return RunDirectoryError(f"{problem}; what was finished is kept: go on with --resume")
 
     def _prepare(self, overwrite: bool, resume: bool) -> None:
         interrupted, finished = _is_ours(self.work / SETTINGS_FILE), _is_ours(self.folder / RUN_FILE)
