@@ -125,10 +125,10 @@ class _Recorder:
 
     def images(self, rows: RunRows, steps: Indices) -> None:
         """Log the boxes and counts of each camera at some steps, shape (n,)."""
-        full, drawn_px = rows.boxes_px("full"), rows.drawn_boxes_px()
+        full, drawn_px = rows.boxes_px("full"), rows.detection_boxes_px()
         missed = rows.annotated & ~rows.detected
-        labels = indices(rows.drawn, "label", self.scene.detector.labels)
-        confidence = numbers(rows.drawn, "confidence")
+        labels = indices(rows.detections, "label", self.scene.detector.labels)
+        confidence = numbers(rows.detections, "confidence")
         names = self.scene.vessel_names
         for step, camera, truth, drawn in _frames(rows, steps):
             self._at(step)
@@ -139,7 +139,7 @@ class _Recorder:
             colours = [palette.ALARM if lost else palette.TRUTH for lost in missed[truth]]
             tags = [f"{names[v]} missed" if lost else names[v] for v, lost in zip(vessels, missed[truth], strict=True)]
             self._boxes([*path, "truth"], full[truth], colours, tags)
-            sources = rows.drawn_vessel[drawn]
+            sources = rows.detection_vessel[drawn]
             colours = [palette.ALARM if source == NOBODY else palette.vessel_colour(int(source)) for source in sources]
             what = zip(labels[drawn], confidence[drawn], strict=True)
             tags = [f"{self.scene.detector.labels[label]} {sure:.2f}" for label, sure in what]
@@ -172,5 +172,5 @@ def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, sl
     cameras = len(rows.scene.cameras)
     for number in rows.frames[np.isin(rows.frames // cameras, steps)].tolist():
         frame = (number, number + 1)
-        truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.drawn_frame))
+        truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.detection_frame))
         yield number // cameras, number % cameras, slice(*truth), slice(*drawn)

@@ -97,7 +97,7 @@ def circular_motion(
         InputError: The vessels do not fit between the two radii.
     """
     streams = Streams(seed)
-    starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1, width=2) for vessel in vessels]
+    starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1) for vessel in vessels]
     rate, phase = np.concatenate(starts).T
     low, high = rotation_rate_rad_s
     return CircularMotion(

@@ -105,7 +105,7 @@ def jonswap_sea(
     within = centres[:, None] + widths[:, None] / 2 * nodes
     energy = (jonswap_shape(within, peak, peakedness) * weights).sum(axis=1) * widths
     energy *= (significant_height_m / 4) ** 2 / energy.sum()
-    draws = Streams(seed).uniforms(Purpose.SEA, first=0, count=bands, width=2)
+    draws = Streams(seed).uniforms(Purpose.SEA, first=0, count=bands)
     return Sea(
         frequencies_rad_s=edges[:-1] + widths * draws[:, 0],
         amplitudes_m=np.sqrt(2 * energy),

@@ -120,7 +120,7 @@ class SecondOrderWaves:
 
     def _extend(self, vessel: str, track: _Track) -> None:
         done = len(track.angles) - 1
-        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS, width=3)
+        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS)
         noise = normals(uniforms)
         columns = []
         for i, axis in enumerate(self._axes):

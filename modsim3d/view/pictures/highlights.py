@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array
-from modsim3d.boxes import SIDES
 from modsim3d.runs.files.columns import flags, numbers
+from modsim3d.runs.files.tables import BOX_SIDES
 from modsim3d.view.pictures.window import Box
 
 
@@ -36,7 +36,7 @@ def pick_highlights(folder: Path) -> list[Highlight]:
         Highlight(
             row["step"],
             row["camera"],
-            tuple(row[f"full_{side}_px"] for side in SIDES),
+            tuple(row[f"full_{side}"] for side in BOX_SIDES),
             f"{row['vessel']}: {caption or _hidden_by(row)}",
         )
         for row, caption in zip(truth, CAPTIONS, strict=True)

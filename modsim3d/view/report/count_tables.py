@@ -23,17 +23,17 @@ class CountTables:
 
     def __init__(self, rows: RunRows) -> None:
         """Find what is counted in the rows of a run."""
-        self._rows, scene, known = rows, rows.scene, rows.drawn_vessel >= 0
+        self._rows, scene, known = rows, rows.scene, rows.detection_vessel >= 0
         visible_px, silhouette_px = rows.numbers("visible_px"), rows.numbers("silhouette_px")
         self._partly_hidden = (visible_px > 0) & (visible_px < silhouette_px)
         self._wholly_hidden = (visible_px == 0) & (silhouette_px > 0)
         self._detected = rows.annotated & rows.detected
         self._truth_state = rows.states_of(rows.truth_frame)
-        self._false_state = rows.states_of(rows.drawn_frame[~known])
+        self._false_state = rows.states_of(rows.detection_frame[~known])
         labels = scene.detector.labels
         true_label = np.array([labels.index(vessel.label) for vessel in scene.vessels])
-        label = indices(rows.drawn, "label", labels)
-        self._mislabelled = int((label[known] != true_label[rows.drawn_vessel[known]]).sum())
+        label = indices(rows.detections, "label", labels)
+        self._mislabelled = int((label[known] != true_label[rows.detection_vessel[known]]).sum())
 
     def overall(self) -> Rows:
         """Name, count and its share of everything that happened, summed over frames."""

@@ -103,13 +103,13 @@ def _truth_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -
 
 
 def _detection_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -> dict[str, Column]:
-    drawn = np.flatnonzero(np.isin(rows.drawn_frame, frames))
+    drawn = np.flatnonzero(np.isin(rows.detection_frame, frames))
     return {
-        "drawnStart": starts(np.searchsorted(frames, rows.drawn_frame[drawn]), pages),
-        "drawnVessel": np.where(rows.drawn_vessel < 0, NONE, rows.drawn_vessel)[drawn].astype(np.uint16),
-        "label": indices(rows.drawn, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
-        "confidence": np.rint(1000 * numbers(rows.drawn, "confidence")[drawn]).astype(np.uint16),
-        "box": in_quanta(rows.drawn_boxes_px()[drawn], quantum),
+        "drawnStart": starts(np.searchsorted(frames, rows.detection_frame[drawn]), pages),
+        "drawnVessel": np.where(rows.detection_vessel < 0, NONE, rows.detection_vessel)[drawn].astype(np.uint16),
+        "label": indices(rows.detections, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
+        "confidence": np.rint(1000 * numbers(rows.detections, "confidence")[drawn]).astype(np.uint16),
+        "box": in_quanta(rows.detection_boxes_px()[drawn], quantum),
     }
 
 

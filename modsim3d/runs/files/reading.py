@@ -1,4 +1,4 @@
-"""The detections of a finished run, read back as the detector put them out."""
+"""The truth and detections of a finished run, read back from its tables as the pipeline had them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.columns import (
     NOBODY,
     Filters,
+    Occluders,
     detection_boxes_px,
-    errors_px,
     flags,
     indices,
     integers,
@@ -24,20 +24,40 @@ from modsim3d.runs.files.columns import (
     of_steps,
     positions,
     read_rows,
+    truth_boxes_px,
 )
+from modsim3d.runs.files.tables import ERRORS, TRUTH_NUMBERS
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.truth_record import Truth
+
+
+def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
+    """The truth of steps first to stop − 1 of a finished run of a scene.
+
+    The table does not say which boxes intersect in space, so `intersections` is empty.
+    """
+    table = read_rows(folder / "truth.parquet", of_steps(first, stop))
+    occluders = Occluders.of(table, scene.occluder_names)
+    return Truth(
+        step=integers(table, "step"),
+        camera=indices(table, "camera", [camera.name for camera in scene.cameras]),
+        vessel=indices(table, "vessel", scene.vessel_names),
+        full_boxes_px=truth_boxes_px(table, "full"),
+        visible_boxes_px=truth_boxes_px(table, "visible"),
+        **{name: numbers(table, name) for name in TRUTH_NUMBERS},
+        occluder_offsets=occluders.offsets,
+        occluder=occluders.name,
+        occluder_px=occluders.px,
+        annotated=flags(table, "annotated"),
+        intersections=np.empty((0, 4), dtype=np.int64),
+    )
 
 
 def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, targets: Targets) -> Detections:
-    """The detections of some frames of a camera in a finished run.
+    """The detections of some frames of a camera in a finished run, whose detector was given these targets.
 
     The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
     limit on the number of detections removed either, so `gated` knows only the other gates.
-
-    Args:
-        folder: The run directory.
-        model: The detector, whose names of states and labels are in the tables.
-        frames: The frames.
-        targets: What the detector was given in these frames.
 
     Raises:
         RunDirectoryError: The tables name a state, label, kind or vessel that is not known.
@@ -57,7 +77,7 @@ def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, ta
         label=_known_indices(table, "label", model.labels, path),
         confidence=numbers(table, "confidence"),
         boxes_px=detection_boxes_px(table),
-        errors_px=errors_px(table),
+        errors_px=np.column_stack([numbers(table, name) for name in ERRORS]),
         redrawn=np.zeros(len(table), dtype=bool),
         gated=~model.gates.passed(frames, targets),
     )
@@ -87,17 +107,13 @@ def _partners(
 
 
 def _of_frames(frames: CameraFrames) -> Filters:
-    """The condition that a row is of one of some consecutive frames of a camera."""
+    """The condition that a row belongs to one of these consecutive frames of a camera."""
     first, stop = (int(frames.steps[0]), int(frames.steps[-1]) + 1) if len(frames) else (0, 0)
     return [("camera", "=", frames.camera), *of_steps(first, stop)]
 
 
 def _known_indices(table: pa.Table, name: str, names: Sequence[str], path: Path) -> Indices:
-    """A column of names as indices.
-
-    Raises:
-        RunDirectoryError: One is not among the names.
-    """
+    """A column of names as indices; a name that is not known is an error."""
     found = indices(table, name, names)
     unknown = np.flatnonzero(found == NOBODY)
     if len(unknown):
@@ -109,11 +125,7 @@ def _known_indices(table: pa.Table, name: str, names: Sequence[str], path: Path)
 
 
 def _targets(table: pa.Table, targets: Targets, frame: Indices, path: Path) -> Indices:
-    """Row of the target that each detection came from, −1 for a false positive, shape (m,).
-
-    Raises:
-        RunDirectoryError: A vessel is detected in a frame in which it is no target.
-    """
+    """Row of the target that each detection came from, −1 for a false positive, shape (m,)."""
     count, vessel = len(targets.vessel_ids), indices(table, "vessel", targets.vessel_ids)
     row = positions(targets.frame * count + targets.vessel, np.where(vessel < 0, NOBODY, frame * count + vessel))
     strange = np.flatnonzero(table["vessel"].is_valid().to_numpy() & (row < 0))
