@@ -76,7 +76,7 @@ class _Rows:
             self.problems.append(f"line {line}: {problem}")
 
     def chunk(self) -> Chunk:
-        """The rows as columns."""
+        """The rows as columns; begins the next chunk."""
         numbers = np.array(self.positions, dtype=np.float64).reshape(-1, 8)
         _, times, latitude, longitude, speed, course, heading, _ = numbers.T
         mmsi, lines = numbers[:, 0].astype(np.int64), numbers[:, 7].astype(np.int64)
@@ -90,7 +90,10 @@ class _Rows:
             rows[:, 3],
             *rows[:, 4:].astype(np.float64).T,
         )
-        return Chunk(positions, particulars, self.messages, dict(self.dropped), tuple(self.problems))
+        done = Chunk(positions, particulars, self.messages, self.dropped, tuple(self.problems))
+        self.positions, self.particulars, self.problems = [], [], []
+        self.dropped, self.messages = Counter(), 0
+        return done
 
 
 def read_nmea(path: Path) -> Iterator[Chunk]:
@@ -115,7 +118,6 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
                 _decode(parts, time_s, gathered)
             if gathered.messages >= CHUNK_MESSAGES:
                 yield gathered.chunk()
-                gathered = _Rows()
     if untimed and not timed:
         raise InputError(source_of(path), [TIME_NEEDED])
     yield gathered.chunk()

@@ -217,6 +217,17 @@ def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, says):
     assert len(done.stderr.splitlines()) == 2
 
 
+def test_a_log_is_counted_the_same_in_chunks_of_any_size(monkeypatch, tmp_path):
+    sentences = [tagged(f"c:{1423133048 + k}", TYPE_1, checksum=0 if k % 3 else None) for k in range(12)]
+    path = log(tmp_path, *sentences)
+    (whole,) = read_nmea(path)
+    monkeypatch.setattr("modsim3d.ais.read_nmea.CHUNK_MESSAGES", 2)
+    chunks = list(read_nmea(path))
+    assert len(chunks) > 2
+    assert sum(chunk.messages for chunk in chunks) == whole.messages == 12
+    assert sum(chunk.dropped.get("checksum", 0) for chunk in chunks) == whole.dropped["checksum"] == 8
+
+
 def test_garbage_between_sentences_is_passed_over_quickly(tmp_path):
     sentences = [tagged(f"c:{1423133048 + k}", TYPE_1) for k in range(3)]
     path = log(tmp_path, sentences[0], "x" * 300_000, sentences[1], "VD" * 150_000, sentences[2], "y" * 3_000_000)
