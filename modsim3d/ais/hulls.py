@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.ais.reports import Particulars
+from modsim3d.ais.messages import Particulars
 from modsim3d.ais.ship_types import UNKNOWN, group_of, ship_types
 from modsim3d.arrays import Array
 

@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 from pyarrow import csv
 
 from modsim3d.ais.layouts import Layout
+from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, source_of
-from modsim3d.ais.reports import Chunk, Particulars, Positions
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
@@ -26,7 +26,6 @@ NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
-UNREADABLE = "unreadable"
 NOT_SAID = "Unknown"
 """Text in Danish files where no name was received."""
 
@@ -36,34 +35,28 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
 
     A row with too many or too few cells, or one that cannot be read, is dropped and counted.
 
-    Args:
-        path: The file.
-        layout: Its columns and the format of its times.
-
     Raises:
         InputError: The file cannot be read.
     """
     with open_reports(path) as stream:
-        yield from _read_stream(stream, path, layout)
-
-
-def _read_stream(stream: IO[bytes], path: Path, layout: Layout) -> Iterator[Chunk]:
-    names = header_names(stream.readline(LONGEST_LINE))
-    columns = layout.found(names)
-    first_row, nothing = 2, True  # the header is row 1
-    for block in _blocks(stream, path):
-        rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
-        first_row += block.count(b"\n")
-        if not len(rows):
-            continue
-        table, skipped = _table(block, path, names, list(columns.values()))
-        table = pa.table({ours: table.column(name) for ours, name in columns.items()})
-        rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
-        nothing = False
-        yield _chunk(table, columns, layout, np.delete(rows, skipped), rows[skipped].tolist(), len(names))
+        header = header_names(stream.readline(LONGEST_LINE))
+        columns = layout.found(header)
+        first_row, nothing = 2, True  # the header is row 1
+        for block in _blocks(stream, path):
+            rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
+            first_row += block.count(b"\n")
+            if not len(rows):
+                continue
+            table, skipped = _table(block, path, header, list(columns.values()))
+            table = pa.table({ours: table.column(name) for ours, name in columns.items()})
+            rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
+            nothing = False
+            wrong = rows[skipped][:SHOWN_PROBLEMS]
+            problems = [f"row {row}: has not the {len(header)} cells of the header" for row in wrong]
+            yield _chunk(table, columns, layout, np.delete(rows, skipped), len(skipped), problems)
     if nothing:
         empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
-        yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), [], len(names))
+        yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), 0, [])
 
 
 def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
@@ -85,7 +78,7 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         yield rest
 
 
-def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
+def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
     """Some columns of whole rows, as texts, and which rows have more or fewer cells than the header."""
     skipped: list[int] = []
 
@@ -96,7 +89,7 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
     try:
         table = csv.read_csv(
             pa.BufferReader(block),
-            csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=names),
+            csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=header),
             csv.ParseOptions(invalid_row_handler=skip),
             csv.ConvertOptions(
                 check_utf8=False,  # a ship's name may be in another encoding
@@ -111,10 +104,19 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
 
 
 def _chunk(
-    table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: list[int], width: int
+    table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: int, problems: list[str]
 ) -> Chunk:
+    """The reports of a table with our names of columns.
+
+    Args:
+        table: Texts of the rows that have all cells.
+        columns: Our name of a column → the file's.
+        layout: The file's layout.
+        rows: Number of each row in the file, shape (n,).
+        skipped: Number of further rows, with too many or too few cells.
+        problems: One line on each of the first of those.
+    """
     bad = np.zeros(len(table), dtype=bool)
-    problems = [f"row {row}: has not the {width} cells of the header" for row in skipped[:SHOWN_PROBLEMS]]
 
     def note(wrong: Mask, column: str, what: str) -> None:
         bad[wrong] = True
@@ -131,19 +133,19 @@ def _chunk(
             note(wrong, name, "a number")
         else:
             values[name] = np.full(len(table), np.nan)
-    mmsi, wrong = _whole(values["mmsi"])
-    note(wrong & ~bad, "mmsi", "a whole number of at most nine digits")
+    numbers = values["mmsi"]
+    whole = (numbers >= 0) & (numbers < 1e9) & (numbers == np.floor(numbers))  # false where NaN
+    note(~whole & ~bad, "mmsi", "a whole number of at most nine digits")
+    mmsi = np.where(whole, numbers, 0).astype(np.int64)
     ship = np.ones(len(table), dtype=bool)
-    if layout.station is not None and layout.station[0] in columns:
-        reported = pc.utf8_lower(pc.ascii_trim_whitespace(table.column(layout.station[0]).combine_chunks()))
-        ship = np.asarray(pc.is_in(reported, value_set=pa.array(sorted(layout.station[1]))))
-    good = ~bad
+    if "station" in columns:
+        reported = pc.utf8_lower(pc.ascii_trim_whitespace(table.column("station").combine_chunks()))
+        ship = np.asarray(pc.is_in(reported, value_set=pa.array(sorted(layout.ships))))
     latitude, longitude, speed, course, heading = (values[name] for name in MOTION)
     positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ship, rows)
-    dropped = {UNREADABLE: int(bad.sum()) + len(skipped)}
-    particulars = _particulars(table, mmsi, times, good & ship)
-    messages = len(table) + len(skipped)
-    return Chunk(positions.take(good), particulars, messages, dropped, tuple(problems))
+    particulars = _particulars(table, mmsi, times, ~bad & ship)
+    dropped = {"unreadable": int(bad.sum()) + skipped}
+    return Chunk(positions.take(~bad), particulars, len(table) + skipped, dropped, tuple(problems))
 
 
 def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> Particulars:
@@ -177,8 +179,7 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
     A decimal comma is read as a point: the Danish description shows positions as 57,8794.
     """
     trimmed = pc.ascii_trim_whitespace(texts)
-    empty = pc.equal(trimmed, "")
-    given = pc.if_else(empty, pa.scalar(None, pa.string()), trimmed)
+    given = pc.if_else(pc.equal(trimmed, ""), pa.scalar(None, pa.string()), trimmed)
     wrong = np.zeros(len(texts), dtype=bool)
     try:
         values = pc.cast(given, pa.float64())
@@ -189,11 +190,6 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
         values = pc.cast(points, pa.float64())
     numbers = pc.fill_null(values, float("nan")).to_numpy(zero_copy_only=False)
     return numbers, wrong | np.isinf(numbers)
-
-
-def _whole(values: Array) -> tuple[Indices, Mask]:
-    wrong = ~(np.isfinite(values) & (values >= 0) & (values < 1e9) & (values == np.floor(values)))
-    return np.where(wrong, 0, values).astype(np.int64), wrong
 
 
 def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.ais.layouts import DANISH, MARINECADASTRE, MARINECADASTRE_2025
-from modsim3d.ais.read_csv import read_csv
+from modsim3d.ais.layouts import NEEDED, layouts
+from modsim3d.ais.read_csv import MOTION, PARTICULARS, read_csv
 from modsim3d.ais.read_nmea import read_nmea
 from modsim3d.ais.recognise import recognise
 from modsim3d.errors import InputError
-from tests.ais.ais_builders import SAMPLE_NAMES, SAMPLES, old_file, row, traffic_of
+from tests.ais.ais_builders import FORMATS, SAMPLES, TABLES, old_file, row, traffic_of
 
 # "AIVDM/AIVDO protocol decoding" (E. S. Raymond, gpsd) and gpsd's test/sample.aivdm, where the decoded values stand
 # beside the sentences, checked there with two other decoders.
@@ -97,10 +97,7 @@ def test_broken_sentences_are_counted_and_named(tmp_path):
     assert "line 2: does not fit its checksum" in chunk.problems
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    list(zip(SAMPLE_NAMES, [DANISH, MARINECADASTRE, MARINECADASTRE_2025, None], strict=True)),
-)
+@pytest.mark.parametrize(("name", "expected"), FORMATS.items())
 def test_format_is_recognised_by_content(tmp_path, name, expected):
     path = tmp_path / "data"
     for content in ((SAMPLES / name).read_bytes(), gzip.compress((SAMPLES / name).read_bytes())):
@@ -109,7 +106,14 @@ def test_format_is_recognised_by_content(tmp_path, name, expected):
         assert (layout and layout.name) == expected
 
 
-@pytest.mark.parametrize("name", SAMPLE_NAMES[:3])
+def test_every_layout_has_a_sample_and_names_only_columns_that_are_read():
+    assert {layout.name for layout in layouts()} == set(FORMATS.values()) - {None}
+    for layout in layouts():
+        assert set(NEEDED) <= set(layout.columns) <= {*NEEDED, *MOTION, *PARTICULARS, "station"}
+        assert ("station" in layout.columns) == bool(layout.ships)
+
+
+@pytest.mark.parametrize("name", TABLES)
 def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
     lines = [line.split(",") for line in (SAMPLES / name).read_text().splitlines()]
     order = list(range(len(lines[0])))

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.ais.headings import HeadingSource, fill_headings
+from modsim3d.ais.cleaning import reachable
+from modsim3d.ais.geography import Region, local_metres, median_place
+from modsim3d.ais.headings import HeadingSource, fill_headings, heading_rad
 from modsim3d.ais.hulls import antenna_offset
-from modsim3d.ais.jumps import reachable
-from modsim3d.ais.projection import heading_rad, local_metres, median_place
-from modsim3d.ais.region import Region
 from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
 from modsim3d.geometry.rotations import world_R_vehicle
 
@@ -208,7 +207,7 @@ def test_one_wrong_position_is_dropped_wherever_it_stands(wrong, far, bearing):
     places = np.stack([times * 5, np.zeros(20)], axis=1)
     # Further than anything reached in half the track at 10 m/s.
     places[wrong] += (far + 1500) * np.array([math.cos(bearing), math.sin(bearing)])
-    assert np.flatnonzero(~reachable(times, places, 10.0, 1.0)).tolist() == [wrong]
+    assert np.flatnonzero(~reachable(times, places, 10.0)).tolist() == [wrong]
 
 
 def brute_force(times, places, fastest, slack):
@@ -233,7 +232,7 @@ def brute_force(times, places, fastest, slack):
 def test_reachable_keeps_as_many_as_any_choice_of_pieces(steps):
     times = np.cumsum([float(step) for step, _ in steps])
     places = np.array([[float(place), 0.0] for _, place in steps])
-    kept = reachable(times, places, 5.0, 1.0)
+    kept = reachable(times, places, 5.0)
     assert kept.sum() == brute_force(times, places, 5.0, 1.0)
     chain = np.flatnonzero(kept)
     gaps = np.abs(np.diff(places[chain, 0])) <= 5.0 * (np.diff(times[chain]) + 1.0)

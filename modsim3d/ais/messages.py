@@ -22,7 +22,7 @@ class _Columns:
         return len(self._arrays()[0])
 
     def take(self, rows: Indices | Mask) -> Self:
-        """Some of the rows, by mask or in an order."""
+        """Some of the rows: by mask, shape (n,), or by row numbers in any order, shape (m,)."""
         return type(self)(*(array[rows] for array in self._arrays()))
 
     @classmethod
@@ -92,10 +92,8 @@ class Chunk:
     """What a reader returns for a part of a file.
 
     Attributes:
-        positions: Reported positions.
-        particulars: Reported particulars.
         messages: Number of messages read, with those dropped.
-        dropped: Reason → number of messages that are in neither.
+        dropped: Reason → number of messages that are in neither table.
         problems: One line on each of the first dropped messages.
     """
 
