@@ -31,7 +31,6 @@ class FileTally:
     """What was found in one file.
 
     Attributes:
-        format: Name of its format.
         messages: Number of messages read.
         dropped: Reason → number of messages dropped when the file was read.
         problems: One line on each of the first dropped messages.
@@ -89,8 +88,6 @@ class Gathered:
 
     Attributes:
         positions: Positions of ships in the region and span that the user chose.
-        particulars: Particulars of all vessels.
-        files: One tally each.
         extent: What all positions cover, also those that were dropped.
     """
 

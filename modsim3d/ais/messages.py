@@ -38,8 +38,7 @@ class Positions(_Columns):
     Attributes:
         mmsi: The vessel's identity.
         time_s: Unix time.
-        latitude_deg: Latitude of the antenna.
-        longitude_deg: Longitude of the antenna.
+        latitude_deg: Latitude of the antenna, and with `longitude_deg` its place.
         speed_kn: Speed over ground.
         course_deg: Course over ground, clockwise from north.
         heading_deg: True heading of the bow, clockwise from north.
@@ -65,14 +64,9 @@ class Particulars(_Columns):
     Attributes:
         mmsi: The vessel's identity.
         time_s: Unix time at which this was last reported.
-        name: Name of the vessel.
         ship_type: Code or words of the source.
-        to_bow_m: A, antenna to bow.
-        to_stern_m: B, antenna to stern.
-        to_port_m: C, antenna to port side.
-        to_starboard_m: D, antenna to starboard side.
-        length_m: Where the source gives the length itself.
-        beam_m: Where the source gives the beam itself.
+        to_bow_m: From the antenna to the bow, A in the standard; the distances to the other sides are B, C and D.
+        length_m: Where the source gives the length itself, beside these distances or in their place.
     """
 
     mmsi: Indices

@@ -17,18 +17,16 @@ COMMAND_LINE = "command line"
 
 @dataclass(frozen=True)
 class Options:
-    """What the user chose.
+    """What the user chose, as docs/ais.md lists it.
 
     Attributes:
         origin: Latitude and longitude of w1 = w2 = 0; the median position if None.
-        region: Positions outside are dropped, none if None.
+        region: Positions outside are dropped; none are if None.
         start_s: Unix time of the first step; the first report's if None.
         end_s: Unix time of the last step; the last report's if None.
         duration_s: Time from the first step to the last, in place of the end.
-        time_step_s: Time between steps.
         max_gap_s: A vessel is away between reports that are further apart.
         max_speed_kn: A position that a vessel can reach only at a higher speed is dropped.
-        swap_coordinates: Exchange latitude and longitude in all tables.
         labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
         labels: Group → label, for some or all groups.
     """
@@ -52,13 +50,11 @@ class Options:
     @property
     def window_s(self) -> tuple[float, float]:
         """Unix times of the first and last report that may matter: start and end, each widened by the longest gap."""
-        last_s = self.end_s
-        if last_s is None and self.duration_s is not None and self.start_s is not None:
+        first_s = -math.inf if self.start_s is None else self.start_s
+        last_s = math.inf if self.end_s is None else self.end_s
+        if self.start_s is not None and self.duration_s is not None:
             last_s = self.start_s + self.duration_s
-        return (
-            -math.inf if self.start_s is None else self.start_s - self.max_gap_s,
-            math.inf if last_s is None else last_s + self.max_gap_s,
-        )
+        return first_s - self.max_gap_s, last_s + self.max_gap_s
 
     def check(self) -> None:
         """Refuse values that are impossible or contradict each other.

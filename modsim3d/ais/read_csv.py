@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,6 +22,7 @@ from modsim3d.inputs.validation import shown
 BLOCK_BYTES = 1 << 24
 SHOWN_PROBLEMS = 5
 """Problems listed of each block, so that a mistake in every row does not fill the screen."""
+EXAMPLE = datetime(2024, 12, 31, 23, 59, 59)
 NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
@@ -125,7 +126,7 @@ def _chunk(
             problems.append(f"row {rows[place]}: {columns[column]} is not {what} (got {cell})")
 
     times, wrong = _times(table.column("time").combine_chunks(), layout.time_format)
-    note(wrong, "time", f"a time like {_example(layout.time_format)}")
+    note(wrong, "time", f"a time like {EXAMPLE:{layout.time_format}}")
     values: dict[str, Array] = {}
     for name in ("mmsi", *MOTION, *SIZES):
         if name in columns:
@@ -200,9 +201,3 @@ def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
     wrong = np.asarray(pc.is_null(stamps))
     seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0)
     return seconds.to_numpy(zero_copy_only=False).astype(np.float64), wrong
-
-
-def _example(time_format: str) -> str:
-    """An example of a time in a format."""
-    parts = {"%d": "31", "%m": "12", "%Y": "2024", "%H": "23", "%M": "59", "%S": "59"}
-    return re.sub("%.", lambda part: parts[part[0]], time_format)

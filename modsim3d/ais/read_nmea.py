@@ -20,6 +20,8 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import IO, Any
 
@@ -170,11 +172,8 @@ def _tag_holds(tag: str | None) -> bool:
     """Whether a tag block fits its checksum; true without a tag block."""
     if tag is None:
         return True
-    content, star, given = tag.rpartition("*")
-    total = 0
-    for character in content.encode("ascii", "replace"):
-        total ^= character
-    return bool(star) and re.fullmatch("[0-9A-Fa-f]{1,2}", given.strip()) is not None and int(given, 16) == total
+    parts = re.fullmatch(r"(.*)\*\s*([0-9A-Fa-f]{1,2})\s*", tag)
+    return parts is not None and reduce(xor, parts[1].encode("ascii", "replace"), 0) == int(parts[2], 16)
 
 
 def _time_s(match: re.Match[str]) -> float | None:

@@ -1,4 +1,4 @@
-"""What was read, dropped and filled in: for `report.json` and for the terminal."""
+"""What was read, dropped and filled in, for `report.json` and for the terminal, and what each reason means."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def report(traffic: Traffic) -> dict[str, Any]:
             "read": messages_read(traffic),
             "used": messages_used(traffic),
             "particulars_only": traffic.dropped["particulars_only"],
-            "dropped": _some(dropped(traffic)),
+            "dropped": _dropped(traffic),
         },
-        "replaced": _some(replaced(traffic)),
-        "defaults": defaults(traffic),
+        "replaced": _replaced(traffic),
+        "defaults": _defaults(traffic),
         "vessels": {str(vessel.mmsi): _vessel(traffic, vessel) for vessel in traffic.vessels},
         "vessels_at_no_step": [str(mmsi) for mmsi in traffic.elsewhere],
         "farthest_m": round(_farthest_m(traffic), 1),
@@ -118,20 +118,19 @@ def messages_used(traffic: Traffic) -> int:
     return messages_read(traffic) - sum(traffic.dropped.values())
 
 
-def dropped(traffic: Traffic) -> Counter[str]:
+def _dropped(traffic: Traffic) -> dict[str, int]:
     """Reason → number of messages dropped."""
-    return Counter({name: count for name, count in traffic.dropped.items() if name in REASONS})
+    return {name: count for name, count in _some(traffic.dropped).items() if name in REASONS}
 
 
-def replaced(traffic: Traffic) -> Counter[str]:
+def _replaced(traffic: Traffic) -> dict[str, int]:
     """Replacement → number of missing values of used messages that it stands for."""
-    return sum((vessel.replaced for vessel in traffic.vessels), Counter[str]())
+    return _some(sum((vessel.replaced for vessel in traffic.vessels), Counter[str]()))
 
 
-def defaults(traffic: Traffic) -> dict[str, int]:
+def _defaults(traffic: Traffic) -> dict[str, int]:
     """Default → number of vessels that it is used for."""
-    counts = Counter(name for vessel in traffic.vessels for name in (*vessel.hull.defaults, "air_draft"))
-    return _some(counts)
+    return _some(Counter(name for vessel in traffic.vessels for name in (*vessel.hull.defaults, "air_draft")))
 
 
 def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]]]:
@@ -139,28 +138,30 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
     options = traffic.options
     times = f"{time_text(traffic.grid.start_s)} to {time_text(traffic.grid.end_s)}"
     present = sum(int(vessel.present.sum()) for vessel in traffic.vessels)
+    away = f"{len(traffic.elsewhere)} more are there at no step" if traffic.elsewhere else ""
     read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
     made = [
         ("messages used", str(messages_used(traffic)), f"of {messages_read(traffic)}"),
         ("particulars", str(traffic.dropped["particulars_only"]), "messages with names and dimensions only"),
-        ("vessels", str(len(traffic.vessels)), _elsewhere(traffic)),
+        ("vessels", str(len(traffic.vessels)), away),
         ("steps", str(len(traffic.grid.timestamps)), f"every {options.time_step_s:g} s, {times}"),
         ("poses", str(present), f"away where reports are more than {options.max_gap_s:g} s apart"),
         ("farthest", f"{_farthest_m(traffic) / 1000:.1f} km", _flatness(_farthest_m(traffic))),
         ("origin", "{:.5f}, {:.5f}".format(*traffic.origin), "latitude, longitude of w1 = w2 = 0"),
     ]
-    left_out = [
-        (name, str(count), REASONS[name].format(max_speed_kn=options.max_speed_kn))
-        for name, count in _some(dropped(traffic)).items()
-    ]
-    filled = [(name, str(count), REPLACED[name]) for name, count in _some(replaced(traffic)).items()]
-    open_ = [(name, str(count), DEFAULTS[name]) for name, count in defaults(traffic).items()]
+
+    def explained(counts: dict[str, int], meaning: dict[str, str]) -> list[tuple[str, str, str]]:
+        return [
+            (name, str(count), meaning[name].format(max_speed_kn=options.max_speed_kn))
+            for name, count in counts.items()
+        ]
+
     return [
         ("read", read),
         ("made of it", made),
-        ("messages dropped", left_out),
-        ("values replaced, in messages", filled),
-        ("defaults, in vessels", open_),
+        ("messages dropped", explained(_dropped(traffic), REASONS)),
+        ("values replaced, in messages", explained(_replaced(traffic), REPLACED)),
+        ("defaults, in vessels", explained(_defaults(traffic), DEFAULTS)),
     ]
 
 
@@ -174,8 +175,3 @@ def _flatness(distance_m: float) -> str:
     off_m = distance_m**3 / (6 * EARTH_RADIUS_M**2)
     text = "from the origin"
     return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
-
-
-def _elsewhere(traffic: Traffic) -> str:
-    count = len(traffic.elsewhere)
-    return f"{count} more are there at no step" if count else ""

@@ -16,7 +16,7 @@ ROUNDING_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ReportedTrack:
-    """Reports of one vessel, the antenna's places among them.
+    """Reports of one vessel, with the places of its antenna.
 
     Attributes:
         times_s: Ascending, shape (n,).

@@ -66,10 +66,10 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
     """Write everything that the scene needs, and the report.
 
     Args:
-        traffic: The traffic.
+        traffic: What the scene shows.
         folder: The scene folder; made if it does not exist.
         detector: A detector file with one label, to be copied or spread over the scene's labels.
-        overwrite: Replace an existing scene folder.
+        overwrite: Replace a scene folder that is there.
 
     Raises:
         ModsimError: The folder is not free.

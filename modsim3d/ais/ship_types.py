@@ -15,17 +15,8 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class ShipType:
-    """A group of ship types.
+    """A group of ship types: its label for a detector, and its typical dimensions."""
 
-    Attributes:
-        group: Its name.
-        label: Label for a detector.
-        length_m: Typical length.
-        beam_m: Typical beam.
-        air_draft_m: Typical height above the waterline.
-    """
-
-    group: str
     label: str
     length_m: float
     beam_m: float
@@ -39,7 +30,7 @@ def _table() -> tuple[Mapping[str, ShipType], Mapping[str, str]]:
     spelt: dict[str, str] = {}
     for group, entry in load_yaml(TABLE, "table of ship types").items():
         sizes = (float(entry[key]) for key in ("length_m", "beam_m", "air_draft_m"))
-        types[group] = ShipType(group, entry["label"], *sizes)
+        types[group] = ShipType(entry["label"], *sizes)
         codes = [str(code) for first, last in entry["codes"] for code in range(first, last + 1)]
         spelt |= dict.fromkeys([*codes, *entry["words"]], group)
     return types, spelt

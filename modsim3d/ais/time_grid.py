@@ -22,8 +22,7 @@ class TimeGrid:
 
     Attributes:
         start_s: Unix time of the first step.
-        times_s: Time of each step since the first, shape (S,).
-        timestamps: The same times as text.
+        times_s: Time of each step since the first, shape (S,); `timestamps` has them as text.
     """
 
     start_s: float

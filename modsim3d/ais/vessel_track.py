@@ -30,7 +30,7 @@ class VesselTrack:
 
     Attributes:
         messages: Number of positions that were used.
-        jumps: Number of positions that were dropped because the vessel cannot have reached them.
+        jumps: Number of positions that the vessel cannot have reached, and that were dropped.
         replaced: What was missing → in how many of the used positions it was replaced.
         present: At which steps it is there, shape (S,).
         places_m: w1 and w2 of the hull's centre, shape (S, 2).

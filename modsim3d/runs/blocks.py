@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.truth.modes import annotation_boxes
-from modsim3d.truth.truth_record import Truth
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.modes import annotation_boxes
+from modsim3d.truth.truth_record import Truth
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.truth.modes import annotation_boxes
 from modsim3d.arrays import Array
-from modsim3d.runs.blocks import Block
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.records import TRUE
 from modsim3d.detector.truncation import truncated_errors
+from modsim3d.runs.blocks import Block
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.modes import annotation_boxes
 
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
 """Few enough that a run hardly takes longer; the standard error beside the mean says what so few boxes leave open."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from modsim3d.truth.modes import annotation_boxes
-from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.boxes import iou, sizes
 from modsim3d.geometry.curved_sea import shift_px
+from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.modes import annotation_boxes
 
 WORTH_A_WARNING_PX = 1.0
 """Curvature that moves a box by more than this is reported for a flat sea."""

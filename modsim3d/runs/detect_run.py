@@ -7,10 +7,10 @@ from pathlib import Path
 
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.run import RunResult, settings_of, write_run
-from modsim3d.scene.scene import Scene
-from modsim3d.scene.reading import load_scene
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.runs.workers import open_block_workers
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
 
 
 def detect_run(

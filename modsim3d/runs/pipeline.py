@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from modsim3d.arrays import Indices
+from modsim3d.detector.census import TargetCensus, take_census
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.records import CameraFrames, Detections, Targets
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.motion.poses import LivePoses
+from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
+from modsim3d.scene.places import place_problems
+from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
 from modsim3d.truth.truth_record import Truth, concatenate, no_truth
-from modsim3d.arrays import Indices
-from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
-from modsim3d.geometry.camera import Camera, Intrinsics
-from modsim3d.detector.census import TargetCensus, take_census
-from modsim3d.detector.chain import Detector
-from modsim3d.detector.records import CameraFrames, Detections, Targets
-from modsim3d.errors import InputError, ModsimError
-from modsim3d.motion.poses import LivePoses
-from modsim3d.scene.scene import Scene
-from modsim3d.scene.places import place_problems
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer

@@ -11,15 +11,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from modsim3d.runs.box_sample import BoxSample
-from modsim3d.runs.counts import Counts
 from modsim3d.detector.census import TargetCensus
 from modsim3d.errors import InputError, ModsimError
+from modsim3d.runs.box_sample import BoxSample
+from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.pose_lines import pose_lines
 from modsim3d.runs.files.run_directory import LOG_FILE, RunDirectory
-from modsim3d.scene.scene import Scene
 from modsim3d.runs.pipeline import Range, step_ranges
 from modsim3d.runs.workers import BlockMaker, BlockWorkers, FinishedBlock, backend_of, open_block_workers
+from modsim3d.scene.scene import Scene
 
 FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")

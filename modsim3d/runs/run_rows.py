@@ -9,9 +9,18 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.files.columns import (NOBODY, Occluders, detection_boxes_px, flags, indices, integers, numbers, truth_boxes_px)
-from modsim3d.scene.scene import Scene
+from modsim3d.runs.files.columns import (
+    NOBODY,
+    Occluders,
+    detection_boxes_px,
+    flags,
+    indices,
+    integers,
+    numbers,
+    truth_boxes_px,
+)
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.runs.blocks import Frame
 from modsim3d.errors import ModsimError
+from modsim3d.runs.blocks import Frame
 from modsim3d.runs.stored_run import StoredRun
 
 NEAR_S = 1e-6

@@ -11,17 +11,17 @@ from typing import Any
 import orjson
 import pyarrow as pa
 
-from modsim3d.truth.truth_record import Truth
-from modsim3d.runs.blocks import Block, Frame, frames_of
 from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.runs.blocks import Block, Frame, frames_of
 from modsim3d.runs.files.block_files import TABLES, finished_truth
 from modsim3d.runs.files.columns import read_rows
 from modsim3d.runs.files.detection_reader import read_detections
 from modsim3d.runs.files.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
 from modsim3d.runs.files.truth_reader import read_truth
-from modsim3d.scene.scene import Scene
-from modsim3d.scene.reading import load_scene
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.truth_record import Truth
 
 
 @dataclass(frozen=True, eq=False)

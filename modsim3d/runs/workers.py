@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modsim3d.truth.truth_record import Truth
+from modsim3d.detector.census import TargetCensus
+from modsim3d.processes import Workers, open_workers
 from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts
-from modsim3d.detector.census import TargetCensus
 from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth
 from modsim3d.runs.files.truth_reader import read_truth
-from modsim3d.processes import Workers, open_workers
-from modsim3d.scene.scene import Scene
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
+from modsim3d.scene.scene import Scene
+from modsim3d.truth.truth_record import Truth
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer

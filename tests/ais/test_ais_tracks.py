@@ -57,7 +57,7 @@ def test_region_holds_what_is_between_its_corners_in_any_order(corners, inside):
 def test_antenna_offset_has_the_signs_of_the_standard():
     # A = 30 before the antenna, B = 10 behind: the middle is ahead. C = 6 to port, D = 2: the middle is to port.
     assert antenna_offset(30, 10, 6, 2) == (10, 2)
-    assert antenna_offset(0, 40, 0, 8) == (0, 0)  # only the size is known
+    assert antenna_offset(0, 40, 0, 8) is None  # only the size is known
     assert antenna_offset(0, 40, 4, 4) == (-20, 0)  # an antenna on the bow
 
 

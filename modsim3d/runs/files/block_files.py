@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.truth.truth_record import COLUMNS, Truth
 from modsim3d.runs.blocks import Block
-from modsim3d.runs.files import own_ships_table as ownship_table, tables, thesis_json
+from modsim3d.runs.files import own_ships_table as ownship_table
+from modsim3d.runs.files import tables, thesis_json
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.truth_record import COLUMNS, Truth
 
 TABLES = {
     "frames": (tables.FRAMES, tables.frame_table),

@@ -12,7 +12,19 @@ from modsim3d.arrays import Indices
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.columns import (NOBODY, Filters, detection_boxes_px, errors_px, flags, indices, integers, numbers, of_steps, positions, read_rows)
+from modsim3d.runs.files.columns import (
+    NOBODY,
+    Filters,
+    detection_boxes_px,
+    errors_px,
+    flags,
+    indices,
+    integers,
+    numbers,
+    of_steps,
+    positions,
+    read_rows,
+)
 
 
 def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, targets: Targets) -> Detections:

@@ -11,9 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import KINDS
+from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.scene import Scene
 
 ROW_GROUP_ROWS = 65_536

@@ -13,11 +13,11 @@ from typing import IO, Any
 import numpy as np
 import orjson
 
-from modsim3d.truth.modes import annotation_boxes
-from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
+from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.modes import annotation_boxes
 
 JOINED_BYTES = 1 << 22
 """Bytes of lines that are joined at a time."""

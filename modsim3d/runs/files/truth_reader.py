@@ -6,10 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.truth.truth_record import Truth
-from modsim3d.runs.files.columns import (Occluders, flags, indices, integers, numbers, of_steps, read_rows, truth_boxes_px)
+from modsim3d.runs.files.columns import (
+    Occluders,
+    flags,
+    indices,
+    integers,
+    numbers,
+    of_steps,
+    read_rows,
+    truth_boxes_px,
+)
 from modsim3d.runs.files.tables import TRUTH_NUMBERS
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.truth_record import Truth
 
 
 def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
