@@ -35,8 +35,8 @@ def check_order(source: str, positions: Positions, exchange: bool) -> None:
 
     Args:
         source: Name of the file in the message.
-        positions: The table's positions, after the exchange if there was one.
-        exchange: Whether the user asked for the exchange.
+        positions: The table's positions, after the exchange if the user asked for it.
+        exchange: Whether the user did.
 
     Raises:
         InputError: There are such positions; their rows are named.

@@ -20,10 +20,9 @@ class Hull:
 
     Attributes:
         name: Name as broadcast, or empty.
-        group: Group of ship types.
         ahead_m: The centre of the hull lies this far ahead of the antenna.
         to_port_m: The centre of the hull lies this far to port of the antenna.
-        defaults: Which of `type`, `length`, `beam`, `antenna` were left open; the air draft always is.
+        defaults: Which of `type`, `length`, `beam`, `antenna` were left open, and `air_draft`, which always is.
     """
 
     name: str
@@ -73,6 +72,7 @@ def _hull(reported: Particulars) -> Hull:
     beam, sides = _extent(reported.to_port_m, reported.to_starboard_m, 63, reported.beam_m, MAX_BEAM_M)
     offset = antenna_offset(*ends, *sides) if ends is not None and sides is not None else None
     left_open = {"type": not groups, "length": length is None, "beam": beam is None, "antenna": offset is None}
+    defaults = [name for name, is_open in left_open.items() if is_open]
     return Hull(
         names[-1] if names else "",
         group,
@@ -80,7 +80,7 @@ def _hull(reported: Particulars) -> Hull:
         typical.beam_m if beam is None else beam,
         typical.air_draft_m,
         *(offset or (0.0, 0.0)),
-        tuple(name for name, is_open in left_open.items() if is_open),
+        (*defaults, "air_draft"),
     )
 
 

@@ -49,8 +49,7 @@ DEFAULTS = {
 
 def report(traffic: Traffic) -> dict[str, Any]:
     """The content of `report.json`; it does not depend on the order of rows in the files."""
-    options = traffic.options
-    camera = traffic.camera
+    options, camera = traffic.options, traffic.camera
     return {
         "start": time_text(traffic.grid.start_s),
         "end": time_text(traffic.grid.end_s),
@@ -91,14 +90,14 @@ def _vessel(traffic: Traffic, vessel: VesselTrack) -> dict[str, Any]:
     return {
         "name": hull.name,
         "ship_type": hull.group,
-        "label": traffic.label(vessel),
+        "label": traffic.options.label(hull.group),
         "messages": vessel.messages,
         "steps_present": int(vessel.present.sum()),
         "length_m": hull.length_m,
         "beam_m": hull.beam_m,
         "air_draft_m": hull.air_draft_m,
         "centre_from_antenna_m": {"ahead": hull.ahead_m, "to_port": hull.to_port_m},
-        "defaults": [*hull.defaults, "air_draft"],
+        "defaults": hull.defaults,
         "replaced": _some(vessel.replaced),
     }
 
@@ -130,7 +129,7 @@ def _replaced(traffic: Traffic) -> dict[str, int]:
 
 def _defaults(traffic: Traffic) -> dict[str, int]:
     """Default → number of vessels that it is used for."""
-    return _some(Counter(name for vessel in traffic.vessels for name in (*vessel.hull.defaults, "air_draft")))
+    return _some(Counter(name for vessel in traffic.vessels for name in vessel.hull.defaults))
 
 
 def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]]]:

@@ -68,13 +68,9 @@ def _places(track: ReportedTrack, leg: Indices, share: Array) -> Array:
 
 
 def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_port_m: float) -> Array:
-    """Places of a hull's centre, shape (m, 2), from those of its antenna, shape (m, 2).
+    """Places of a hull's centre from those of its antenna, shape (m, 2), at headings counter-clockwise from w1, (m,).
 
-    Args:
-        antenna_m: w1 and w2 of the antenna.
-        headings_rad: Counter-clockwise from w1, shape (m,).
-        ahead_m: Distance of the centre ahead of the antenna.
-        to_port_m: Distance of the centre to port of the antenna.
+    The centre lies `ahead_m` ahead of the antenna and `to_port_m` to port of it.
     """
     cosine, sine = np.cos(headings_rad), np.sin(headings_rad)
     offset = np.stack([ahead_m * cosine - to_port_m * sine, ahead_m * sine + to_port_m * cosine], axis=-1)

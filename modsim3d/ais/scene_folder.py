@@ -75,9 +75,10 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
         ModsimError: The folder is not free.
     """
     check_free(folder, overwrite)
+    labels = sorted({traffic.options.label(vessel.hull.group) for vessel in traffic.vessels})
     files = {
         "vessels.json": _json_text(_vessels(traffic)),
-        "detector.yaml": detector_text(detector, sorted({traffic.label(vessel) for vessel in traffic.vessels})),
+        "detector.yaml": detector_text(detector, labels),
         REPORT: _json_text(report(traffic)),
         SCENE: _scene_text(traffic),
     }
@@ -113,7 +114,7 @@ def _vessels(traffic: Traffic) -> dict[str, Any]:
             "air_draft_m": vessel.hull.air_draft_m,
             "beam_m": vessel.hull.beam_m,
             "length_m": vessel.hull.length_m,
-            "label": traffic.label(vessel),
+            "label": traffic.options.label(vessel.hull.group),
         }
         for vessel in traffic.vessels
     }

@@ -47,10 +47,6 @@ class Traffic:
     elsewhere: list[int]
     camera: Viewpoint
 
-    def label(self, vessel: VesselTrack) -> str:
-        """The label of a vessel."""
-        return self.options.label(vessel.hull.group)
-
 
 def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     """Tracks of all vessels in AIS files of any of the known formats, at the steps of a scene.

@@ -41,7 +41,7 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     Args:
         present: Which vessel is there at which step, shape (S, V).
         places_m: Centres of hulls, shape (S, V, 2).
-        half_lengths_m: Half the length of each vessel, shape (V,).
+        half_lengths_m: Half the length of each hull, shape (V,).
     """
     steps, vessels = np.nonzero(present)
     places = places_m[steps, vessels]
