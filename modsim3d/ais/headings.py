@@ -9,7 +9,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 
 MOVING_KN, MOVING_M = 0.5, 10.0
-"""At lower speeds a receiver's course is mostly noise, and so is the bearing between positions that are nearer."""
+"""At lower speeds the course of a receiver is mostly noise, and so is the bearing over shorter distances."""
 KNOT_M_S = 1852 / 3600
 
 

@@ -53,7 +53,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
             rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
             nothing = False
             wrong = rows[skipped][:SHOWN_PROBLEMS]
-            problems = [f"row {row}: has not the {len(header)} cells of the header" for row in wrong]
+            problems = [f"row {row}: does not have the {len(header)} cells of the header" for row in wrong]
             yield _chunk(table, columns, layout, np.delete(rows, skipped), len(skipped), problems)
     if nothing:
         empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})

@@ -150,7 +150,7 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
         if isinstance(sentence, AISSentence) and sentence.is_valid and _tag_holds(match["tag"]):
             yield _Part(sentence, _time_s(match), number)
         else:
-            rows.drop("checksum", number, "does not fit its checksum")
+            rows.drop("checksum", number, "does not match its checksum")
 
 
 def _lines(stream: IO[bytes]) -> Iterator[bytes]:
@@ -169,7 +169,7 @@ def _close(parts: dict[int, _Part], part: _Part) -> bool:
 
 
 def _tag_holds(tag: str | None) -> bool:
-    """Whether a tag block fits its checksum; true without a tag block."""
+    """Whether a tag block matches its checksum; true without a tag block."""
     if tag is None:
         return True
     parts = re.fullmatch(r"(.*)\*\s*([0-9A-Fa-f]{1,2})\s*", tag)

@@ -15,15 +15,15 @@ EARTH_RADIUS_M = 6.371e6
 NOTICEABLE_M = 5.0
 REASONS = {
     "unreadable": "rows with a cell that cannot be read",
-    "checksum": "sentences that do not fit their checksum",
+    "checksum": "sentences that do not match their checksum",
     "undecodable": "messages that cannot be decoded",
     "incomplete": "sentences whose other parts are missing",
     "no_time": "sentences without a time",
     "not_a_ship": "base stations, aids to navigation, aircraft, beacons",
     "long_range": "long-range reports, to 180 m only",
-    "other_message": "messages that say nothing of where ships are",
+    "other_message": "messages of types that give no ship's position",
     "no_position": "latitude 91, longitude 181 or empty",
-    "impossible_position": "nowhere on Earth",
+    "impossible_position": "latitude beyond ±90 or longitude beyond ±180",
     "outside_region": "outside the region",
     "outside_window": "before or after the scene",
     "duplicate": "same vessel and time as another",
@@ -32,7 +32,7 @@ REASONS = {
 REPLACED = {
     "heading_from_course": "heading 511: course over ground in its place",
     "heading_from_bearing": "heading and course missing: bearing between positions",
-    "heading_held": "heading missing, hardly moving: the one before or after",
+    "heading_held": "heading missing while hardly moving: the heading before or after",
     "heading_unknown": "no heading, course or movement at all: north",
     "course_from_heading": "course 360: heading in its place",
     "course_unknown": "no course or heading: straight lines between positions",
@@ -42,7 +42,7 @@ DEFAULTS = {
     "type": "ship type missing: dimensions of the group 'unknown'",
     "length": "length missing: typical of the ship type",
     "beam": "beam missing: typical of the ship type",
-    "antenna": "antenna's place missing: taken for the middle of the hull",
+    "antenna": "antenna's place missing: taken to be the middle of the hull",
     "air_draft": "never in AIS: typical of the ship type",
 }
 
@@ -157,7 +157,7 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
 
     return [
         ("read", read),
-        ("made of it", made),
+        ("result", made),
         ("messages dropped", explained(_dropped(traffic), REASONS)),
         ("values replaced, in messages", explained(_replaced(traffic), REPLACED)),
         ("defaults, in vessels", explained(_defaults(traffic), DEFAULTS)),

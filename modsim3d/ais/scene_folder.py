@@ -51,7 +51,7 @@ def check_free(folder: Path, overwrite: bool) -> None:
         ModsimError: The folder is not free, or is no folder.
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
-        raise ModsimError(f"{folder} is there already and is no folder: choose another with --out")
+        raise ModsimError(f"{folder} is there already and is not a folder: choose another with --out")
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     ours = all((folder / name).is_file() for name in (SCENE, REPORT))
@@ -59,7 +59,7 @@ def check_free(folder: Path, overwrite: bool) -> None:
         hint = "replace the scene in it with --overwrite, or " if ours else ""
         raise ModsimError(f"{folder} is not empty: {hint}choose another folder with --out")
     if not ours:
-        raise ModsimError(f"{folder} is not empty and holds no scene made from AIS: it is left alone")
+        raise ModsimError(f"{folder} is not empty and holds no scene made from AIS, so it is left alone")
 
 
 def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool = False) -> None:

@@ -49,7 +49,7 @@ def test_folder_with_something_in_it_is_left_alone(monkeypatch, tmp_path, capsys
     assert command(monkeypatch, "ais", DANISH, "--out", other, "--overwrite") == 2
     assert "left alone" in capsys.readouterr().err
     assert command(monkeypatch, "ais", DANISH, "--out", other / "precious", "--overwrite") == 2
-    assert "is no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
 
 
 def problem(monkeypatch, tmp_path, capsys, *arguments: object) -> str:

@@ -94,7 +94,7 @@ def test_broken_sentences_are_counted_and_named(tmp_path):
     assert len(chunk.positions) == 1
     assert dict(chunk.dropped) == {"checksum": 2, "no_time": 1, "incomplete": 1}
     assert chunk.messages == 5
-    assert "line 2: does not fit its checksum" in chunk.problems
+    assert "line 2: does not match its checksum" in chunk.problems
 
 
 @pytest.mark.parametrize(("name", "expected"), FORMATS.items())
@@ -157,7 +157,7 @@ def test_unreadable_cells_are_named_by_row_and_column(tmp_path):
     assert "row 5: LAT is not a number (got 'north')" in said
     assert "row 9: BaseDateTime is not a time like 2024-12-31 23:59:59" in said
     assert "row 11: MMSI is not a number (got '21900000A')" in said
-    assert "row 13: has not the 17 cells of the header" in said
+    assert "row 13: does not have the 17 cells of the header" in said
     assert 13 not in chunk.positions.row
     assert {12, 14, 41} <= set(chunk.positions.row.tolist())
 
@@ -166,7 +166,7 @@ def test_blank_lines_count_as_rows(tmp_path):
     path = old_file(tmp_path, row(0), "", "", row(10), "too,few", "", row(20), row(30, speed="fast"))
     (chunk,) = read_csv(path, recognise(path))
     assert chunk.positions.row.tolist() == [2, 5, 8]
-    assert chunk.problems[0].startswith("row 6: has not the 17 cells")
+    assert chunk.problems[0].startswith("row 6: does not have the 17 cells")
     assert chunk.problems[1].startswith("row 9: SOG is not a number")
 
 
