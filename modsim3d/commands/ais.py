@@ -63,8 +63,8 @@ def ais_command(
     Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --duration 600 --out scenes/sound
     """
     from modsim3d.ais import options as given
-    from modsim3d.ais.conversion import read_traffic
     from modsim3d.ais.scene_folder import check_free, write_scene
+    from modsim3d.ais.traffic import read_traffic
     from modsim3d.inputs.shipped import data_folder
 
     options = given.Options(

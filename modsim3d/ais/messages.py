@@ -22,7 +22,7 @@ class _Columns:
         return len(self._arrays()[0])
 
     def take(self, rows: Indices | Mask) -> Self:
-        """Some of the rows, by mask or in an order."""
+        """Some of the rows: by mask, shape (n,), or by row numbers in any order, shape (m,)."""
         return type(self)(*(array[rows] for array in self._arrays()))
 
     @classmethod
@@ -38,8 +38,7 @@ class Positions(_Columns):
     Attributes:
         mmsi: The vessel's identity.
         time_s: Unix time.
-        latitude_deg: Latitude of the antenna.
-        longitude_deg: Longitude of the antenna.
+        latitude_deg: Latitude of the antenna, and with `longitude_deg` its place.
         speed_kn: Speed over ground.
         course_deg: Course over ground, clockwise from north.
         heading_deg: True heading of the bow, clockwise from north.
@@ -65,14 +64,9 @@ class Particulars(_Columns):
     Attributes:
         mmsi: The vessel's identity.
         time_s: Unix time at which this was last reported.
-        name: Name of the vessel.
         ship_type: Code or words of the source.
-        to_bow_m: A, antenna to bow.
-        to_stern_m: B, antenna to stern.
-        to_port_m: C, antenna to port side.
-        to_starboard_m: D, antenna to starboard side.
-        length_m: Where the source gives the length itself.
-        beam_m: Where the source gives the beam itself.
+        to_bow_m: From the antenna to the bow, A in the standard; the distances to the other sides are B, C and D.
+        length_m: Where the source gives the length itself, beside these distances or in their place.
     """
 
     mmsi: Indices
@@ -92,10 +86,8 @@ class Chunk:
     """What a reader returns for a part of a file.
 
     Attributes:
-        positions: Reported positions.
-        particulars: Reported particulars.
         messages: Number of messages read, with those dropped.
-        dropped: Reason → number of messages that are in neither.
+        dropped: Reason → number of messages that are in neither table.
         problems: One line on each of the first dropped messages.
     """
 
