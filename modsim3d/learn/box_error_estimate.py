@@ -9,10 +9,10 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
-from modsim3d.learn.error_moments import PAIRS, ErrorMoments, covariance
+from modsim3d.learn.error_moments import ErrorMoments, covariance
 from modsim3d.learn.form import SIGNIFICANT, Note, Topic
 from modsim3d.learn.observed import ErrorSource, Observed
 from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, steps_between
@@ -20,7 +20,7 @@ from modsim3d.learn.resampling import Column, Resampling, widened
 
 ERRORS_NEEDED = 20
 """Pairs that the box error of a state needs."""
-_PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in PAIRS)
+_PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in ERROR_PAIRS)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class ErrorLaw(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearnedNormal:
-    """A normal distribution of box errors: mean (4,), standard deviation (4,) and correlation of the `PAIRS` (6,)."""
+    """A normal distribution: mean (4,), standard deviation (4,) and correlation of the `ERROR_PAIRS` (6,)."""
 
     mean: Entry
     std: Entry

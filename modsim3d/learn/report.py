@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
-from modsim3d.learn.error_moments import CELLS, PAIRS, ErrorMoments
+from modsim3d.learn.error_moments import CELLS, ErrorMoments
 from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.figures import Figures, Rates
 from modsim3d.learn.gate_bias import Bias
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.parts import LEARNERS
+from modsim3d.learn.parts import models_and_learners
 from modsim3d.learn.resampling import Column
 from modsim3d.learn.states import StateMap
 
@@ -166,7 +166,7 @@ def _errors(report: Report, groups: Sequence[Figures]) -> Table:
 
 def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
     title = "Correlation coefficients of the box errors"
-    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, PAIRS)
+    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, ERROR_PAIRS)
 
 
 def _covariances(report: Report, groups: Sequence[Figures]) -> Table:
@@ -260,16 +260,15 @@ def _bias(bias: Bias) -> Table:
 
 def _models() -> Table:
     rows = tuple(
-        (part, name, "not learned" if learner is None else "learned")
-        for part, models in LEARNERS.items()
-        for name, learner in models.items()
+        (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
     )
     return Table("Models that are learned", ("part", "model", "estimate"), rows)
 
 
 NEVER_LEARNED = (
     "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
-    "box errors with both a fixed and a growing part, confidence that follows size or visibility."
+    "box errors with both a fixed and a growing part, confidence as a precision-recall curve or that follows size or "
+    "visibility."
 )
 
 

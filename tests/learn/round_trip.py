@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from modsim3d.learn.error_moments import PAIRS
+from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import data_folder, load_scene
 
@@ -56,7 +56,7 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
             f"states.{name}.false_discovery_rate": state["false_discovery_rate"],
             f"states.{name}.box_error_mean": state["box_error"]["mean"],
             f"states.{name}.box_error_std": std,
-            f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in PAIRS],
+            f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS],
         }
         for kind, scores in state["confidence"].items():
             for key, value in scores.items():
