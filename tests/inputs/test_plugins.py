@@ -337,7 +337,7 @@ LIVE = """
 from typing import ClassVar
 import numpy as np
 from modsim3d.poses import LivePoses, Poses, SourceKeys
-from modsim3d.validation import Strict
+from modsim3d.inputs.validation import Strict
 
 class Radio(SourceKeys, Strict):
     generated: ClassVar[bool] = False
