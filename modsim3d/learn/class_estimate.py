@@ -41,7 +41,7 @@ class ClassForm:
         if self.class_s > 0:
             chance = fit if self.effects else _plain_fit(observed)
             class_s = Entry(Key(("persistence", "class_s")), consecutive_misses(observed, chance).column(resampling))
-            kept = kept_share(observed, class_s)
+            kept = kept_share(observed, float(class_s.estimate))
         inflation = (1 + kept) / (1 - kept)
         slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
         return LearnedClasses(slopes, class_s, _confusion(observed, fit, resampling, inflation), inflation)
@@ -212,11 +212,9 @@ def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
     return Consecutive(residual[a] * residual[b], expected, observed.steps.apart_s, observed.image[b])
 
 
-def kept_share(observed: Observed, correlation_s: Entry | None) -> float:
-    """Share of noise with a correlation time that is kept from one frame to the next; 0 without one."""
-    if correlation_s is None or correlation_s.estimate <= 0:
-        return 0.0
-    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s.estimate))
+def kept_share(observed: Observed, correlation_s: float) -> float:
+    """Share of noise with a correlation time, 0 if it does not persist, that is kept from one frame to the next."""
+    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s)) if correlation_s > 0 else 0.0
 
 
 def _slopes(

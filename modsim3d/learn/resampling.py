@@ -19,9 +19,9 @@ from modsim3d.formats.labelled import Images
 
 _LEAST_SPREAD = 1e-12
 
-Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate"]
-"""A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, or a
-`rate` of a Poisson number."""
+Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two"]
+"""A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, a
+`rate` of a Poisson number, or a number `above_two`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +205,8 @@ def to_scale(values: Array, kind: Kind) -> Array:
             scaled = special.logit(np.clip(values, 1e-9, 1 - 1e-9))
         elif kind in ("positive", "rate"):
             scaled = np.log(np.maximum(values, 1e-12))
+        elif kind == "above_two":
+            scaled = np.log(np.maximum(values - 2, 1e-12))
         elif kind == "correlation":
             scaled = np.arctanh(np.clip(values, -1 + 1e-9, 1 - 1e-9))
     return scaled
@@ -218,6 +220,8 @@ def from_scale(values: Array, kind: Kind) -> Array:
             plain = special.expit(values)
         elif kind in ("positive", "rate"):
             plain = np.exp(values)
+        elif kind == "above_two":
+            plain = 2 + np.exp(values)
         elif kind == "correlation":
             plain = np.tanh(values)
     return plain

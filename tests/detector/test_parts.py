@@ -29,7 +29,7 @@ DRAWING = {
 
 
 WITHOUT_CHECKS: set[tuple[Part, str]] = set()
-WITHOUT_LEARNER = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis"), (Part.BOX_ERROR, "student_t")}
+WITHOUT_LEARNER = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}
 
 
 def test_every_part_has_models_checks_and_learners() -> None:

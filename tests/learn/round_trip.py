@@ -58,6 +58,8 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
             f"states.{name}.box_error_std": std,
             f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS],
         }
+        if "degrees_of_freedom" in state["box_error"]:
+            asked[f"states.{name}.box_error_degrees_of_freedom"] = state["box_error"]["degrees_of_freedom"]
         for kind, scores in state["confidence"].items():
             for key, value in scores.items():
                 asked[f"states.{name}.confidence.{str(kind).lower()}.{key}"] = value

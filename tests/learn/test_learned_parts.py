@@ -17,7 +17,7 @@ from modsim3d.learn.parts import LEARNERS
 from modsim3d.learn.report import tables
 from tests.formats.labelled_sets import found, images, truth
 
-NOT_LEARNED = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis"), (Part.BOX_ERROR, "student_t")}
+NOT_LEARNED = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}
 
 
 def estimates() -> dict[tuple[str, str], str]:
