@@ -81,11 +81,13 @@ class Ranking:
             label: Index of the label.
             images: Which images take part, shape (I,).
         """
-        found, truth = labelled.results, labelled.annotations
-        rows = np.flatnonzero(matched.counts & (found.label == label) & images[found.image])
-        rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
-        sought = matched.sought & (truth.label == label) & images[truth.image]
-        return cls(found.image[rows], matched.annotation[rows] >= 0, found.confidence[rows], truth.image[sought])
+        results, annotations = labelled.results, labelled.annotations
+        rows = np.flatnonzero(matched.counts & (results.label == label) & images[results.image])
+        rows = rows[np.argsort(-results.confidence[rows], kind="stable")]
+        sought = matched.sought & (annotations.label == label) & images[annotations.image]
+        return cls(
+            results.image[rows], matched.annotation[rows] >= 0, results.confidence[rows], annotations.image[sought]
+        )
 
     def curve(self, weights: Array | None = None) -> Curve | None:
         """The curve under weights of images, shape (I,), all one if None; None if there is nothing to detect."""

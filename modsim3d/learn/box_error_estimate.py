@@ -11,7 +11,7 @@ from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
 from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
-from modsim3d.learn.form import SIGNIFICANT, Note, Topic
+from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.observed import ErrorSource, Observed
 from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, steps_between
 from modsim3d.learn.resampling import Resampling
@@ -54,7 +54,7 @@ class BoxErrorForm:
 
     states: tuple[StateErrorForm, ...]
     box_s: float
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     @property
     def relative(self) -> bool:
@@ -102,14 +102,14 @@ class LearnedBoxErrors:
 
 def choose_box_errors(observed: Observed) -> BoxErrorForm:
     """Unit, source and law of the box error of each state, and whether errors persist."""
-    notes: list[Note] = []
+    notes: list[str] = []
     states = tuple(_state_form(observed, index, notes) for index in range(len(observed.states)))
     box_s = _persistence_s(observed, states, notes)
     states = tuple(_with_law(observed, index, form, box_s, notes) for index, form in enumerate(states))
     return BoxErrorForm(states, box_s, tuple(notes))
 
 
-def _state_form(observed: Observed, state: int, notes: list[Note]) -> StateErrorForm:
+def _state_form(observed: Observed, state: int, notes: list[str]) -> StateErrorForm:
     """Pixels or sides of the box, whichever makes the errors likelier as normal ones."""
     numbers = []
     for source in ErrorSource:
@@ -123,13 +123,13 @@ def _state_form(observed: Observed, state: int, notes: list[Note]) -> StateError
             f"states.{observed.states[state]}.box_error: that of all states{edge}; had {numbers[0]} matches away from "
             f"the image's edge, needs {ERRORS_NEEDED}"
         )
-        notes.append(Note(Topic.BOX_ERROR, text))
+        notes.append(text)
     pairs = observed.pairs
     relative = _likelihood(pairs.error_px[in_sides], pairs.sides_px[in_sides])
     return StateErrorForm("relative" if relative > _likelihood(pairs.error_px[in_px], None) else "px", source)
 
 
-def _with_law(observed: Observed, state: int, form: StateErrorForm, box_s: float, notes: list[Note]) -> StateErrorForm:
+def _with_law(observed: Observed, state: int, form: StateErrorForm, box_s: float, notes: list[str]) -> StateErrorForm:
     """The form with the law that errors of the state's own follow; normal where those of other states are taken."""
     if form.source is not ErrorSource.OWN_STATE:
         return form
@@ -137,7 +137,7 @@ def _with_law(observed: Observed, state: int, form: StateErrorForm, box_s: float
     why = heavy_tails(errors, kept_share(observed, box_s))
     if not why:
         return form
-    notes.append(Note(Topic.BOX_ERROR, f"states.{observed.states[state]}.box_error: student_t, for {why}"))
+    notes.append(f"states.{observed.states[state]}.box_error: student_t, for {why}")
     return replace(form, law="student_t")
 
 
@@ -151,7 +151,7 @@ def _likelihood(errors_px: Array, sides_px: Array | None) -> float:
     return float(-0.5 * logarithm - stretch) if sign > 0 else np.inf
 
 
-def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[Note]) -> float:
+def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[str]) -> float:
     """Rough correlation time of errors; 0 with a note if they do not persist."""
     if len(observed.steps) < PAIRS_NEEDED:
         return 0.0  # which the note on misses says
@@ -162,7 +162,7 @@ def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes
         if len(consecutive) >= PAIRS_NEEDED and consecutive.correlated(SIGNIFICANT):
             return consecutive.rough_time_s()
         text = f"persistence.box_s: 0; errors of {len(consecutive)} consecutive pairs are not correlated"
-    notes.append(Note(Topic.PERSISTENCE, text))
+    notes.append(text)
     return 0.0
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, attribute_values, fit_misses
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
-from modsim3d.learn.form import SIGNIFICANT, Note, Topic, ratio
+from modsim3d.learn.form import SIGNIFICANT, ratio
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, frame_interval_s
 from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
@@ -32,7 +32,7 @@ class ClassForm:
 
     effects: tuple[Effect, ...]
     class_s: float
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
         """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
@@ -93,23 +93,23 @@ class LearnedClasses:
 
 def choose_classes(observed: Observed) -> ClassForm:
     """Which effects on misses, and whether their persistence, the data can carry."""
-    notes: list[Note] = []
+    notes: list[str] = []
     effects, fit = _significant(observed, _candidates(observed, notes), notes)
     class_s = _persistence_s(observed, effects, fit, notes)
     return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)))
 
 
-def _candidates(observed: Observed, notes: list[Note]) -> tuple[Effect, ...]:
+def _candidates(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
     """Attributes that are given for every annotation and vary, if there are enough misses for them."""
     chosen = []
     for name, column in attribute_values(observed).items():
         known = column[np.isfinite(column)]
         if not len(known):
-            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; it is not given"))
+            notes.append(f"dropout.{name}: none; it is not given")
         elif len(known) < len(column):
-            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; not given everywhere"))
+            notes.append(f"dropout.{name}: none; not given everywhere")
         elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
-            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; constant"))
+            notes.append(f"dropout.{name}: none; constant")
         else:
             reference = 1.0 if name == "visible_fraction" else float(f"{np.median(known):.3g}")
             chosen.append(Effect(name, reference))
@@ -119,20 +119,20 @@ def _candidates(observed: Observed, notes: list[Note]) -> tuple[Effect, ...]:
         return tuple(chosen)
     rare = "misses" if misses == rarer else "finds"
     text = f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}"
-    notes.append(Note(Topic.DROPOUT, text))
+    notes.append(text)
     return ()
 
 
 def _significant(
-    observed: Observed, effects: tuple[Effect, ...], notes: list[Note]
+    observed: Observed, effects: tuple[Effect, ...], notes: list[str]
 ) -> tuple[tuple[Effect, ...], MissFit | None]:
     """Effects after the least certain ones were left out one by one, and the fit with those that remain."""
     runs = resample(observed.labelled.images, _TRIALS, 0, _usual_run_s(observed)) if effects else None
     while effects and runs is not None:
         fit = fit_misses(observed, effects, runs)
         if fit is None:
-            text = f"dropout: as in the confusion matrix; {len(observed.rows)} truths do not determine the effects"
-            notes.append(Note(Topic.DROPOUT, text))
+            text = f"dropout: as in the confusion matrix; {len(observed.rows)} annotations do not determine the effects"
+            notes.append(text)
             break
         strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
         weakest = int(strength.argmin())
@@ -140,9 +140,9 @@ def _significant(
             return effects, fit
         text = (
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
-            f"{len(observed.rows)} truths, needs {SIGNIFICANT}"
+            f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
         )
-        notes.append(Note(Topic.DROPOUT, text))
+        notes.append(text)
         effects = effects[:weakest] + effects[weakest + 1 :]
     return (), None
 
@@ -155,13 +155,13 @@ def _usual_run_s(observed: Observed) -> float:
     return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
 
 
-def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[Note]) -> float:
+def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[str]) -> float:
     """Rough correlation time of misses; 0 with a note if they do not persist."""
     pairs, misses = len(observed.steps), int(observed.missed.sum())
     if pairs < PAIRS_NEEDED:
         text = (
             f"persistence: none; had {pairs} sightings that follow one of the same vessel, needs {PAIRS_NEEDED} "
-            "(frames with times, truth with identities)"
+            "(frames with times, annotations with identities)"
         )
     elif misses < MISSES_NEEDED:
         text = f"persistence.class_s: 0; had {misses} misses, needs {MISSES_NEEDED}"
@@ -170,11 +170,11 @@ def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit
         if consecutive.correlated(SIGNIFICANT):
             return consecutive.rough_time_s()
         text = f"persistence.class_s: 0; misses of {pairs} consecutive pairs are not correlated"
-    notes.append(Note(Topic.PERSISTENCE, text))
+    notes.append(text)
     return 0.0
 
 
-def _empty_columns(observed: Observed) -> list[Note]:
+def _empty_columns(observed: Observed) -> list[str]:
     """Notes on labels that a state has not seen."""
     notes, k = [], len(observed.labelled.labels)
     counts = np.bincount(observed.state * k + observed.label, minlength=len(observed.states) * k).reshape(-1, k)
@@ -184,7 +184,7 @@ def _empty_columns(observed: Observed) -> list[Note]:
         else:
             instead = "found as often as the other labels, always by its name"
         column = f"states.{observed.states[state]}.confusion, column {observed.labelled.labels[label]}"
-        notes.append(Note(Topic.CONFUSION, f"{column}: {instead}; had 0 of it"))
+        notes.append(f"{column}: {instead}; had 0 of it")
     return notes
 
 

@@ -11,7 +11,6 @@ from scipy import special
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.entries import Entry, Key, digits, nested
-from modsim3d.learn.form import Note, Topic
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -43,7 +42,7 @@ class ConfidenceForm:
 
     true: tuple[ScoreForm, ...]
     false: tuple[ScoreForm, ...]
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
         """The distributions of each state."""
@@ -128,7 +127,7 @@ class LearnedConfidence:
 
 def choose_confidence(observed: Observed) -> ConfidenceForm:
     """Which distribution the confidences of each state and kind follow."""
-    notes: list[Note] = []
+    notes: list[str] = []
     scores = {kind: Scores.of(observed, kind) for kind in KINDS}
     chosen: dict[Kind, list[ScoreForm]] = {"true": [], "false": []}
     for index, state in enumerate(observed.states):
@@ -140,7 +139,7 @@ def choose_confidence(observed: Observed) -> ConfidenceForm:
                     f"states.{state}.confidence.{kind}: that of all states; had {len(values)} detections, "
                     f"needs {SCORES_NEEDED}"
                 )
-                notes.append(Note(Topic.CONFIDENCE, text))
+                notes.append(text)
     return ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(notes))
 
 

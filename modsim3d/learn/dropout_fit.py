@@ -49,11 +49,11 @@ class Effect:
 
 def attribute_values(observed: Observed) -> dict[str, Array]:
     """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
-    truth = observed.labelled.annotations
+    annotations = observed.labelled.annotations
     return {
-        "visible_fraction": truth.visible_fraction[observed.rows],
-        "size_px": truth.size_px[observed.rows],
-        "distance_m": truth.depth_m[observed.rows],
+        "visible_fraction": annotations.visible_fraction[observed.rows],
+        "size_px": annotations.size_px[observed.rows],
+        "distance_m": annotations.depth_m[observed.rows],
     }
 
 

@@ -112,13 +112,13 @@ def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_i
 
 def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask) -> _Nearest:
     """Best annotations for some rows of the results (n,); −1 where nothing overlaps."""
-    found, truth, size = labelled.results, labelled.annotations, len(rows)
+    results, annotations, size = labelled.results, labelled.annotations, len(rows)
     best = {same: (np.full(size, NOBODY), np.zeros(size)) for same in (True, False)}
     columns = np.flatnonzero(sought)
-    for first, second in image_pairs(found.image[rows], truth.image[columns], len(labelled.images)):
+    for first, second in image_pairs(results.image[rows], annotations.image[columns], len(labelled.images)):
         target = columns[second]
-        value = overlap(found.boxes_px[rows[first]], truth.boxes_px[target], truth.crowd[target])
-        equal = found.label[rows[first]] == truth.label[target]
+        value = overlap(results.boxes_px[rows[first]], annotations.boxes_px[target], annotations.crowd[target])
+        equal = results.label[rows[first]] == annotations.label[target]
         for same, (where, how) in best.items():
             ours = np.flatnonzero((equal == same) & (value > 0))
             order = ours[np.argsort(value[ours], kind="stable")]
@@ -138,16 +138,16 @@ class _State:
 
     def mean_precision(self) -> float:
         """Mean average precision over the labels that are there, by all points."""
-        found, truth, values = self.labelled.results, self.labelled.annotations, []
+        results, annotations, values = self.labelled.results, self.labelled.annotations, []
         for label in range(len(self.labelled.labels)):
-            total = int((self.sought & (truth.label == label)).sum())
+            total = int((self.sought & (annotations.label == label)).sum())
             if not total:
                 continue
             rows = np.flatnonzero(self.counts & (self.label == label))
-            rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
+            rows = rows[np.argsort(-results.confidence[rows], kind="stable")]
             right = np.cumsum(self.right[rows])
             recall = np.minimum(right / total, 1.0)
-            values.append(Curve(recall, right / np.arange(1, len(rows) + 1), found.confidence[rows]).all_points())
+            values.append(Curve(recall, right / np.arange(1, len(rows) + 1), results.confidence[rows]).all_points())
         return float(np.mean(values)) if values else 0.0
 
     def without(self, rows: Indices) -> _State:
@@ -156,22 +156,22 @@ class _State:
         counts[rows] = False
         return replace(self, counts=counts)
 
-    def corrected(self, rows: Indices, truths: Indices, taken: Mask) -> _State:
+    def corrected(self, rows: Indices, annotations: Indices, taken: Mask) -> _State:
         """Make some detections right.
 
         Args:
             rows: The detections, shape (n,).
-            truths: The annotation of each, shape (n,). The most confident detection of one counts, if nothing else
+            annotations: The annotation of each, shape (n,). The most confident detection of one counts, if nothing else
                 has detected it; the other rows are left out.
             taken: Which annotations have been detected, shape (T,).
         """
-        free = ~taken[truths]
+        free = ~taken[annotations]
         order = np.argsort(-self.labelled.results.confidence[rows[free]], kind="stable")
-        rows_free, truths_free = rows[free][order], truths[free][order]
-        _, first = np.unique(truths_free, return_index=True)
+        rows_free, annotations_free = rows[free][order], annotations[free][order]
+        _, first = np.unique(annotations_free, return_index=True)
         chosen = rows_free[first]
         right, counts, label = self.right.copy(), self.counts.copy(), self.label.copy()
         counts[rows] = False
         counts[chosen], right[chosen] = True, True
-        label[chosen] = self.labelled.annotations.label[truths_free[first]]
+        label[chosen] = self.labelled.annotations.label[annotations_free[first]]
         return replace(self, counts=counts, right=right, label=label)

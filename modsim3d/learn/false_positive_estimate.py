@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centres, sizes
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits, nested
-from modsim3d.learn.form import Note, Topic, ratio
+from modsim3d.learn.form import ratio
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -37,7 +37,7 @@ class FalsePositiveForm:
     model: str
     sizes: bool
     grid: tuple[int, int] | None
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes and the map that all states share."""
@@ -120,22 +120,22 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
         observed: The data.
         model: Model of their number; `auto` for the likelier of `calibrated` and `per_image`.
     """
-    notes: list[Note] = []
+    notes: list[str] = []
     false, needed = len(observed.false), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
     if false < FALSE_NEEDED:
         text = f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}"
-        notes.append(Note(Topic.FALSE_POSITIVE_BOXES, text))
+        notes.append(text)
     known = bool(np.isfinite(observed.labelled.images.sizes_px).all())
     mapped = false >= needed and known
     if not mapped:
         why = f"had {false} false detections, needs {needed}" if known else "the size of some images is not known"
         text = f"false_positives.placement: uniform below the horizon; {why}"
-        notes.append(Note(Topic.FALSE_POSITIVE_BOXES, text))
+        notes.append(text)
     chosen = _likelier(observed, notes) if model == "auto" else model
     return FalsePositiveForm(chosen, false >= FALSE_NEEDED, GRID if mapped else None, tuple(notes))
 
 
-def _likelier(observed: Observed, notes: list[Note]) -> str:
+def _likelier(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     images = len(observed.labelled.images)
     false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
@@ -157,7 +157,7 @@ def _likelier(observed: Observed, notes: list[Note]) -> str:
         "false_positives: per_image, for their number does not follow that of the true detections "
         f"(log-likelihood {even:.1f} against {with_true:.1f})"
     )
-    notes.append(Note(Topic.FALSE_POSITIVE_NUMBER, text))
+    notes.append(text)
     return "per_image"
 
 

@@ -54,7 +54,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
     Raises:
         ModsimError: The size of an image is not known.
     """
-    images, truth = labelled.images, labelled.annotations
+    images, annotations = labelled.images, labelled.annotations
     used = np.flatnonzero(image_state >= 0)
     if not np.isfinite(images.sizes_px[used]).all():
         raise ModsimError("the detector cannot be simulated over images whose size is not known")
@@ -69,11 +69,11 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
             times = np.arange(len(ours), dtype=np.float64)
         place = np.full(len(images), NOBODY)
         place[ours] = np.arange(len(ours))
-        rows = np.flatnonzero((place[truth.image] >= 0) & ~truth.ignored)
-        rows = rows[np.argsort(place[truth.image[rows]], kind="stable")]
-        frame = place[truth.image[rows]]
+        rows = np.flatnonzero((place[annotations.image] >= 0) & ~annotations.ignored)
+        rows = rows[np.argsort(place[annotations.image[rows]], kind="stable")]
+        frame = place[annotations.image[rows]]
         ordinal = np.arange(len(rows)) - np.searchsorted(frame, frame)
-        identity = truth.identity[rows]
+        identity = annotations.identity[rows]
         known = identity >= 0
         names, vessel = np.unique(np.where(known, identity, -1 - ordinal), return_inverse=True)
         half_planes = np.tile([0.0, 0.0, 1.0], (len(ours), 1))  # no horizon is known: sea everywhere
@@ -85,10 +85,10 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
             Targets(
                 frame=frame,
                 vessel=vessel.ravel(),
-                label=truth.label[rows],
-                boxes_px=np.clip(truth.boxes_px[rows], 0, [*size, *size]),
-                visible_fraction=truth.visible_fraction[rows],
-                depth_m=truth.depth_m[rows],
+                label=annotations.label[rows],
+                boxes_px=np.clip(annotations.boxes_px[rows], 0, [*size, *size]),
+                visible_fraction=annotations.visible_fraction[rows],
+                depth_m=annotations.depth_m[rows],
                 vessel_ids=tuple(f"{name}" for name in names.tolist()),
             ),
             image_state[ours],

@@ -64,8 +64,7 @@ class DetectorForm:
     def notes(self) -> tuple[str, ...]:
         """Why the models are not richer ones."""
         parts: tuple[PartForm, ...] = (self.classes, self.box_errors, self.false_positives, self.confidence)
-        notes = sorted((note for part in parts for note in part.notes), key=lambda note: note.topic)
-        return tuple(note.text for note in notes)
+        return tuple(note for part in parts for note in part.notes)
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedDetector:
         """The numbers of every part, with replicates for the weights of the resampling."""

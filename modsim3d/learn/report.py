@@ -151,7 +151,7 @@ def _labels(report: Report, figures: Figures) -> Table:
     rows.append(("arithmetic mean", "", *cells([*row(figures.mean), figures.mean_average_precision.all_points])))
     rows.append(("weighted mean", "", *cells(row(figures.weighted)), ""))
     title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
-    return Table(title, ("label", "truths", *_RATES, "AP"), tuple(rows))
+    return Table(title, ("label", "annotations", *_RATES, "AP"), tuple(rows))
 
 
 def _error_cells(report: Report, figures: Figures, moments: ErrorMoments) -> list[str]:
@@ -230,7 +230,7 @@ def _confusion(report: Report, figures: Figures) -> Table:
 def _shares(report: Report) -> Table:
     rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
     title = f"What mean average precision, {100 * report.shares.average_precision:.1f} points, is lost to"
-    return Table(title, ("error", "number", "points gained if mended"), rows)
+    return Table(title, ("error", "number", "points gained if corrected"), rows)
 
 
 def _parameters(report: Report) -> Table:
@@ -277,7 +277,7 @@ def lead(report: Report) -> str:
     learned, labelled = report.learned, report.labelled
     drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
     return (
-        f"{len(labelled.images)} images, {len(labelled.annotations)} truths, {len(labelled.results)} detections; "
+        f"{len(labelled.images)} images, {len(labelled.annotations)} annotations, {len(labelled.results)} detections; "
         f"matched by {report.matched_by}, confidence at least {learned.observed.threshold:g}; "
         f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
     )

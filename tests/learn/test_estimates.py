@@ -265,7 +265,7 @@ def test_error_shares_name_each_kind():
     gains = {each.kind.value: each.gain_points for each in shares.shares}
     assert shares.average_precision == pytest.approx(1 / 6)
     assert gains["classification"] == pytest.approx(100 / 6)
-    # mended, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
+    # corrected, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
     assert gains["localisation"] == pytest.approx(100 / 6)
     assert gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
     assert gains["duplicate"] == gains["background"] == gains["both"] == 0
