@@ -32,6 +32,12 @@ def corner_form(centre_form_px: Array) -> Array:
     return np.concatenate([centre - half, centre + half], axis=-1)
 
 
+def from_top_left(top_left_form_px: Array) -> Array:
+    """Boxes from the corner x_min, y_min, width and height, shapes (..., 4)."""
+    corner = top_left_form_px[..., :2]
+    return np.concatenate([corner, corner + top_left_form_px[..., 2:]], axis=-1)
+
+
 def clip(boxes_px: Array, image_size_px: tuple[int, int]) -> Array:
     """Boxes (..., 4) cut at the image's edge, same shape."""
     return np.clip(boxes_px, 0, [*image_size_px, *image_size_px])

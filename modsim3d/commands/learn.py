@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modsim3d.formats.labelled import LabelledSet
-    from modsim3d.formats.reading.pair import ReadOptions
+    from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.report import Report
 
 
@@ -96,7 +96,7 @@ def learn_command(
 def _read_options(
     labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int
 ) -> ReadOptions:
-    from modsim3d.formats.reading.pair import ReadOptions
+    from modsim3d.formats.reading.builder import ReadOptions
 
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
     if frame_rate is not None and not 0 < frame_rate < math.inf:

@@ -16,15 +16,7 @@ from modsim3d.formats.labelled import LabelledSet
 
 
 def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
-    """Write `gt.json` and `dt.json`.
-
-    Args:
-        labelled: What to write.
-        folder: Made where it is not there.
-
-    Returns:
-        The two files.
-    """
+    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     truth, results = folder / "gt.json", folder / "dt.json"
     truth.write_bytes(orjson.dumps(ground_truth(labelled)))
@@ -73,5 +65,6 @@ def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
 
 
 def _sides(corners: list[float]) -> list[float]:
+    """Corner, width and height of a box."""
     x_min, y_min, x_max, y_max = corners
     return [x_min, y_min, x_max - x_min, y_max - y_min]
