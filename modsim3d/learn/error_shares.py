@@ -36,13 +36,7 @@ _KINDS = tuple(ErrorKind)
 
 @dataclass(frozen=True)
 class ErrorShare:
-    """One kind of error.
-
-    Attributes:
-        kind: The kind.
-        count: How many errors of this kind there are.
-        gain_points: Hundredths of mean average precision that correcting them would gain.
-    """
+    """How many errors of a kind there are, and the hundredths of mean average precision that they cost."""
 
     kind: ErrorKind
     count: int
@@ -67,7 +61,7 @@ class _Nearest:
     other_iou: Array
 
     def kinds(self, least_iou: float) -> Indices:
-        """Index into `ErrorKind` of each; a localisation error comes before one of the label."""
+        """Index into `ErrorKind` of each, shape (n,); a localisation error comes before one of the label."""
         duplicate, localisation = self.same_iou >= least_iou, self.same_iou >= BACKGROUND_IOU
         classification, both = self.other_iou >= least_iou, self.other_iou >= BACKGROUND_IOU
         order = ErrorKind.DUPLICATE, ErrorKind.LOCALISATION, ErrorKind.CLASSIFICATION, ErrorKind.BOTH
@@ -77,14 +71,7 @@ class _Nearest:
 
 
 def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_iou: float = 0.5) -> ErrorShares:
-    """The shares over some images.
-
-    Args:
-        labelled: Images, annotations and results.
-        by_label: Matches label by label, by IoU in order of confidence.
-        images: Which images, shape (I,).
-        least_iou: Least IoU of those matches.
-    """
+    """The shares over some images (I,), of matches label by label, by at least so much IoU in order of confidence."""
     results, annotations = labelled.results, labelled.annotations
     counts = by_label.counts & images[results.image]
     sought = by_label.sought & images[annotations.image]
@@ -151,7 +138,7 @@ class _State:
         return float(np.mean(values)) if values else 0.0
 
     def without(self, rows: Indices) -> _State:
-        """Leave some detections out."""
+        """Leave some detections out, shape (n,)."""
         counts = self.counts.copy()
         counts[rows] = False
         return replace(self, counts=counts)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,7 @@ CURVE_REPLICATES = 200
 _LEAST_PROBABILITY = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class Rates:
+class Rates(NamedTuple):
     """Rates of one kind of detection, each of the same shape (eq. 5.1 to 5.20)."""
 
     precision: Column
@@ -35,48 +35,29 @@ class Rates:
     def of(cls, right: Array, detected: Array, true: Array, beta: float) -> Rates:
         """Rates from numbers of right detections, of detections and of annotations, shapes (rows, ...)."""
         precision, recall = ratio(right, detected), ratio(right, true)
-
-        def f(weight: float) -> Array:
-            return ratio((1 + weight**2) * right, detected + weight**2 * true)  # eq. 5.9, 5.11 in counts
-
+        f1, f_beta = (ratio((1 + w**2) * right, detected + w**2 * true) for w in (1, beta))  # eq. 5.9, 5.11 in counts
         number, whole = detected[0], true[0]
         return cls(
             Column(precision, "share", number),
             Column(recall, "share", whole),
-            Column(f(1), "fraction", whole),
-            Column(f(beta), "fraction", whole),
+            Column(f1, "fraction", whole),
+            Column(f_beta, "fraction", whole),
             Column(1 - recall, "share", whole),
             Column(1 - precision, "share", number),
         )
 
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """All six, in the order of the fields."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
     def averaged(self, weights: Array, count: float) -> Rates:
-        """Means over labels that are there (eq. 5.22, 5.23).
-
-        Args:
-            weights: Of the labels, shape (rows, k).
-            count: Number of annotations that the means rest on.
-        """
-        return Rates(*(_average(column, weights, count) for column in self.columns))
+        """Means over labels that are there, with weights (rows, k), from so many annotations (eq. 5.22, 5.23)."""
+        return Rates(*(_average(column, weights, count) for column in self))
 
 
-@dataclass(frozen=True, eq=False)
-class AveragePrecisions:
-    """Average precision in four forms; see `AveragePrecision`."""
+class AveragePrecisions(NamedTuple):
+    """Average precision in four forms; see `Curve.summaries`."""
 
     all_points: Column
     eleven_points: Column
     coco_points: Column
     area: Column
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """All four, in the order of the fields."""
-        return self.all_points, self.eleven_points, self.coco_points, self.area
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,12 +126,7 @@ class Matches:
     inflation: float = 1.0
 
     def figures(self, name: str, images: Mask) -> Figures:
-        """The figures of some images.
-
-        Args:
-            name: What to call them.
-            images: Which images, shape (I,).
-        """
+        """The figures of some images (I,), called by a name."""
         counts = confusion_counts(self.labelled, self.matched, self.resampling, images)
         k = len(self.labelled.labels)
         right = np.einsum("bii->bi", counts)[:, :k]
@@ -251,5 +227,5 @@ def _average(column: Column, weights: Array, count: float) -> Column:
 
 def _mean_average_precision(of_labels: AveragePrecisions) -> AveragePrecisions:
     return AveragePrecisions(
-        *(_average(column, np.ones_like(column.values), column.counts.sum()) for column in of_labels.columns)
+        *(_average(column, np.ones_like(column.values), column.counts.sum()) for column in of_labels)
     )

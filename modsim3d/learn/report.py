@@ -128,7 +128,7 @@ def _rates(report: Report, groups: Sequence[Figures]) -> Table:
         (
             report.name(figures),
             str(figures.images),
-            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label.columns),
+            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label),
         )
         for figures in groups
     )
@@ -203,7 +203,7 @@ def _curves(report: Report, groups: Sequence[Figures]) -> Table:
     rows = []
     for figures in groups:
         entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
-        columns = [*figures.mean_average_precision.columns, *entropies]
+        columns = [*figures.mean_average_precision, *entropies]
         rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
     extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
     title = "Mean average precision over labels, every detection counted"

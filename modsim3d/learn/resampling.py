@@ -26,32 +26,19 @@ Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """Weights of images.
+    """How often each image was drawn, in the first row once each, shape (1 + replicates, I).
 
-    Attributes:
-        weights: How often each image was drawn; in the first row once each, shape (1 + replicates, I).
-        unit: Index of what was drawn with each image, itself or a run of frames, shape (I,).
+    `unit` is the index of what was drawn with each image, itself or a run of frames, shape (I,).
     """
 
     weights: Array
     unit: Indices
 
     def sums(self, image: Indices, values: Array) -> Array:
-        """Weighted sums of values.
-
-        Args:
-            image: Image of each value, shape (n,).
-            values: Shape (n, ...).
-
-        Returns:
-            Shape (1 + replicates, ...).
-        """
-        columns = int(np.prod(values.shape[1:]))
-        flat = values.reshape(len(image), columns)
-        index = np.repeat(image, columns), np.tile(np.arange(columns), len(image))
-        by_image = csr_array((flat.ravel(), index), shape=(self.weights.shape[1], columns))
-        total: Array = np.asarray((by_image.T @ self.weights.T).T)
-        return total.reshape(len(self.weights), *values.shape[1:])
+        """Weighted sums of values (n, ...), given the image of each (n,), shape (1 + replicates, ...)."""
+        cells = int(np.prod(values.shape[1:]))
+        cell = np.tile(np.arange(cells), len(image))
+        return self.counts(np.repeat(image, cells), cell, values.shape[1:], values.ravel())
 
     def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...], amount: Array | None = None) -> Array:
         """Weighted counts in the cells of a table.
@@ -59,11 +46,8 @@ class Resampling:
         Args:
             image: Image of each thing that is counted, shape (n,).
             cell: Its cell in the flattened table, shape (n,).
-            shape: Of the table.
+            shape: Of the table; that of the result is (1 + replicates, *shape).
             amount: How much each counts, one if None, shape (n,).
-
-        Returns:
-            Shape (1 + replicates, *shape).
         """
         size = int(np.prod(shape))
         amount = np.ones(len(image)) if amount is None else amount
@@ -77,14 +61,7 @@ class Resampling:
 
 
 def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> Resampling:
-    """Draw as many images, or runs of frames, from each source as it has.
-
-    Args:
-        images: The images.
-        replicates: How often they are drawn.
-        seed: Of all random numbers.
-        run_s: Length of the runs where images have times; 0 draws single images.
-    """
+    """Draw as many images, or runs of so many seconds where they have times, from each source as it has."""
     timed = np.isfinite(images.time_s) if run_s > 0 else np.zeros(len(images), dtype=bool)
     run = np.where(timed, np.floor(np.nan_to_num(images.time_s) / max(run_s, 1e-9) + 1e-9), -1).astype(np.int64)
     single = np.where(timed, -1, np.arange(len(images)))
@@ -121,17 +98,14 @@ class Column:
 
     @property
     def estimate(self) -> Array:
-        """The first row of the values."""
+        """The first row of the values, shape (...)."""
         first: Array = self.values[0]
         return first
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
-        """Both ends of confidence intervals, each of the shape of one row.
+        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row.
 
-        Args:
-            level: Such as 0.95.
-            units: Number of images or runs that were drawn. With few of them the spread itself is uncertain, hence
-                Student's distribution.
+        With few units, images or runs that were drawn, the spread itself is uncertain, hence Student's distribution.
         """
         wide = float(stats.t.ppf((1 + level) / 2, max(units - 1, 1)))
         widen, tail = (wide / float(stats.norm.ppf((1 + level) / 2))) ** 2, (1 - level) / 2
@@ -177,16 +151,9 @@ def spread(replicates: Array) -> Array:
 
 
 def widened(values: Array, least: Array) -> Array:
-    """Replicates whose spread is at least a standard error from theory, in which noise that persists is counted.
+    """An estimate and replicates (1 + replicates, ...) that spread at least as a standard error (...) from theory does.
 
     With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
-
-    Args:
-        values: The estimate, then its replicates, shape (1 + replicates, ...).
-        least: Standard error of the estimate, shape (...).
-
-    Returns:
-        The same shape, and the same estimate.
     """
     if len(values) == 1:
         return values

@@ -74,7 +74,7 @@ def test_columns_of_confusion_sum_to_one_and_rates_complete_each_other(seed):
     for one, other in ((rates.precision, rates.false_discovery_rate), (rates.recall, rates.false_negative_rate)):
         both = one.values + other.values
         assert np.all(np.isclose(both, 1) | np.isnan(both))
-    for column in got.average_precision.columns:
+    for column in got.average_precision:
         values = column.values
         assert np.all(np.isnan(values) | ((values >= 0) & (values <= 1 + 1e-12)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -195,9 +195,11 @@ class ImageRows:
         self, name: str, size_px: Sequence[float], sequence: int = 0, time_s: float = math.nan, own: str | None = None
     ) -> None:
         """Append an image, which may name a condition of its own."""
-        columns = self.names, self.sizes_px, self.sequence, self.time_s, self.condition
-        for column, value in zip(columns, (name, size_px, sequence, time_s, own), strict=True):
-            cast(list[Any], column).append(value)
+        self.names.append(name)
+        self.sizes_px.append(size_px)
+        self.sequence.append(sequence)
+        self.time_s.append(time_s)
+        self.condition.append(own)
 
 
 def labelled_set(
