@@ -24,13 +24,7 @@ _ROUNDS = 4
 
 @dataclass(frozen=True)
 class StateErrorForm:
-    """The model of the box error in one state.
-
-    Attributes:
-        unit: Whether errors are in pixels or in sides of the box.
-        source: Which pairs it is learned from.
-        law: Name in `LAWS` of the distribution.
-    """
+    """The unit of the box error in one state, the pairs it is learned from and the name in `LAWS` of its law."""
 
     unit: Literal["px", "relative"]
     source: ErrorSource = ErrorSource.OWN_STATE
@@ -44,13 +38,7 @@ class StateErrorForm:
 
 @dataclass(frozen=True)
 class BoxErrorForm:
-    """The model of the box error.
-
-    Attributes:
-        states: One for each state.
-        box_s: Rough correlation time of errors; 0 if they do not persist.
-        notes: Why the model is not a richer one.
-    """
+    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist."""
 
     states: tuple[StateErrorForm, ...]
     box_s: float
@@ -77,13 +65,7 @@ class BoxErrorForm:
 
 @dataclass(frozen=True, eq=False)
 class LearnedBoxErrors:
-    """Numbers of the box error.
-
-    Attributes:
-        form: The model.
-        states: The law of each state.
-        box_s: Correlation time of errors; None if they do not persist.
-    """
+    """The law of the box error in each state, and the correlation time of errors, None if they do not persist."""
 
     form: BoxErrorForm
     states: tuple[LearnedLaw, ...]

@@ -22,13 +22,7 @@ _TRIALS, _USUAL_RUNS = 200, 24
 
 @dataclass(frozen=True)
 class ClassForm:
-    """The model of dropout and class.
-
-    Attributes:
-        effects: Attributes that change the odds of a miss; none leaves the confusion matrix alone.
-        class_s: Rough correlation time of misses; 0 if they do not persist.
-        notes: Why the model is not a richer one.
-    """
+    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist."""
 
     effects: tuple[Effect, ...]
     class_s: float
@@ -57,11 +51,9 @@ class LearnedEffect:
 
 @dataclass(frozen=True, eq=False)
 class LearnedClasses:
-    """Numbers of dropout and class.
+    """Numbers of dropout and class; `class_s` is the correlation time of misses, None if they do not persist.
 
     Attributes:
-        effects: Those on the odds of a miss.
-        class_s: Correlation time of misses; None if they do not persist.
         confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
         inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
             frames.
@@ -194,15 +186,11 @@ def _plain_fit(observed: Observed) -> MissFit | None:
 
 
 def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
-    """Residuals of misses in consecutive frames.
+    """Residuals of misses in consecutive frames from fitted chances of a miss, or one chance for all if None.
 
     A pair's expected product is that of two misses read from the same draw, scaled by how large the earlier squared
     residual was. Runs of frames with more misses than others then have larger products and larger expected products
     alike, and do not change the correlation time.
-
-    Args:
-        observed: The data.
-        fit: Chances of a miss; None for one chance for all.
     """
     rate = np.full(len(observed.rows), observed.missed.mean()) if fit is None else fit.chance
     residual = observed.missed - rate

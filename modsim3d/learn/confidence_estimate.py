@@ -32,13 +32,7 @@ ScoreForm = Literal["normal", "quantiles", "shared"]
 
 @dataclass(frozen=True)
 class ConfidenceForm:
-    """The model of confidence.
-
-    Attributes:
-        true: For true detections of each state.
-        false: For false detections of each state.
-        notes: Why the model is not a richer one.
-    """
+    """The distributions of confidence of true and of false detections in each state."""
 
     true: tuple[ScoreForm, ...]
     false: tuple[ScoreForm, ...]

@@ -183,14 +183,11 @@ LAWS: Mapping[str, ErrorLaw] = {"normal": NormalErrors(), "student_t": StudentTE
 
 
 def heavy_tails(errors: Array, kept: float) -> str:
-    """Why Student's t distribution describes errors (n, 4) better than the normal one; empty if it does not.
+    """Why Student's t law describes errors, shape (n, 4), better than the normal one; empty if it does not.
 
     Twice the gain in log-likelihood, over the number of errors that count as one because they persist, must pass the
     Bayesian information criterion and the square of `SIGNIFICANT`. The gain follows fourth powers of the errors.
-
-    Args:
-        errors: The errors.
-        kept: Correlation of an error with that of the same vessel one frame before.
+    `kept` is the correlation of an error with that of the same vessel one frame before.
     """
     if len(errors) < T_NEEDED:
         return ""

@@ -16,13 +16,7 @@ CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
 
 @dataclass(frozen=True, eq=False)
 class ErrorMoments:
-    """Moments of box errors.
-
-    Attributes:
-        mean: Of each component, shape (4,).
-        std: Standard deviations, with n − 1, shape (4,).
-        correlation: Of the `ERROR_PAIRS` of components, shape (6,).
-    """
+    """Mean (4,), standard deviation with n − 1 (4,) and correlation of the `ERROR_PAIRS` (6,) of box errors."""
 
     mean: Column
     std: Column
@@ -48,7 +42,7 @@ class ErrorMoments:
 
 
 def covariance(std: Array, correlation: Array) -> Array:
-    """Covariance (4, 4) from standard deviations (4,) and correlations of the `ERROR_PAIRS` (6,)."""
+    """Covariance from standard deviations and correlations of the `ERROR_PAIRS`, shapes (4, 4), (4,) and (6,)."""
     matrix = np.eye(4)
     for (i, j), value in zip(ERROR_PAIRS, correlation, strict=True):
         matrix[i, j] = matrix[j, i] = value
@@ -57,16 +51,7 @@ def covariance(std: Array, correlation: Array) -> Array:
 
 
 def moments(resampling: Resampling, image: Indices, values: Array) -> tuple[Array, Array, Array]:
-    """Mean, standard deviation and correlation of vectors, with n − 1.
-
-    Args:
-        resampling: Weights of images.
-        image: Image of each vector, shape (n,).
-        values: The vectors, shape (n, 4).
-
-    Returns:
-        Shapes (rows, 4), (rows, 4), (rows, 6).
-    """
+    """Mean, standard deviation and correlation of vectors (n, 4), shapes (rows, 4), (rows, 4) and (rows, 6)."""
     centre = values.mean(axis=0) if len(values) else np.zeros(4)
     moved = values - centre  # squares of small numbers keep their digits
     products = moved[:, :, None] * moved[:, None, :]

@@ -61,13 +61,7 @@ class LearnedSize:
 
 @dataclass(frozen=True, eq=False)
 class StateFalsePositives:
-    """False positives in one state.
-
-    Attributes:
-        labels: Share of each label, shape (k,).
-        discovery_rate: False detections over all detections.
-        per_image: False detections in an image.
-    """
+    """Shares of the labels (k,), false detections over all detections, and those in an image, in one state."""
 
     labels: Entry
     discovery_rate: Entry
@@ -76,13 +70,9 @@ class StateFalsePositives:
 
 @dataclass(frozen=True, eq=False)
 class LearnedFalsePositives:
-    """Numbers of false positives.
+    """Numbers of false positives: rates and labels of each state, sizes (None for those of vessels) and a map.
 
-    Attributes:
-        form: The model.
-        states: Rates and labels of each state.
-        size: Distribution of sizes; None for those of vessels.
-        density: Share of each cell of the map, of the grid's shape; None where there is no map.
+    The map has the share of each cell, in the grid's shape; None where there is none.
     """
 
     form: FalsePositiveForm
@@ -114,12 +104,7 @@ class LearnedFalsePositives:
 
 
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
-    """The model of false positives that the data can carry.
-
-    Args:
-        observed: The data.
-        model: Model of their number; `auto` for the likelier of `calibrated` and `per_image`.
-    """
+    """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
     notes: list[str] = []
     false, needed = len(observed.false), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
     if false < FALSE_NEEDED:
@@ -204,15 +189,9 @@ def _density(image: Indices, boxes_px: Array, sizes_px: Array, grid: tuple[int, 
 
 
 def _size(image: Indices, boxes_px: Array, sizes_px: Array, resampling: Resampling) -> LearnedSize:
-    """One shape, scaled by a number whose logarithm is normal.
+    """One shape, scaled by a number whose logarithm is normal; of boxes (n, 4) in images (n,) of such sizes (n, 2).
 
     The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
-
-    Args:
-        image: Image of each box, shape (n,).
-        boxes_px: The boxes, shape (n, 4).
-        sizes_px: Width and height of the image of each, NaN where unknown, shape (n, 2).
-        resampling: Weights of images.
     """
     half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2
     centre = centres(boxes_px)

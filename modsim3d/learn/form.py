@@ -36,6 +36,6 @@ class PartForm(Protocol):
 
 
 def ratio(part: Array, whole: Array) -> Array:
-    """Quotients of arrays that broadcast; NaN where the whole is not positive."""
+    """Quotients of arrays whose shapes broadcast; NaN where the whole is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(whole > 0, part / whole, np.nan)

@@ -31,14 +31,9 @@ SURE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Images of one sequence and size, as the detector takes them.
+    """Images of one sequence and size, as the detector takes them: frames and targets.
 
-    Attributes:
-        images: Their rows, shape (S,).
-        rows: Rows of the annotations in them that count, shape (n,).
-        frames: The images as frames of a camera.
-        targets: The annotations as targets.
-        states: Performance state in each frame, shape (S,).
+    With the rows of the images (S,), of the annotations in them that count (n,), and the state in each frame (S,).
     """
 
     images: Indices
@@ -153,7 +148,7 @@ class Shift:
 
     @property
     def corrected(self) -> Array:
-        """The estimate less the shift."""
+        """The estimate less the shift, shape (...)."""
         kind = _scale(self.entry.column)
         moved = from_scale(to_scale(self.entry.estimate, kind) - self.shift, kind)
         least, most = _RANGES.get(self.entry.column.kind, (-np.inf, np.inf))
@@ -162,20 +157,14 @@ class Shift:
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """By how much learning shifts each entry.
-
-    Attributes:
-        learned: What was learned.
-        shifts: One for each of its entries.
-        repeats: How often it was learned again.
-    """
+    """By how much learning shifts each entry of what was learned, found by learning it again so often."""
 
     learned: Learned
     shifts: tuple[Shift, ...]
     repeats: int
 
     def significant(self, shift: Shift) -> Mask:
-        """Which numbers of an entry are surely shifted, by Student's test of all numbers together."""
+        """Which numbers of an entry are surely shifted, by Student's test of all together, shape (...)."""
         numbers = sum(np.size(each.shift) for each in self.shifts)
         needed = float(stats.t.ppf(1 - SURE / (2 * numbers), self.repeats - 1))
         with np.errstate(invalid="ignore"):
@@ -215,13 +204,7 @@ def _least_error(column: Column) -> Array:
 
 
 def bias_of(learned: Learned, settings: Settings, repeats: int = 12) -> Bias:
-    """Simulate what was learned over the data that it was learned from, learn it again, and compare.
-
-    Args:
-        learned: What was learned.
-        settings: How it was learned.
-        repeats: How often to learn it again, each time from another seed.
-    """
+    """Simulate what was learned over its own data, learn it again, each time from another seed, and compare."""
     model, observed = parse_detector(learned.detector(), "what was learned"), learned.observed
     runs = []
     for k in range(repeats):

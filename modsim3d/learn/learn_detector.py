@@ -31,7 +31,7 @@ class LearnOptions:
         clusters: Number of states to make by F1.
         sequence: Text with the name of a state on each line.
         interval_s: Time between transitions.
-        level: Of the confidence intervals.
+        level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
         bias: Whether to find how much matching shifts the numbers.
     """

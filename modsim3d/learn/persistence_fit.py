@@ -18,13 +18,7 @@ _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Consecutive sightings of the same thing.
-
-    Attributes:
-        earlier: Places of the earlier ones among the rows given, shape (m,).
-        later: Places of the later ones, shape (m,).
-        apart_s: Time between the two, shape (m,).
-    """
+    """Consecutive sightings of the same thing: their places among the rows given and the time between, shapes (m,)."""
 
     earlier: Indices
     later: Indices
@@ -75,12 +69,7 @@ class Consecutive:
 
 
 def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
-    """Consecutive annotations of the same thing, where it has an identity and the frames have times.
-
-    Args:
-        labelled: The sets.
-        rows: Of the annotations to look at, shape (n,).
-    """
+    """Consecutive ones of some annotations (n,) of a thing that has an identity, where the frames have times."""
     image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
     sequence, time_s = labelled.images.sequence[image], labelled.images.time_s[image]
     known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
@@ -131,16 +120,10 @@ def correlation_time(resampling: Resampling, image: Indices, products: Array, ex
 
 
 def relative_error(products: Array, expected: Array, apart_s: Array, time_s: float) -> float:
-    """Relative standard error of a correlation time τ, from the deviation of each pair's product.
+    """Relative standard error of a correlation time τ, from the columns of `correlation_time`, shapes (m,).
 
     Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from that
     are independent of each other whatever persists, and there are many more pairs than runs of frames.
-
-    Args:
-        products: Of residuals, shape (m,).
-        expected: Expectation of the products if the noise were the same in both, shape (m,).
-        apart_s: Time Δt between the two, shape (m,).
-        time_s: The correlation time τ.
     """
     gap = float(np.median(apart_s))
     kept = float(np.exp(-gap / time_s))

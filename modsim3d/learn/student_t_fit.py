@@ -34,7 +34,7 @@ class StudentTFit:
         return _squared_lengths(errors - self.mean, self.covariance)
 
     def log_likelihood(self, errors: Array) -> float:
-        """Of errors (n, 4)."""
+        """The logarithm of the likelihood of errors of shape (n, 4)."""
         nu, q = self.degrees_of_freedom, self.squared_lengths(errors)
         constant = special.gammaln(nu / 2 + 2) - special.gammaln(nu / 2) - 2 * np.log(np.pi * (nu - 2))
         constant -= np.linalg.slogdet(self.covariance)[1] / 2
@@ -63,7 +63,7 @@ class StudentTFit:
 
 
 def fit_student_t(errors: Array) -> StudentTFit | None:
-    """The likeliest t distribution of errors (n, 4) with ν between the bounds; None where they determine none.
+    """The likeliest t distribution of errors, shape (n, 4), with ν between the bounds; None where they determine none.
 
     Each step weighs errors by (ν + 4) / (ν + q), with q by the scatter matrix, for mean and scatter, and then
     maximises the likelihood over ν.
@@ -87,7 +87,7 @@ def fit_student_t(errors: Array) -> StudentTFit | None:
 
 
 def gain_over_normal(errors: Array) -> float:
-    """By how much the log-likelihood of errors (n, 4) is larger as Student's t ones than as normal ones; at least 0."""
+    """How much larger the log-likelihood of errors, shape (n, 4), is as Student's t ones than as normal ones; or 0."""
     covariance = np.cov(errors.T, bias=True)
     if np.linalg.cond(covariance) > 1e12:
         return 0.0
