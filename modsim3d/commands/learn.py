@@ -60,12 +60,8 @@ def learn_command(
     bias: Annotated[bool, typer.Option("--bias", help="Find how much matching shifts the numbers.")] = False,
     correct: Annotated[bool, typer.Option("--correct", help="Take that shift off the numbers, once.")] = False,
     labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
-    image_size: Annotated[
-        str | None, typer.Option(metavar="W,H", help="For YOLO, and MOT without seqinfo.ini.")
-    ] = None,
-    frame_rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="For MOT without it, and COCO's frame_id.")
-    ] = None,
+    image_size: Annotated[str | None, typer.Option(metavar="W,H", help="For YOLO; MOT without seqinfo.ini.")] = None,
+    frame_rate: Annotated[float | None, typer.Option(metavar="HZ", help="For MOT without it; for COCO.")] = None,
     category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out wrong entries.")] = False,
     page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,

@@ -28,10 +28,8 @@ class FalsePositiveForm:
     """The model of false positives.
 
     Attributes:
-        model: `calibrated` or `per_image`.
         sizes: Whether they have sizes of their own; those of vessels if not.
         grid: Rows and columns of the map of where they are; None where they are anywhere below the horizon.
-        notes: Why the model is not a richer one.
     """
 
     model: str

@@ -62,23 +62,16 @@ class AveragePrecisions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """The figures of one condition or state.
+    """The figures of one condition or state, in so many images, which so many resampled runs or images hold.
 
     Attributes:
-        name: Of the condition or state.
-        images: How many images it has.
-        units: How many resampled runs or images hold them.
         counts: Confusion matrix, rows what was detected, columns what was there, both labels then background; its last
             entry is undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
-        any_label: Rates with labels left aside.
-        of_labels: Rates of each label, shape (k,).
-        mean: Arithmetic means of the rates of labels.
-        weighted: Means of the rates of labels, weighted by their annotations.
+        of_labels: Rates of each label, shape (k,); their means, also weighted by annotations, are beside them.
         confusion: Probabilities, shape (k + 1, k) (eq. 5.25).
         false_labels: Share of each label among false detections, shape (k,) (eq. 5.26).
-        errors: Moments of the box errors in pixels (eq. 5.36 to 5.41).
+        errors: Moments of the box errors in pixels (eq. 5.36 to 5.41), also of each label.
         error_covariance: Of the `CELLS`, in px², shape (10,).
-        errors_of_labels: Moments of the box errors of each label, k of them.
         average_precision: Of each label, shape (k,).
         mean_average_precision: Over labels that are there (eq. 5.46).
         confidence_entropy: Cross-entropy of confidence, as the probability of being right.
@@ -109,10 +102,8 @@ class Matches:
     """A labelled set with its matches, and how its images are resampled.
 
     Attributes:
-        labelled: Images, annotations and results.
         matched: Matches with labels left aside, above the confidence threshold.
         by_label: Matches label by label, at any confidence: for average precision.
-        resampling: Weights of all images.
         beta: How many times more recall weighs than precision in F-beta.
         inflation: Factor by which persistent misses raise variances at least. Replicates cannot tell it for what
             happened once.

@@ -122,13 +122,9 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """By how much learning shifts one entry, on the scale on which it is nearly normal; arrays of the entry's shape.
+    """Mean shift of an entry with its standard error, on the scale on which it is nearly normal; of the entry's shape.
 
-    Attributes:
-        entry: What was learned.
-        shift: Mean shift.
-        error: Its standard error.
-        again: Mean of what was learned again, on the plain scale.
+    `again` is the mean of what was learned again, on the plain scale.
     """
 
     entry: Entry

@@ -27,15 +27,11 @@ class Report:
     """Everything that is reported.
 
     Attributes:
-        labelled: Images, annotations and results.
         by_label: Matches label by label, for curves.
         conditions: Figures of each condition, the largest F1 first.
-        states: Figures of each performance state.
-        state_map: Which conditions make which state.
-        learned: The detector.
         shares: What average precision is lost to.
         bias: By how much matching shifts the numbers; None where that was not asked for.
-        level: Of the confidence intervals.
+        level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
         matched_by: The matching rule in words.
         remarks: What the numbers have to be read with: entries left out, what matching hides.
@@ -93,9 +89,7 @@ def _cell(column: Column, level: float, units: int, digits: int, *place: int) ->
 def tables(report: Report, every: bool = False) -> list[Table]:
     """All tables in the order of the thesis's chapter 8.
 
-    Args:
-        report: What was learned.
-        every: Also what a terminal has no room for: labels of each condition, errors of labels, covariances.
+    `every` adds what a terminal has no room for: labels of each condition, errors of labels, covariances.
     """
     groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
     detailed = groups if every else report.states
@@ -141,7 +135,7 @@ def _labels(report: Report, figures: Figures) -> Table:
         return [_cell(column, report.level, figures.units, 3, *place) for column in columns]
 
     def row(rates: Rates) -> tuple[Column, ...]:
-        return rates.precision, rates.recall, rates.f1, rates.false_negative_rate, rates.false_discovery_rate
+        return (*rates[:3], *rates[4:])  # without F-beta
 
     columns = [*row(figures.of_labels), figures.average_precision.all_points]
     rows = [

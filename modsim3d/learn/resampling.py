@@ -7,6 +7,7 @@ images. Their first row, one for each image, gives the estimate, and the other r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -164,31 +165,29 @@ def widened(values: Array, least: Array) -> Array:
     return scaled
 
 
+Scale = tuple[Callable[[Array], Array], Callable[[Array], Array]]
+_PLAIN: Scale = (lambda x: x, lambda x: x)
+_LOGIT: Scale = (lambda x: special.logit(np.clip(x, 1e-9, 1 - 1e-9)), special.expit)
+_LOGARITHM: Scale = (lambda x: np.log(np.maximum(x, 1e-12)), np.exp)
+_SCALES: dict[Kind, Scale] = {
+    "share": _LOGIT,
+    "fraction": _LOGIT,
+    "mean": _PLAIN,
+    "positive": _LOGARITHM,
+    "rate": _LOGARITHM,
+    "above_two": (lambda x: np.log(np.maximum(x - 2, 1e-12)), lambda x: 2 + np.exp(x)),
+    "correlation": (lambda x: np.arctanh(np.clip(x, -1 + 1e-9, 1 - 1e-9)), np.tanh),
+}
+"""To the scale on which an estimate of each kind is nearly normal, and back."""
+
+
 def to_scale(values: Array, kind: Kind) -> Array:
-    """Numbers of any shape on a scale on which an estimate of this kind is nearly normal."""
-    scaled = values
+    """Numbers of any shape on the scale of their kind."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        if kind in ("share", "fraction"):
-            scaled = special.logit(np.clip(values, 1e-9, 1 - 1e-9))
-        elif kind in ("positive", "rate"):
-            scaled = np.log(np.maximum(values, 1e-12))
-        elif kind == "above_two":
-            scaled = np.log(np.maximum(values - 2, 1e-12))
-        elif kind == "correlation":
-            scaled = np.arctanh(np.clip(values, -1 + 1e-9, 1 - 1e-9))
-    return scaled
+        return _SCALES[kind][0](values)
 
 
 def from_scale(values: Array, kind: Kind) -> Array:
-    """Numbers of any shape back from the scale of `to_scale`."""
-    plain = values
+    """Numbers of any shape back from the scale of their kind."""
     with np.errstate(over="ignore"):
-        if kind in ("share", "fraction"):
-            plain = special.expit(values)
-        elif kind in ("positive", "rate"):
-            plain = np.exp(values)
-        elif kind == "above_two":
-            plain = 2 + np.exp(values)
-        elif kind == "correlation":
-            plain = np.tanh(values)
-    return plain
+        return _SCALES[kind][1](values)

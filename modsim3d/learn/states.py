@@ -117,7 +117,7 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
     Cameras that had the same states at the same times share a chain and count once.
 
     Args:
-        images: The images.
+        images: Images with their times.
         image_state: State of each image, −1 for none, shape (I,).
         states: Number of states.
         interval_s: Time between transitions; if None, one at each frame, and the usual time between frames.

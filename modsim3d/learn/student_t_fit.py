@@ -41,14 +41,7 @@ class StudentTFit:
         return float(len(q) * constant - (nu / 2 + 2) * np.log1p(q / (nu - 2)).sum())
 
     def scores(self, errors: Array) -> Array:
-        """Derivatives of each log-density by four μ, four ln σ, six artanh ρ and ln(ν − 2).
-
-        Args:
-            errors: Shape (n, 4).
-
-        Returns:
-            Shape (n, 15).
-        """
+        """Slopes of log-densities of errors, by four μ, four ln σ, six artanh ρ, ln(ν − 2); shapes (n, 4), (n, 15)."""
         nu, moved, inverse = self.degrees_of_freedom, errors - self.mean, np.linalg.inv(self.covariance)
         std, solved, q = np.sqrt(np.diag(self.covariance)), moved @ inverse, self.squared_lengths(errors)
         weight = (nu + 4) / (nu - 2 + q)
