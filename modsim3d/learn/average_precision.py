@@ -71,7 +71,7 @@ class Ranking:
 
     @classmethod
     def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
-        """Detections of a label in some images (I,), matched label by label at any confidence."""
+        """Detections of a label in some images, shape (I,), matched label by label at any confidence."""
         results, annotations = labelled.results, labelled.annotations
         rows = np.flatnonzero(matched.counts & (results.label == label) & images[results.image])
         rows = rows[np.argsort(-results.confidence[rows], kind="stable")]

@@ -101,11 +101,10 @@ def _state_form(observed: Observed, state: int, notes: list[str]) -> StateErrorF
             break
     if source is not ErrorSource.OWN_STATE:
         edge = ", with boxes at the image's edge" if source is ErrorSource.ALL_PAIRS else ""
-        text = (
+        notes.append(
             f"states.{observed.states[state]}.box_error: that of all states{edge}; had {numbers[0]} matches away from "
             f"the image's edge, needs {ERRORS_NEEDED}"
         )
-        notes.append(text)
     pairs = observed.pairs
     relative = _likelihood(pairs.error_px[in_sides], pairs.sides_px[in_sides])
     return StateErrorForm("relative" if relative > _likelihood(pairs.error_px[in_px], None) else "px", source)

@@ -110,8 +110,7 @@ def _candidates(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
     if rarer >= needed:
         return tuple(chosen)
     rare = "misses" if misses == rarer else "finds"
-    text = f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}"
-    notes.append(text)
+    notes.append(f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}")
     return ()
 
 
@@ -123,18 +122,17 @@ def _significant(
     while effects and runs is not None:
         fit = fit_misses(observed, effects, runs)
         if fit is None:
-            text = f"dropout: as in the confusion matrix; {len(observed.rows)} annotations do not determine the effects"
-            notes.append(text)
+            count = len(observed.rows)
+            notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")
             break
         strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
             return effects, fit
-        text = (
+        notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
             f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
         )
-        notes.append(text)
         effects = effects[:weakest] + effects[weakest + 1 :]
     return (), None
 

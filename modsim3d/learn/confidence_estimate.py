@@ -129,11 +129,10 @@ def choose_confidence(observed: Observed) -> ConfidenceForm:
             values = scores[kind].of_state(index).values
             chosen[kind].append(_score_form(values, observed.threshold))
             if chosen[kind][-1] == "shared":
-                text = (
+                notes.append(
                     f"states.{state}.confidence.{kind}: that of all states; had {len(values)} detections, "
                     f"needs {SCORES_NEEDED}"
                 )
-                notes.append(text)
     return ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(notes))
 
 

@@ -165,7 +165,7 @@ class StudentTErrors:
         return LearnedStudentT(LearnedNormal.of(sample, *moments), Entry(sample.key("degrees_of_freedom"), degrees))
 
     def whitened(self, errors: Array) -> Array:
-        """Directions of the errors (n, 4): their lengths would hide how the normal numbers behind them persist."""
+        """Directions of the errors, shapes (n, 4): lengths would hide how the normal numbers behind them persist."""
         fit = _fitted(errors)
         values, vectors = np.linalg.eigh(fit.covariance)
         white: Array = (errors - fit.mean) @ (vectors / np.sqrt(values)) @ vectors.T

@@ -71,7 +71,7 @@ class _Nearest:
 
 
 def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_iou: float = 0.5) -> ErrorShares:
-    """The shares over some images (I,), of matches label by label, by at least so much IoU in order of confidence."""
+    """The shares over some images, shape (I,), of matches label by label, by IoU in order of confidence."""
     results, annotations = labelled.results, labelled.annotations
     counts = by_label.counts & images[results.image]
     sought = by_label.sought & images[annotations.image]

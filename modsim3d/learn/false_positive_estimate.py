@@ -106,14 +106,12 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
     notes: list[str] = []
     false, needed = len(observed.false), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
     if false < FALSE_NEEDED:
-        text = f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}"
-        notes.append(text)
+        notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
     known = bool(np.isfinite(observed.labelled.images.sizes_px).all())
     mapped = false >= needed and known
     if not mapped:
         why = f"had {false} false detections, needs {needed}" if known else "the size of some images is not known"
-        text = f"false_positives.placement: uniform below the horizon; {why}"
-        notes.append(text)
+        notes.append(f"false_positives.placement: uniform below the horizon; {why}")
     chosen = _likelier(observed, notes) if model == "auto" else model
     return FalsePositiveForm(chosen, false >= FALSE_NEEDED, GRID if mapped else None, tuple(notes))
 
@@ -136,11 +134,10 @@ def _likelier(observed: Observed, notes: list[str]) -> str:
         even += float(total * np.log(total / n_images))
     if even <= with_true:
         return "calibrated"
-    text = (
+    notes.append(
         "false_positives: per_image, for their number does not follow that of the true detections "
         f"(log-likelihood {even:.1f} against {with_true:.1f})"
     )
-    notes.append(text)
     return "per_image"
 
 

@@ -47,7 +47,7 @@ class Rates(NamedTuple):
         )
 
     def averaged(self, weights: Array, count: float) -> Rates:
-        """Means over labels that are there, with weights (rows, k), from so many annotations (eq. 5.22, 5.23)."""
+        """Means over labels that are there, weights of shape (rows, k), from so many annotations (eq. 5.22, 5.23)."""
         return Rates(*(_average(column, weights, count) for column in self))
 
 
@@ -117,7 +117,7 @@ class Matches:
     inflation: float = 1.0
 
     def figures(self, name: str, images: Mask) -> Figures:
-        """The figures of some images (I,), called by a name."""
+        """The figures of some images, shape (I,), called by a name."""
         counts = confusion_counts(self.labelled, self.matched, self.resampling, images)
         k = len(self.labelled.labels)
         right = np.einsum("bii->bi", counts)[:, :k]

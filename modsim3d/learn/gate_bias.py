@@ -44,7 +44,7 @@ class Part:
 
 
 def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
-    """Split all images that have a state (I,) by sequence and size.
+    """Split all images that have a state, shape (I,), by sequence and size.
 
     Raises:
         ModsimError: The size of an image is not known.
@@ -91,7 +91,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
 
 
 def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
-    """The same images and annotations with the results of a simulated detector, in the state of each image (I,)."""
+    """The same images and annotations with results of a simulated detector, in states of images of shape (I,)."""
     parts = list(parts_of(labelled, image_state))
     census = take_census(model, ((part.frames, part.targets) for part in parts))
     columns: list[Results] = []

@@ -99,7 +99,7 @@ class Consecutive:
 
 
 def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
-    """Consecutive ones of some annotations (n,) of a thing that has an identity, where the frames have times."""
+    """Consecutive ones of some annotations, shape (n,), of things with identities in frames with times."""
     image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
     sequence, time_s = labelled.images.sequence[image], labelled.images.time_s[image]
     known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))

@@ -152,7 +152,7 @@ def spread(replicates: Array) -> Array:
 
 
 def widened(values: Array, least: Array) -> Array:
-    """An estimate and replicates (1 + replicates, ...) that spread at least as a standard error (...) from theory does.
+    """Replicates of shape (1 + replicates, ...) that spread at least as a standard error (...) from theory does.
 
     With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
     """
