@@ -35,6 +35,12 @@ def clip(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Array:
     return np.clip(boxes_px, 0, np.tile(image_size_px, 2))
 
 
+def from_top_left(top_left_form_px: Array) -> Array:
+    """Boxes from the corner x_min, y_min, width and height, shapes (..., 4)."""
+    corner = top_left_form_px[..., :2]
+    return np.concatenate([corner, corner + top_left_form_px[..., 2:]], axis=-1)
+
+
 def move(boxes_px: Array, errors_px: Array) -> Array:
     """Boxes (..., 4) with (e_x, e_y, e_w, e_h) added to centre, width and height; the same bits for an error of 0."""
     shift, half_growth = errors_px[..., :2], errors_px[..., 2:] / 2
