@@ -42,7 +42,7 @@ def mask_box(mask: Mask, region: Region) -> Array:
 
 
 def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, supersample: int) -> bool:
-    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), that lies at a region of the buffer.
+    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), at a region of the buffer.
 
     A difference is not explained by pixels that are right if the truth was counted from other pixels. The box is x_min,
     y_min, x_max, y_max, shape (4,), and any if the mask is empty.

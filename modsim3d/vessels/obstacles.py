@@ -97,7 +97,7 @@ def _prism_faces(sides: int) -> Indices:
 def obstacle_bodies(
     obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
 ) -> list[Bodies]:
-    """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's index in the occluder names.
+    """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's occluder index.
 
     On a curved sea `cameras_m` are the camera centres in WCF, shape (S, 3), and each obstacle is lowered by the drop at
     its centre. On a flat sea it is None.
