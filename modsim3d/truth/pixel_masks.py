@@ -42,16 +42,10 @@ def mask_box(mask: Mask, region: Region) -> Array:
 
 
 def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, supersample: int) -> bool:
-    """Whether a box and a count are those of a mask.
+    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), at a region of the buffer.
 
-    A difference is not explained by pixels that are right if the truth was counted from other pixels.
-
-    Args:
-        mask: Pixels of the buffer, shape (h, w).
-        region: Where the mask lies.
-        box_px: x_min, y_min, x_max, y_max in image pixels, shape (4,); any if the mask is empty.
-        count_px: Number of pixels, in image pixels.
-        supersample: Buffer pixels per image pixel and axis.
+    A difference is not explained by pixels that are right if the truth was counted from other pixels. The box is x_min,
+    y_min, x_max, y_max, shape (4,), and any if the mask is empty.
     """
     count = np.count_nonzero(mask)
     if count != round(count_px * supersample**2):

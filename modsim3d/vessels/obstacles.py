@@ -24,11 +24,9 @@ PREFIX = "obstacle:"
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """An obstacle as the scene describes it.
+    """An obstacle as the scene describes it; the truth writes its name after `PREFIX`.
 
-    Attributes:
-        name: ID; the truth writes it after `PREFIX`.
-        solids: The faces of its parts, each with its own vertices in WCF in metres, shape (K, 3).
+    `solids` are the faces of its parts, each with its own vertices in WCF in metres, shape (K, 3).
     """
 
     name: str
@@ -99,14 +97,10 @@ def _prism_faces(sides: int) -> Indices:
 def obstacle_bodies(
     obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
 ) -> list[Bodies]:
-    """The obstacles at S steps, grouped by their faces.
+    """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's occluder index.
 
-    Args:
-        obstacles: All obstacles, in the order of the scene's occluder names.
-        first_occluder: Index of the first obstacle in the occluder names.
-        steps: Number of steps S.
-        cameras_m: Camera centres in WCF on a curved sea, shape (S, 3); each obstacle is lowered by the drop at its
-            centre. None for a flat sea.
+    On a curved sea `cameras_m` are the camera centres in WCF, shape (S, 3), and each obstacle is lowered by the drop at
+    its centre. On a flat sea it is None.
     """
     members_of: dict[Solid, list[tuple[int, Array]]] = {}
     for index, obstacle in enumerate(obstacles):

@@ -22,10 +22,7 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
     closed triangle mesh: v1 forward and v2 to port from −1/2 to 1/2, v3 up from 0 to 1, in units of length, beam and
     air draft; faces are counter-clockwise seen from outside.
 
-    Args:
-        name: Name in the vessels file.
-        path: Path of the key with this name, for errors.
-        built_in: Names of shapes that need no plug-in, for the hint at an unknown name.
+    Errors name the path of the key; `built_in` are names that need no plug-in, for the hint at an unknown name.
 
     Raises:
         InputError: There is no such plug-in, it fails, or it returns something else.
