@@ -255,7 +255,7 @@ class PyrenderPass:
     DEPTHS_M = 100.0, 4000.0
 
     def __init__(self, scene: str) -> None:
-        from modsim3d.render.shaded import import_pyrender
+        from modsim3d.render.shaded_pass import import_pyrender
 
         self._pyrender = pyrender = import_pyrender()
         import trimesh

@@ -28,8 +28,9 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view.films.files import EncodedFrame, write_film
 from modsim3d.view.films.plan import FilmPlan
-from modsim3d.view.films.renderer import FilmRenderer, open_drawer, open_shaded_picture_renderer
-from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
+from modsim3d.view.films.renderer import FilmRenderer, open_shaded_picture_renderer
+from modsim3d.view.pictures.solids import open_id_renderer
+from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "DRAWING.md"
@@ -74,11 +75,11 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
     frames = list(selection.step_frames())
     assert run.scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
     rows = []
-    with open_drawer(run.scene) as drawer, ExitStack() as stack:
+    with open_id_renderer(run.scene) as id_renderer, ExitStack() as stack:
         for title, (kind, style) in KINDS.items():
             painter = stack.enter_context(open_shaded_picture_renderer(style)) if style.shaded else None
             plans = (FilmPlan((kind,), selection.cameras, width, style=style) for width in (WIDTH_PX, 3600))
-            at_size, at_full = (FilmRenderer(run.scene, plan, drawer, painter) for plan in plans)
+            at_size, at_full = (FilmRenderer(run.scene, plan, id_renderer, painter) for plan in plans)
             drawn, shrunk = [], []
             some = frames[:: max(1, len(frames) // 3)]
             for _ in range(rounds):
@@ -90,7 +91,7 @@ def measure(name: str, folder: Path, steps: int, rounds: int) -> list[str]:
             rows.append(f"| {' | '.join(cells)} |")
             print(rows[-1], file=sys.stderr, flush=True)
         plan = FilmPlan(("detections",), selection.cameras, WIDTH_PX)
-        film = whole_film(FilmRenderer(run.scene, plan, drawer), frames, folder / f"{name}.mp4")
+        film = whole_film(FilmRenderer(run.scene, plan, id_renderer), frames, folder / f"{name}.mp4")
     rows.append(f"| {SCENES[name]} | detections, with the encoder's time | {film:.1f} (one round) | – | – | – |")
     return rows
 

@@ -17,7 +17,7 @@ BOXES, IMAGES = 200_000, 40_000
 
 
 def written(folder: Path, boxes: int) -> tuple[Path, Path]:
-    """COCO files with so many truths, seven in eight found, and a sixth as many false detections."""
+    """COCO files with so many annotations, seven in eight detected, and a sixth as many false detections."""
     rng = np.random.default_rng(0)
     image = rng.integers(0, IMAGES, boxes)
     corner, side = rng.uniform(0, 1500, (boxes, 2)), rng.uniform(10, 200, (boxes, 2))
@@ -53,7 +53,7 @@ def main(boxes: int) -> None:
         start = time.perf_counter()
         labelled = read_coco("all", *files)
         seconds = time.perf_counter() - start
-    print(f"read      {seconds:5.2f} s  {len(labelled.annotations)} truths, {len(labelled.results)} detections")
+    print(f"read      {seconds:5.2f} s  {len(labelled.annotations)} annotations, {len(labelled.results)} detections")
     for method in ("confidence", "optimal", "centre"):
         start = time.perf_counter()
         matched = match(labelled, Rule(method))

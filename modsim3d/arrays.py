@@ -1,4 +1,4 @@
-"""Names for the kinds of arrays, and what many rooms do with rows of numbers."""
+"""Names for the types of arrays, and two functions on arrays that many rooms use."""
 
 from __future__ import annotations
 
@@ -18,15 +18,7 @@ def read_only(values: ArrayLike) -> Array:
 
 
 def ranges(first: Indices, count: Indices) -> Indices:
-    """The numbers first, first + 1, … of each range, one range after another.
-
-    Args:
-        first: First number of each range, shape (k,).
-        count: How many numbers each range has, shape (k,).
-
-    Returns:
-        Shape (sum of the counts,).
-    """
+    """The numbers first, first + 1, … of each of k ranges with `count` numbers, joined, shape (sum of counts,)."""
     before = np.cumsum(count) - count
     numbers: Indices = np.arange(int(count.sum())) + np.repeat(first - before, count)
     return numbers

@@ -1,12 +1,10 @@
-"""Boxes as x_min, y_min, x_max, y_max in pixels, along the last axis; none of it writes to its arguments."""
+"""Boxes as x_min, y_min, x_max, y_max in pixels, along the last axis. No function writes to its arguments."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from modsim3d.arrays import Array, Mask
-
-SIDES = ("x_min", "y_min", "x_max", "y_max")
 
 
 def sizes(boxes_px: Array) -> Array:
@@ -37,8 +35,14 @@ def clip(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Array:
     return np.clip(boxes_px, 0, np.tile(image_size_px, 2))
 
 
+def from_top_left(top_left_form_px: Array) -> Array:
+    """Boxes from the corner x_min, y_min, width and height, shapes (..., 4)."""
+    corner = top_left_form_px[..., :2]
+    return np.concatenate([corner, corner + top_left_form_px[..., 2:]], axis=-1)
+
+
 def move(boxes_px: Array, errors_px: Array) -> Array:
-    """Boxes (..., 4) with (e_x, e_y, e_w, e_h) added to centre, width and height; unchanged by an error of zero."""
+    """Boxes (..., 4) with (e_x, e_y, e_w, e_h) added to centre, width and height; the same bits for an error of 0."""
     shift, half_growth = errors_px[..., :2], errors_px[..., 2:] / 2
     return np.concatenate([boxes_px[..., :2] + (shift - half_growth), boxes_px[..., 2:] + (shift + half_growth)], -1)
 
@@ -51,7 +55,7 @@ def errors_between(found_px: Array, truth_px: Array) -> Array:
 
 
 def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int]) -> Array:
-    """Boxes (..., 4) whose sides below one pixel are replaced by the whole pixel that contains their middle."""
+    """Boxes (..., 4) with each side below one pixel replaced by the pixel that contains its middle, same shape."""
     low, high = boxes_px[..., :2], boxes_px[..., 2:]
     pixel = np.clip(np.floor((low + high) / 2), 0, np.array(image_size_px) - 1)
     thin = high - low < 1
@@ -87,7 +91,7 @@ def unions(a_px: Array, b_px: Array) -> Array:
     return np.concatenate([low[:, :2], high[:, 2:]], axis=1)
 
 
-def inside_image(boxes_px: Array, image_size_px: tuple[int, int] | Array, least_px: float = 1.0 - 1e-9) -> Mask:
-    """Which boxes (..., 4), clipped to their image as by `clip`, are at least so wide and high, shape (...)."""
-    large: Mask = sizes(clip(boxes_px, image_size_px)) >= least_px
+def inside_image(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Mask:
+    """Which boxes (..., 4), clipped to their image as by `clip`, are at least a pixel wide and high, shape (...)."""
+    large: Mask = sizes(clip(boxes_px, image_size_px)) >= 1 - 1e-9
     return large[..., 0] & large[..., 1]

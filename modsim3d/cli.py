@@ -1,10 +1,9 @@
-"""The command line: each command under its name. The commands themselves are in `commands/`."""
+"""The command line: each command of `commands/` under its name."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -55,22 +54,18 @@ app = typer.Typer(
   modsim3d scenes                             the shipped scenes""",
 )
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "run": run_command,
-    "detect": detect_command,
-    "verify": verify_command,
-    "view": view_command,
-    "report": report_command,
-    "rerun": rerun_command,
-    "check": check_command,
-    "compare": compare_command,
-    "ais": ais_command,
-    "learn": learn_command,
-    "export": export_command,
-    "scenes": scenes_command,
-}
-for name, command in COMMANDS.items():
-    app.command(name)(command)
+app.command("run")(run_command)
+app.command("detect")(detect_command)
+app.command("verify")(verify_command)
+app.command("view")(view_command)
+app.command("report")(report_command)
+app.command("rerun")(rerun_command)
+app.command("check")(check_command)
+app.command("compare")(compare_command)
+app.command("ais")(ais_command)
+app.command("learn")(learn_command)
+app.command("export")(export_command)
+app.command("scenes")(scenes_command)
 
 
 def _show_version(requested: bool) -> None:

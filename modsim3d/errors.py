@@ -14,7 +14,7 @@ class InputError(ModsimError):
 
     Attributes:
         source: The file or object with the problems.
-        problems: One line each: the place, what was found, what would be right.
+        problems: One line each: where it is, what was found, what would be right.
     """
 
     def __init__(self, source: str, problems: Iterable[str]) -> None:

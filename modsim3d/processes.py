@@ -20,7 +20,7 @@ from modsim3d.errors import ModsimError
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 AHEAD = 3
-"""Pieces that may wait for their turn, for each worker process: it bounds the memory."""
+"""Pieces that may wait for each worker process; it bounds the memory."""
 
 T = TypeVar("T")
 P = TypeVar("P")
@@ -32,11 +32,11 @@ class Workers(Protocol[W_co]):
     """One or several workers of one type, each in a process of its own or the only one in this process."""
 
     def map(self, work: Callable[[W_co, P], T], pieces: Iterable[P]) -> Iterator[T]:
-        """Do the work on each piece and give the results in the order of the pieces.
+        """Do the work on each piece, and give the results in the order of the pieces.
 
         Args:
             work: Called with a worker and a piece. Other processes must be able to import it.
-            pieces: Taken only a few at a time.
+            pieces: A few are taken ahead of the results.
 
         Raises:
             ModsimError: A worker process could not be set up, or died.
@@ -52,8 +52,8 @@ def open_workers(
     Args:
         count: Number of workers.
         if_killed: What a user should do if a worker process dies.
-        set_up: Opens a worker. Called once in each process with the arguments.
-        *arguments: For `set_up`; other processes must be able to unpickle them.
+        set_up: Opens a worker. Called once in each process with `arguments`, which must be picklable.
+        *arguments: Arguments of `set_up`.
 
     Raises:
         ModsimError: Several workers are asked for, and this process is itself a worker.

@@ -1,4 +1,4 @@
-"""Random numbers that are keyed by purpose, names and step, so that they do not depend on the order of calls."""
+"""Random numbers keyed by purpose, names and step, so that they do not depend on the order of calls."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 who
 class Purpose(Enum):
     """Everything that modsim3d draws random numbers for: text in the key, numbers a step, meaning.
 
-    A changed text changes the output. A purpose without a fixed number of numbers has a generator for each step.
+    A changed text changes the output.
 
     Attributes:
-        width: Uniform numbers a step; None for a generator.
-        meaning: Use of the numbers, with the names in their key in brackets.
+        width: Uniform numbers a step; None for a generator for each step, which gives as many as are needed.
+        meaning: What the numbers are used for; in brackets, the names in their key.
     """
 
     width: int | None
@@ -74,6 +74,17 @@ class Purpose(Enum):
         member._value_, member.width, member.meaning = text, width, meaning
         return member
 
+    @property
+    def uniforms(self) -> int:
+        """Uniform numbers a step.
+
+        Raises:
+            ValueError: The purpose has a generator for each step.
+        """
+        if self.width is None:
+            raise ValueError(f"{self} has a generator for each step and no uniform numbers")
+        return self.width
+
 
 class Streams:
     """All random numbers of a run, made from one seed.
@@ -82,9 +93,6 @@ class Streams:
     range of the counter of Philox (Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3"). The noise of a
     vessel at a step therefore does not depend on the other vessels, on how a run is split, or on the order of calls.
     An instance must not be shared between threads.
-
-    Attributes:
-        seed: Seed of all streams.
     """
 
     def __init__(self, seed: int) -> None:
@@ -99,35 +107,27 @@ class Streams:
         self._scratch = np.random.Philox(self._root)
         self._scratch_generator = np.random.Generator(self._scratch)
 
-    def uniforms(self, purpose: Purpose, *names: str, first: int, count: int, width: int = 1) -> Array:
-        """Uniform numbers for consecutive steps.
+    def uniforms(self, purpose: Purpose, *names: str, first: int, count: int) -> Array:
+        """Uniform numbers in [0, 1) for `count` steps from `first` on, shape (count, width of the purpose).
+
+        The row of a step is the same however the steps are split into calls.
 
         Args:
-            purpose: Use of the numbers; it fixes the width.
+            purpose: What the numbers are used for.
             *names: Rest of the key.
             first: First step.
             count: Number of steps.
-            width: Numbers a step.
-
-        Returns:
-            Numbers in [0, 1), shape (count, width). The row of a step is the same however steps are split into calls.
 
         Raises:
-            ValueError: The purpose has another width.
+            ValueError: The purpose has a generator for each step.
         """
-        if width != purpose.width:
-            raise ValueError(f"{purpose} has {purpose.width} uniform numbers a step, not {width}")
+        width = purpose.uniforms
         blocks = -(-width // _NUMBERS_PER_BLOCK)
         self._scratch.state = self._state(_UNIFORMS, purpose, names, counter=first * blocks)
         return self._scratch_generator.random((count, blocks * _NUMBERS_PER_BLOCK))[:, :width]
 
     def generator(self, purpose: Purpose, *names: str, step: int) -> np.random.Generator:
-        """A separate generator for one step, for an unknown number of draws.
-
-        Args:
-            purpose: Use of the numbers.
-            *names: Rest of the key.
-            step: Step that the numbers belong to.
+        """A separate generator for one step, for an unknown number of draws; `names` are the rest of the key.
 
         Raises:
             ValueError: The purpose has a fixed number of uniform numbers a step.
@@ -166,6 +166,6 @@ def normals(uniforms: Array) -> Array:
 
 
 def _words(text: str) -> tuple[int, int]:
-    """Two 32-bit words that are the same for this text in every process, unlike `hash`."""
+    """Two 32-bit words of a text; unlike `hash`, the same in every process."""
     digest = hashlib.blake2b(text.encode("utf-8"), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")

@@ -51,9 +51,8 @@ def test_every_purpose_says_what_it_is_for() -> None:
 
 
 def test_a_purpose_has_one_width() -> None:
-    with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step, not 2"):
-        Streams(3).uniforms(Purpose.BOX_ERROR, "C0", "a", first=0, count=1, width=2)
-    with pytest.raises(ValueError, match="AGENTS has None uniform numbers a step, not 1"):
+    assert Streams(3).uniforms(Purpose.BOX_ERROR, "C0", "a", first=0, count=1).shape == (1, 4)
+    with pytest.raises(ValueError, match="AGENTS has a generator for each step and no uniform numbers"):
         Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
     with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
         Streams(3).generator(Purpose.BOX_ERROR, "C0", "a", step=0)
@@ -65,18 +64,15 @@ def test_a_purpose_has_one_width() -> None:
     first=st.integers(0, 2**40),
 )
 def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], purpose: Purpose, first: int) -> None:
-    width = purpose.width
-    whole = Streams(3).uniforms(purpose, "C0", first=first, count=60, width=width)
+    whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)
     streams, edges = Streams(3), [0, *sorted(borders), 60]
-    parts = [
-        streams.uniforms(purpose, "C0", first=first + a, count=b - a, width=width) for a, b in itertools.pairwise(edges)
-    ]
+    parts = [streams.uniforms(purpose, "C0", first=first + a, count=b - a) for a, b in itertools.pairwise(edges)]
     assert np.array_equal(np.concatenate(parts), whole)
 
 
 def test_a_row_starts_at_its_steps_blocks_of_philox() -> None:
     streams = Streams(3)
-    numbers = streams.uniforms(Purpose.CLUTTER, "C0", first=7, count=2, width=5)
+    numbers = streams.uniforms(Purpose.CLUTTER, "C0", first=7, count=2)
     key = streams._key(0, Purpose.CLUTTER, ("C0",))
     slow = [np.random.Generator(np.random.Philox(key=key, counter=2 * step)).random(5) for step in (7, 8)]
     assert np.array_equal(numbers, slow)
@@ -121,7 +117,7 @@ def test_generators_are_repeatable_and_independent_of_each_other() -> None:
 
 
 def test_numbers_are_the_same_in_every_process() -> None:
-    numbers = Streams(2023).uniforms(Purpose.CONFIDENCE, "C0", "vessel1", first=12, count=1, width=2)
+    numbers = Streams(2023).uniforms(Purpose.CONFIDENCE, "C0", "vessel1", first=12, count=1)
     assert numbers.tolist() == REFERENCE
     generator = Streams(2023).generator(Purpose.BOX_ERROR_REDRAW, "C0", "vessel1", step=12)
     assert generator.random(2).tolist() == REFERENCE_OF_GENERATOR
@@ -132,7 +128,7 @@ REFERENCE_OF_GENERATOR = [0.10250895715086494, 0.07279324687871547]
 
 
 def test_uniforms_lie_in_the_unit_interval_and_have_its_mean() -> None:
-    numbers = Streams(1).uniforms(Purpose.SEA, first=0, count=50_000, width=2)
+    numbers = Streams(1).uniforms(Purpose.SEA, first=0, count=50_000)
     assert numbers.shape == (50_000, 2)
     assert numbers.min() >= 0
     assert numbers.max() < 1
@@ -144,7 +140,7 @@ def test_the_normal_of_zero_is_finite() -> None:
 
 
 def test_no_steps_give_no_numbers() -> None:
-    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0, width=3).shape == (0, 3)
+    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0).shape == (0, 3)
 
 
 def test_a_negative_seed_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""Drops reported positions that are of no use and counts them by reason.
+"""Drops reported positions that are of no use, and refuses tables with latitude and longitude exchanged.
 
 The result does not depend on the order of rows. Values that mean unknown are latitude 91, longitude 181, speed 102.3
 kn, course 360°, heading 511° (ITU-R M.1371-5, annex 8, table 48) and an empty cell. The identity (MMSI) of a ship
@@ -12,28 +12,57 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.ais.region import Region, wrapped_deg
-from modsim3d.ais.reports import Positions
-from modsim3d.arrays import Mask
+from modsim3d.ais.geography import Region, wrapped_deg
+from modsim3d.ais.messages import Positions
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.errors import InputError
 
-NOT_A_SHIP, NO_POSITION, IMPOSSIBLE, OUTSIDE_REGION, OUTSIDE_WINDOW, DUPLICATE, JUMP = (
-    "not_a_ship",
-    "no_position",
-    "impossible_position",
-    "outside_region",
-    "outside_window",
-    "duplicate",
-    "jump",
-)
 NO_LATITUDE, NO_LONGITUDE = 91.0, 181.0
 SLACK_S = 1.0
 """Most files round times to seconds, so two reports may be up to a second further apart than their times."""
+LISTED_ROWS = 5
 
 
-def ship_identity(positions: Positions) -> Mask:
-    """Which reports come from ships, by kind of sender and by identity, shape (n,)."""
-    leading = positions.mmsi // 100_000_000
-    return np.asarray(positions.ship & (((leading >= 2) & (leading <= 7)) | (positions.mmsi // 10_000_000 == 98)))
+def exchanged(positions: Positions) -> Positions:
+    """The same positions with latitude and longitude exchanged."""
+    return replace(positions, latitude_deg=positions.longitude_deg, longitude_deg=positions.latitude_deg)
+
+
+def check_order(source: str, positions: Positions, exchange: bool) -> None:
+    """Refuse positions of a table that are possible only with latitude and longitude exchanged, such as 110, 35.
+
+    Whether latitude 12, longitude 56 is Denmark or the Arabian Sea cannot be known from the file.
+
+    Args:
+        source: Name of the file in the message.
+        positions: The table's positions, after the exchange if the user asked for it.
+        exchange: Whether the user did.
+
+    Raises:
+        InputError: There are such positions; their rows are named.
+    """
+    latitude, longitude = positions.latitude_deg, positions.longitude_deg
+    wrong = np.flatnonzero(~_in_range(latitude, longitude) & _in_range(longitude, latitude))
+    if not len(wrong):
+        return
+    rows = ", ".join(str(row) for row in positions.row[wrong[:LISTED_ROWS]])
+    more = " and more" if len(wrong) > LISTED_ROWS else ""
+    place = f"latitude {latitude[wrong[0]]:g}, longitude {longitude[wrong[0]]:g}"
+    if exchange:
+        problem = f"--swap-coordinates makes these positions impossible ({place}); leave the option out"
+    else:
+        problem = (
+            f"latitude and longitude look swapped: {place} is possible only the other way round; "
+            "use --swap-coordinates to exchange them in all tables, or --region to leave such rows out"
+        )
+    raise InputError(source, [f"row {rows}{more}: {problem}"])
+
+
+def _in_range(latitude_deg: Array, longitude_deg: Array) -> Mask:
+    """Whether both values are within their range or say that they are not known, shape (n,)."""
+    latitude = (np.abs(latitude_deg) <= 90) | (latitude_deg == NO_LATITUDE)
+    longitude = (np.abs(longitude_deg) <= 180) | (longitude_deg == NO_LONGITUDE)
+    return np.asarray(latitude & longitude)
 
 
 def without_position(positions: Positions) -> Mask:
@@ -43,21 +72,10 @@ def without_position(positions: Positions) -> Mask:
     return np.asarray(none | np.isnan(latitude) | np.isnan(longitude))
 
 
-def impossible(positions: Positions) -> Mask:
-    """Which positions are nowhere on Earth, shape (n,)."""
-    return ~((np.abs(positions.latitude_deg) <= 90) & (np.abs(positions.longitude_deg) <= 180))
-
-
 def sift(
     positions: Positions, region: Region | None, first_s: float, last_s: float
 ) -> tuple[Positions, dict[str, int]]:
-    """Keep positions of ships in a region and a span of time.
-
-    Args:
-        positions: Reported positions in any order.
-        region: Everywhere if None.
-        first_s: Unix time at which the span begins.
-        last_s: Unix time at which the span ends.
+    """Keep positions of ships in a region (everywhere if None) and between two Unix times.
 
     Returns:
         What was kept, and reason → number of positions dropped.
@@ -69,12 +87,15 @@ def sift(
         dropped[reason] = int(wrong.sum())
         positions = positions.take(~wrong)
 
-    drop(NOT_A_SHIP, ~ship_identity(positions))
-    drop(NO_POSITION, without_position(positions))
-    drop(IMPOSSIBLE, impossible(positions))
+    leading = positions.mmsi // 100_000_000
+    ship = ((leading >= 2) & (leading <= 7)) | (positions.mmsi // 10_000_000 == 98)
+    drop("not_a_ship", ~(positions.ship & ship))
+    drop("no_position", without_position(positions))
+    on_earth = (np.abs(positions.latitude_deg) <= 90) & (np.abs(positions.longitude_deg) <= 180)
+    drop("impossible_position", ~on_earth)
     if region is not None:
-        drop(OUTSIDE_REGION, ~region.holds(positions.latitude_deg, positions.longitude_deg))
-    drop(OUTSIDE_WINDOW, (positions.time_s < first_s) | (positions.time_s > last_s))
+        drop("outside_region", ~region.holds(positions.latitude_deg, positions.longitude_deg))
+    drop("outside_window", (positions.time_s < first_s) | (positions.time_s > last_s))
     return positions, dropped
 
 
@@ -104,3 +125,39 @@ def blank_unknown(positions: Positions) -> Positions:
         course_deg=np.where((course >= 0) & (course < 360), course, np.nan),
         heading_deg=np.where((heading >= 0) & (heading < 360), heading, np.nan),
     )
+
+
+def reachable(times_s: Array, places_m: Array, max_speed_m_s: float) -> Mask:
+    """The largest part of a track in which each position can be reached from the one before, as a mask, shape (n,).
+
+    The track is cut wherever the speed between neighbours is too high. Of the chains of pieces in which each piece can
+    be reached from the one before, the one with most positions is kept. So a single wrong position is dropped wherever
+    it stands, also at the beginning, and of two vessels that share an identity the one with more reports is kept.
+
+    Args:
+        times_s: Ascending, shape (n,).
+        places_m: East and north, shape (n, 2).
+        max_speed_m_s: A position that asks for more speed cannot be reached.
+    """
+
+    def possible(start: Indices, end: Indices) -> Mask:
+        way = np.linalg.norm(places_m[end] - places_m[start], axis=-1)
+        return np.asarray(way <= max_speed_m_s * (times_s[end] - times_s[start] + SLACK_S))
+
+    number = len(times_s)
+    rows = np.arange(number)
+    cuts = np.flatnonzero(~possible(rows[:-1], rows[1:])) + 1
+    firsts, stops = np.r_[0, cuts], np.r_[cuts, number]
+    best = stops - firsts  # positions in the longest chain that ends with a piece
+    before = np.full(len(firsts), -1)
+    for piece in range(1, len(firsts)):
+        reached = np.flatnonzero(possible(stops[:piece] - 1, firsts[piece]))
+        if len(reached):
+            before[piece] = reached[np.argmax(best[reached])]
+            best[piece] += best[before[piece]]
+    kept = np.zeros(number, dtype=bool)
+    piece = int(np.argmax(best))
+    while piece >= 0:
+        kept[firsts[piece] : stops[piece]] = True
+        piece = int(before[piece])
+    return kept

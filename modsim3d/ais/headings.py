@@ -1,4 +1,4 @@
-"""Fills in the headings and courses that reports leave open."""
+"""Fills in the headings that reports leave open."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 
-MOVING_KN = 0.5
-"""At lower speeds a receiver's course is mostly noise."""
-MOVING_M = 10.0
-"""Between positions that are nearer to each other the bearing is mostly noise."""
+MOVING_KN, MOVING_M = 0.5, 10.0
+"""At lower speeds the course of a receiver is mostly noise, and so is the bearing over shorter distances."""
 KNOT_M_S = 1852 / 3600
 
 
@@ -37,9 +35,7 @@ def fill_headings(
     Args:
         times_s: Ascending, shape (n,).
         places_m: East and north, shape (n, 2).
-        speed_kn: NaN where unknown, shape (n,).
-        course_deg: NaN where unknown, shape (n,).
-        heading_deg: NaN where unknown, shape (n,).
+        speed_kn: NaN where unknown, shape (n,); courses and headings likewise.
         max_gap_s: No bearing is taken between positions that are further apart in time.
 
     Returns:
@@ -56,8 +52,8 @@ def fill_headings(
 
     fill(np.isnan(filled) & moving & ~np.isnan(course_deg), course_deg, HeadingSource.COURSE)
     fill(np.isnan(filled) & moving & (way_m >= MOVING_M), bearing, HeadingSource.BEARING)
-    known = np.flatnonzero(~np.isnan(filled))
     still = np.isnan(filled)
+    known = np.flatnonzero(~still)
     if len(known):
         earlier = np.searchsorted(known, np.arange(len(filled)), side="right") - 1
         fill(still, filled[known[np.maximum(earlier, 0)]], HeadingSource.HELD)
@@ -84,16 +80,6 @@ def _bearings(times_s: Array, places_m: Array, max_gap_s: float) -> tuple[Array,
     return bearing, np.hypot(way[:, 0], way[:, 1]), times_s[after] - times_s[before]
 
 
-def fill_courses(course_deg: Array, heading_deg: Array, speed_kn: Array) -> tuple[Array, Mask]:
-    """Replace the missing courses of a moving vessel by its reported headings.
-
-    Args:
-        course_deg: NaN where unknown, shape (n,).
-        heading_deg: NaN where unknown, shape (n,).
-        speed_kn: NaN where unknown, shape (n,).
-
-    Returns:
-        Courses in degrees, and which of them were replaced, shape (n,) each.
-    """
-    taken = np.isnan(course_deg) & ~np.isnan(heading_deg) & (speed_kn >= MOVING_KN)
-    return np.where(taken, heading_deg, course_deg), taken
+def heading_rad(compass_deg: Array) -> Array:
+    """Headings counter-clockwise from w1 (east), from compass headings clockwise from north, shape (n,)."""
+    return np.pi / 2 - np.deg2rad(compass_deg)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.ais.reports import Particulars
+from modsim3d.ais.messages import Particulars
 from modsim3d.ais.ship_types import UNKNOWN, group_of, ship_types
 from modsim3d.arrays import Array
 
@@ -20,13 +20,9 @@ class Hull:
 
     Attributes:
         name: Name as broadcast, or empty.
-        group: Group of ship types.
-        length_m: Along the hull.
-        beam_m: Across it.
-        air_draft_m: Height above the waterline.
         ahead_m: The centre of the hull lies this far ahead of the antenna.
         to_port_m: The centre of the hull lies this far to port of the antenna.
-        defaults: Which of `type`, `length`, `beam`, `antenna` were left open; the air draft always is.
+        defaults: Which of `type`, `length`, `beam`, `antenna` were left open, and `air_draft`, which always is.
     """
 
     name: str
@@ -39,38 +35,21 @@ class Hull:
     defaults: tuple[str, ...]
 
 
-def antenna_offset(to_bow_m: float, to_stern_m: float, to_port_m: float, to_starboard_m: float) -> tuple[float, float]:
-    """The offset of the hull's centre from the antenna (ITU-R M.1371-5, annex 8, figure 41).
+def antenna_offset(
+    to_bow_m: float, to_stern_m: float, to_port_m: float, to_starboard_m: float
+) -> tuple[float, float] | None:
+    """How far the hull's centre lies ahead and to port of the antenna (ITU-R M.1371-5, annex 8, figure 41).
 
-    The centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C = 0 with B and D given means that the antenna's
-    place is not known, only the size; then the antenna is taken to be at the centre.
-
-    Args:
-        to_bow_m: A, antenna to bow.
-        to_stern_m: B, antenna to stern.
-        to_port_m: C, antenna to port side.
-        to_starboard_m: D, antenna to starboard side.
-
-    Returns:
-        Metres ahead, and metres to port.
+    The distances are A, B, C and D of the standard: the centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C = 0
+    with B and D given means that only the size is known; then the result is None.
     """
-    if not place_known(to_bow_m, to_port_m):
-        return 0.0, 0.0
+    if to_bow_m == 0 and to_port_m == 0:
+        return None
     return (to_bow_m - to_stern_m) / 2, (to_port_m - to_starboard_m) / 2
 
 
-def place_known(to_bow_m: float, to_port_m: float) -> bool:
-    """Whether the antenna's place is given beside the dimensions."""
-    return not (to_bow_m == 0 and to_port_m == 0)
-
-
 def hulls(particulars: Particulars, mmsi: list[int]) -> dict[int, Hull]:
-    """The hull of each vessel, from the latest value that it reported of each dimension.
-
-    Args:
-        particulars: Particulars of all vessels in any order.
-        mmsi: Identities of the vessels.
-    """
+    """The hull of each of some vessels, from the latest value that it reported of each dimension."""
     sizes = particulars.to_bow_m, particulars.to_stern_m, particulars.to_port_m, particulars.to_starboard_m
     texts = particulars.ship_type.astype(str), particulars.name.astype(str)
     whole = particulars.length_m, particulars.beam_m
@@ -91,20 +70,17 @@ def _hull(reported: Particulars) -> Hull:
     typical = ship_types()[group]
     length, ends = _extent(reported.to_bow_m, reported.to_stern_m, 511, reported.length_m, MAX_LENGTH_M)
     beam, sides = _extent(reported.to_port_m, reported.to_starboard_m, 63, reported.beam_m, MAX_BEAM_M)
-    ahead, to_port = 0.0, 0.0
-    known = ends is not None and sides is not None and place_known(ends[0], sides[0])
-    if ends is not None and sides is not None:
-        ahead, to_port = antenna_offset(*ends, *sides)
-    left_open = {"type": not groups, "length": length is None, "beam": beam is None, "antenna": not known}
+    offset = antenna_offset(*ends, *sides) if ends is not None and sides is not None else None
+    left_open = {"type": not groups, "length": length is None, "beam": beam is None, "antenna": offset is None}
+    defaults = [name for name, is_open in left_open.items() if is_open]
     return Hull(
         names[-1] if names else "",
         group,
         typical.length_m if length is None else length,
         typical.beam_m if beam is None else beam,
         typical.air_draft_m,
-        ahead,
-        to_port,
-        tuple(name for name, is_open in left_open.items() if is_open),
+        *(offset or (0.0, 0.0)),
+        (*defaults, "air_draft"),
     )
 
 
@@ -118,7 +94,7 @@ def _extent(
         other_m: B or D, shape (n,).
         most_m: The largest value that fits the message's field; it means "this or more".
         whole_m: Length or beam where the source gives it itself, shape (n,).
-        limit_m: Values above this are not believed.
+        limit_m: Greater lengths or beams are not believed.
     """
     total = one_m + other_m
     good = np.flatnonzero((total > 0) & (total <= limit_m) & (np.minimum(one_m, other_m) >= 0))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from modsim3d.ais.region import Region
+from modsim3d.ais.geography import Region
 from modsim3d.ais.ship_types import ship_types
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import nearest
@@ -17,18 +17,16 @@ COMMAND_LINE = "command line"
 
 @dataclass(frozen=True)
 class Options:
-    """What the user chose.
+    """What the user chose, as docs/ais.md lists it.
 
     Attributes:
         origin: Latitude and longitude of w1 = w2 = 0; the median position if None.
-        region: Positions outside are dropped.
+        region: Positions outside are dropped; none are if None.
         start_s: Unix time of the first step; the first report's if None.
         end_s: Unix time of the last step; the last report's if None.
         duration_s: Time from the first step to the last, in place of the end.
-        time_step_s: Time between steps.
         max_gap_s: A vessel is away between reports that are further apart.
         max_speed_kn: A position that a vessel can reach only at a higher speed is dropped.
-        swap_coordinates: Exchange latitude and longitude in all tables.
         labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
         labels: Group → label, for some or all groups.
     """
@@ -52,13 +50,11 @@ class Options:
     @property
     def window_s(self) -> tuple[float, float]:
         """Unix times of the first and last report that may matter: start and end, each widened by the longest gap."""
-        last_s = self.end_s
-        if last_s is None and self.duration_s is not None and self.start_s is not None:
+        first_s = -math.inf if self.start_s is None else self.start_s
+        last_s = math.inf if self.end_s is None else self.end_s
+        if self.start_s is not None and self.duration_s is not None:
             last_s = self.start_s + self.duration_s
-        return (
-            -math.inf if self.start_s is None else self.start_s - self.max_gap_s,
-            math.inf if last_s is None else last_s + self.max_gap_s,
-        )
+        return first_s - self.max_gap_s, last_s + self.max_gap_s
 
     def check(self) -> None:
         """Refuse values that are impossible or contradict each other.
@@ -104,13 +100,19 @@ def parse_time(text: str, option: str) -> float:
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
 
-def parse_degrees(text: str, option: str, form: str) -> list[float]:
-    """Numbers from a text of latitudes and longitudes in turn, separated by commas.
+def parse_origin(text: str) -> tuple[float, float]:
+    """Latitude and longitude of the origin."""
+    latitude, longitude = _degrees(text, "--origin", "LAT,LON")
+    return latitude, longitude
 
-    Args:
-        text: What the user gave.
-        option: The option, for messages.
-        form: What is needed, such as `LAT,LON`.
+
+def parse_region(text: str) -> Region:
+    """A region from two of its corners."""
+    return Region.between(*_degrees(text, "--region", "LAT1,LON1,LAT2,LON2"))
+
+
+def _degrees(text: str, option: str, form: str) -> list[float]:
+    """Numbers from a text of latitudes and longitudes in turn, separated by commas, as many as `form` names.
 
     Raises:
         InputError: There are more or fewer numbers than needed, or one is out of range.
@@ -134,17 +136,6 @@ def parse_degrees(text: str, option: str, form: str) -> list[float]:
     if problems:
         raise InputError(COMMAND_LINE, problems)
     return values
-
-
-def parse_origin(text: str) -> tuple[float, float]:
-    """Latitude and longitude of the origin."""
-    latitude, longitude = parse_degrees(text, "--origin", "LAT,LON")
-    return latitude, longitude
-
-
-def parse_region(text: str) -> Region:
-    """A region from two of its corners."""
-    return Region.between(*parse_degrees(text, "--region", "LAT1,LON1,LAT2,LON2"))
 
 
 def parse_labels(texts: Sequence[str]) -> dict[str, str]:

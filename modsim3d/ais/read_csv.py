@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 from pyarrow import csv
 
 from modsim3d.ais.layouts import Layout
+from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, source_of
-from modsim3d.ais.reports import Chunk, Particulars, Positions
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
@@ -22,11 +22,11 @@ from modsim3d.inputs.validation import shown
 BLOCK_BYTES = 1 << 24
 SHOWN_PROBLEMS = 5
 """Problems listed of each block, so that a mistake in every row does not fill the screen."""
+EXAMPLE = datetime(2024, 12, 31, 23, 59, 59)
 NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
-UNREADABLE = "unreadable"
 NOT_SAID = "Unknown"
 """Text in Danish files where no name was received."""
 
@@ -36,34 +36,28 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
 
     A row with too many or too few cells, or one that cannot be read, is dropped and counted.
 
-    Args:
-        path: The file.
-        layout: Its columns and the format of its times.
-
     Raises:
         InputError: The file cannot be read.
     """
     with open_reports(path) as stream:
-        yield from _read_stream(stream, path, layout)
-
-
-def _read_stream(stream: IO[bytes], path: Path, layout: Layout) -> Iterator[Chunk]:
-    names = header_names(stream.readline(LONGEST_LINE))
-    columns = layout.found(names)
-    first_row, nothing = 2, True  # the header is row 1
-    for block in _blocks(stream, path):
-        rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
-        first_row += block.count(b"\n")
-        if not len(rows):
-            continue
-        table, skipped = _table(block, path, names, list(columns.values()))
-        table = pa.table({ours: table.column(name) for ours, name in columns.items()})
-        rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
-        nothing = False
-        yield _chunk(table, columns, layout, np.delete(rows, skipped), rows[skipped].tolist(), len(names))
+        header = header_names(stream.readline(LONGEST_LINE))
+        columns = layout.found(header)
+        first_row, nothing = 2, True  # the header is row 1
+        for block in _blocks(stream, path):
+            rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
+            first_row += block.count(b"\n")
+            if not len(rows):
+                continue
+            table, skipped = _table(block, path, header, list(columns.values()))
+            table = pa.table({ours: table.column(name) for ours, name in columns.items()})
+            rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines
+            nothing = False
+            wrong = rows[skipped][:SHOWN_PROBLEMS]
+            problems = [f"row {row}: does not have the {len(header)} cells of the header" for row in wrong]
+            yield _chunk(table, columns, layout, np.delete(rows, skipped), len(skipped), problems)
     if nothing:
         empty = pa.table({ours: pa.array([], pa.string()) for ours in columns})
-        yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), [], len(names))
+        yield _chunk(empty, columns, layout, np.zeros(0, dtype=np.int64), 0, [])
 
 
 def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
@@ -85,7 +79,7 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         yield rest
 
 
-def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
+def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
     """Some columns of whole rows, as texts, and which rows have more or fewer cells than the header."""
     skipped: list[int] = []
 
@@ -96,7 +90,7 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
     try:
         table = csv.read_csv(
             pa.BufferReader(block),
-            csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=names),
+            csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=header),
             csv.ParseOptions(invalid_row_handler=skip),
             csv.ConvertOptions(
                 check_utf8=False,  # a ship's name may be in another encoding
@@ -111,10 +105,19 @@ def _table(block: bytes, path: Path, names: list[str], columns: list[str]) -> tu
 
 
 def _chunk(
-    table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: list[int], width: int
+    table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: int, problems: list[str]
 ) -> Chunk:
+    """The reports of a table with our names of columns.
+
+    Args:
+        table: Texts of the rows that have all cells.
+        columns: Our name of a column → the file's.
+        layout: The file's layout.
+        rows: Number of each row in the file, shape (n,).
+        skipped: Number of further rows, with too many or too few cells.
+        problems: One line on each of the first of those.
+    """
     bad = np.zeros(len(table), dtype=bool)
-    problems = [f"row {row}: has not the {width} cells of the header" for row in skipped[:SHOWN_PROBLEMS]]
 
     def note(wrong: Mask, column: str, what: str) -> None:
         bad[wrong] = True
@@ -123,7 +126,7 @@ def _chunk(
             problems.append(f"row {rows[place]}: {columns[column]} is not {what} (got {cell})")
 
     times, wrong = _times(table.column("time").combine_chunks(), layout.time_format)
-    note(wrong, "time", f"a time like {_example(layout.time_format)}")
+    note(wrong, "time", f"a time like {EXAMPLE:{layout.time_format}}")
     values: dict[str, Array] = {}
     for name in ("mmsi", *MOTION, *SIZES):
         if name in columns:
@@ -131,19 +134,19 @@ def _chunk(
             note(wrong, name, "a number")
         else:
             values[name] = np.full(len(table), np.nan)
-    mmsi, wrong = _whole(values["mmsi"])
-    note(wrong & ~bad, "mmsi", "a whole number of at most nine digits")
+    numbers = values["mmsi"]
+    whole = (numbers >= 0) & (numbers < 1e9) & (numbers == np.floor(numbers))  # false where NaN
+    note(~whole & ~bad, "mmsi", "a whole number of at most nine digits")
+    mmsi = np.where(whole, numbers, 0).astype(np.int64)
     ship = np.ones(len(table), dtype=bool)
-    if layout.station is not None and layout.station[0] in columns:
-        reported = pc.utf8_lower(pc.ascii_trim_whitespace(table.column(layout.station[0]).combine_chunks()))
-        ship = np.asarray(pc.is_in(reported, value_set=pa.array(sorted(layout.station[1]))))
-    good = ~bad
+    if "station" in columns:
+        reported = pc.utf8_lower(pc.ascii_trim_whitespace(table.column("station").combine_chunks()))
+        ship = np.asarray(pc.is_in(reported, value_set=pa.array(sorted(layout.ships))))
     latitude, longitude, speed, course, heading = (values[name] for name in MOTION)
     positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ship, rows)
-    dropped = {UNREADABLE: int(bad.sum()) + len(skipped)}
-    particulars = _particulars(table, mmsi, times, good & ship)
-    messages = len(table) + len(skipped)
-    return Chunk(positions.take(good), particulars, messages, dropped, tuple(problems))
+    particulars = _particulars(table, mmsi, times, ~bad & ship)
+    dropped = {"unreadable": int(bad.sum()) + skipped}
+    return Chunk(positions.take(~bad), particulars, len(table) + skipped, dropped, tuple(problems))
 
 
 def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> Particulars:
@@ -177,8 +180,7 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
     A decimal comma is read as a point: the Danish description shows positions as 57,8794.
     """
     trimmed = pc.ascii_trim_whitespace(texts)
-    empty = pc.equal(trimmed, "")
-    given = pc.if_else(empty, pa.scalar(None, pa.string()), trimmed)
+    given = pc.if_else(pc.equal(trimmed, ""), pa.scalar(None, pa.string()), trimmed)
     wrong = np.zeros(len(texts), dtype=bool)
     try:
         values = pc.cast(given, pa.float64())
@@ -191,11 +193,6 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
     return numbers, wrong | np.isinf(numbers)
 
 
-def _whole(values: Array) -> tuple[Indices, Mask]:
-    wrong = ~(np.isfinite(values) & (values >= 0) & (values < 1e9) & (values == np.floor(values)))
-    return np.where(wrong, 0, values).astype(np.int64), wrong
-
-
 def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
     """Unix times, and which cells are not times, shape (n,) each; fractions of a second and a final Z are ignored."""
     plain = pc.replace_substring(pc.ascii_trim_whitespace(texts), "T", " ")
@@ -204,9 +201,3 @@ def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
     wrong = np.asarray(pc.is_null(stamps))
     seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0)
     return seconds.to_numpy(zero_copy_only=False).astype(np.float64), wrong
-
-
-def _example(time_format: str) -> str:
-    """An example of a time in a format."""
-    parts = {"%d": "31", "%m": "12", "%Y": "2024", "%H": "23", "%M": "59", "%S": "59"}
-    return re.sub("%.", lambda part: parts[part[0]], time_format)

@@ -20,13 +20,15 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import xor
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
+from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import open_reports, source_of
-from modsim3d.ais.reports import Chunk, Particulars, Positions
 from modsim3d.errors import InputError
 
 LINE = re.compile(
@@ -35,23 +37,22 @@ LINE = re.compile(
 )
 UNIX_TIME = re.compile(r"(?<![\w.:+-])(\d{13}|\d{9,10}(?:\.\d+)?)(?![\w.:])")
 TAG_TIME = re.compile(r"(?:^|,)c:(\d+)(?:,|$)")
-CLASS_A, CLASS_B, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3}, {18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
+POSITIONS, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3, 18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
 PENDING_S = 60.0
 """Parts of a message that are further apart do not belong together: their sequence numbers, 0 to 9, are used again."""
-CHUNK_MESSAGES = 200_000
+CHUNK_MESSAGES, SHOWN_PROBLEMS = 200_000, 5
 LONGEST_LINE, SKIPPED_AT_ONCE = 1024, 1 << 20
 """A sentence has at most 82 characters and a tag block 80. The time to search a line grows with its square."""
-BROKEN, UNDECODABLE, INCOMPLETE, NO_TIME = "checksum", "undecodable", "incomplete", "no_time"
-NOT_A_SHIP, COARSE, OTHER = "not_a_ship", "long_range", "other_message"
+SIZES = ("to_bow", "to_stern", "to_port", "to_starboard")
 TIME_NEEDED = (
     r"has no times, and AIS sentences carry none of their own: record them with a tag block "
     r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time before or after each sentence"
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Part:
-    """One sentence of a message."""
+    """One sentence of a message, as pyais has it, and the line where it stands."""
 
     sentence: Any
     time_s: float | None
@@ -60,7 +61,7 @@ class _Part:
 
 @dataclass
 class _Rows:
-    """Rows and counts since the last chunk."""
+    """Rows and counts of the chunk that is being read."""
 
     positions: list[tuple[float, ...]] = field(default_factory=list)
     particulars: list[tuple[Any, ...]] = field(default_factory=list)
@@ -72,99 +73,93 @@ class _Rows:
         """Count a message as dropped."""
         self.messages += 1
         self.dropped[reason] += 1
-        if problem and len(self.problems) < 5:
+        if problem and len(self.problems) < SHOWN_PROBLEMS:
             self.problems.append(f"line {line}: {problem}")
 
     def chunk(self) -> Chunk:
-        """The rows as columns."""
+        """The rows as columns; begins the next chunk."""
         numbers = np.array(self.positions, dtype=np.float64).reshape(-1, 8)
         _, times, latitude, longitude, speed, course, heading, _ = numbers.T
         mmsi, lines = numbers[:, 0].astype(np.int64), numbers[:, 7].astype(np.int64)
         ships = np.ones(len(numbers), dtype=bool)
         positions = Positions(mmsi, times, latitude, longitude, speed, course, heading, ships, lines)
-        rows = np.array(self.particulars, dtype=object).reshape(-1, 10)
-        particulars = Particulars(
-            rows[:, 0].astype(np.int64),
-            rows[:, 1].astype(np.float64),
-            rows[:, 2],
-            rows[:, 3],
-            *rows[:, 4:].astype(np.float64).T,
-        )
-        return Chunk(positions, particulars, self.messages, dict(self.dropped), tuple(self.problems))
+        columns = np.array(self.particulars, dtype=object).reshape(-1, 10).T
+        sizes = columns[4:].astype(np.float64)
+        particulars = Particulars(columns[0].astype(np.int64), columns[1].astype(np.float64), *columns[2:4], *sizes)
+        done = Chunk(positions, particulars, self.messages, self.dropped, tuple(self.problems))
+        self.positions, self.particulars, self.problems = [], [], []
+        self.dropped, self.messages = Counter(), 0
+        return done
 
 
 def read_nmea(path: Path) -> Iterator[Chunk]:
     """Reports of a log of NMEA sentences.
 
-    Args:
-        path: The log.
-
     Raises:
         InputError: The file cannot be read, or no sentence in it has a time.
     """
-    gathered = _Rows()
+    rows = _Rows()
     timed, untimed = 0, 0
     with open_reports(path) as stream:
-        for parts in _messages(stream, gathered):
+        for parts in _messages(stream, rows):
             time_s = next((part.time_s for part in parts if part.time_s is not None), None)
             if time_s is None:
                 untimed += 1
-                gathered.drop(NO_TIME, parts[0].line, "has no time")
+                rows.drop("no_time", parts[0].line, "has no time")
             else:
                 timed += 1
-                _decode(parts, time_s, gathered)
-            if gathered.messages >= CHUNK_MESSAGES:
-                yield gathered.chunk()
-                gathered = _Rows()
+                _decode(parts, time_s, rows)
+            if rows.messages >= CHUNK_MESSAGES:
+                yield rows.chunk()
     if untimed and not timed:
         raise InputError(source_of(path), [TIME_NEEDED])
-    yield gathered.chunk()
+    yield rows.chunk()
 
 
-def _lines(stream: Any) -> Iterator[bytes]:
+def _messages(stream: IO[bytes], rows: _Rows) -> Iterator[list[_Part]]:
+    """The parts of each whole message; incomplete messages are counted as dropped."""
+    pending: dict[tuple[Any, ...], dict[int, _Part]] = {}
+    for part in _parts(stream, rows):
+        sentence = part.sentence
+        key = (sentence.talker_id, sentence.frag_cnt, sentence.seq_id, sentence.channel)
+        parts = pending.setdefault(key, {}) if sentence.frag_cnt != 1 else {}
+        if sentence.frag_num in parts or not _close(parts, part):
+            rows.drop("incomplete", part.line, "other parts of this message are missing")
+            parts.clear()
+        parts[sentence.frag_num] = part
+        if len(parts) == sentence.frag_cnt:
+            yield [parts[place] for place in sorted(parts)]
+            pending.pop(key, None)
+    for parts in pending.values():
+        rows.drop("incomplete", min(part.line for part in parts.values()), "other parts of this message are missing")
+
+
+def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
+    """All AIS sentences; broken ones are counted as dropped, and comments and other instruments' are passed over."""
+    from pyais.exceptions import AISBaseException
+    from pyais.messages import AISSentence, NMEASentenceFactory
+
+    for number, line in enumerate(_lines(stream), start=1):
+        if b"VD" not in line or (match := LINE.search(line.decode("ascii", "replace"))) is None:
+            continue
+        try:
+            sentence = NMEASentenceFactory.produce(match["sentence"].encode("ascii"))
+        except (AISBaseException, ValueError, IndexError, UnicodeEncodeError):
+            rows.drop("undecodable", number, "is not a whole AIS sentence")
+            continue
+        if isinstance(sentence, AISSentence) and sentence.is_valid and _tag_holds(match["tag"]):
+            yield _Part(sentence, _time_s(match), number)
+        else:
+            rows.drop("checksum", number, "does not match its checksum")
+
+
+def _lines(stream: IO[bytes]) -> Iterator[bytes]:
     """The lines of a log; a line that is too long for a sentence is given as an empty one."""
     while line := stream.readline(LONGEST_LINE):
         piece = line
         while not piece.endswith(b"\n") and (piece := stream.readline(SKIPPED_AT_ONCE)):
             line = b""
         yield line
-
-
-def _messages(stream: Any, gathered: _Rows) -> Iterator[list[_Part]]:
-    """Whole messages; broken sentences and incomplete messages are counted as dropped."""
-    from pyais.exceptions import AISBaseException
-    from pyais.messages import AISSentence, NMEASentenceFactory
-
-    pending: dict[tuple[Any, ...], dict[int, _Part]] = {}
-    for number, line in enumerate(_lines(stream), start=1):
-        if b"VD" not in line:
-            continue
-        match = LINE.search(line.decode("ascii", "replace"))
-        if match is None:
-            continue  # comments, sentences of other instruments
-        try:
-            sentence = NMEASentenceFactory.produce(match["sentence"].encode("ascii"))
-        except (AISBaseException, ValueError, IndexError, UnicodeEncodeError):
-            gathered.drop(UNDECODABLE, number, "is not a whole AIS sentence")
-            continue
-        if not isinstance(sentence, AISSentence) or not sentence.is_valid or not _tag_holds(match["tag"]):
-            gathered.drop(BROKEN, number, "does not fit its checksum")
-            continue
-        part = _Part(sentence, _time_s(match), number)
-        if sentence.frag_cnt == 1:
-            yield [part]
-            continue
-        key = (sentence.talker_id, sentence.frag_cnt, sentence.seq_id, sentence.channel)
-        parts = pending.setdefault(key, {})
-        if sentence.frag_num in parts or not _close(parts, part):
-            gathered.drop(INCOMPLETE, number, "other parts of this message are missing")
-            parts.clear()
-        parts[sentence.frag_num] = part
-        if len(parts) == sentence.frag_cnt:
-            yield [parts[place] for place in sorted(parts)]
-            del pending[key]
-    for parts in pending.values():
-        gathered.drop(INCOMPLETE, min(part.line for part in parts.values()), "other parts of this message are missing")
 
 
 def _close(parts: dict[int, _Part], part: _Part) -> bool:
@@ -174,14 +169,11 @@ def _close(parts: dict[int, _Part], part: _Part) -> bool:
 
 
 def _tag_holds(tag: str | None) -> bool:
-    """Whether a tag block fits its checksum; true without a tag block."""
+    """Whether a tag block matches its checksum; true without a tag block."""
     if tag is None:
         return True
-    content, star, given = tag.rpartition("*")
-    total = 0
-    for character in content.encode("ascii", "replace"):
-        total ^= character
-    return bool(star) and re.fullmatch("[0-9A-Fa-f]{1,2}", given.strip()) is not None and int(given, 16) == total
+    parts = re.fullmatch(r"(.*)\*\s*([0-9A-Fa-f]{1,2})\s*", tag)
+    return parts is not None and reduce(xor, parts[1].encode("ascii", "replace"), 0) == int(parts[2], 16)
 
 
 def _time_s(match: re.Match[str]) -> float | None:
@@ -199,7 +191,8 @@ def _seconds(text: str) -> float:
     return float(text) / 1000 if len(text) == 13 and "." not in text else float(text)
 
 
-def _decode(parts: list[_Part], time_s: float, gathered: _Rows) -> None:
+def _decode(parts: list[_Part], time_s: float, rows: _Rows) -> None:
+    """Add what a message says to the rows, or count it as dropped."""
     from pyais.messages import AISSentence
 
     line = parts[0].line
@@ -207,37 +200,31 @@ def _decode(parts: list[_Part], time_s: float, gathered: _Rows) -> None:
         message: Any = AISSentence.assemble_from_iterable([part.sentence for part in parts]).decode()
         kind, mmsi = int(message.msg_type), int(message.mmsi)
         if kind in STATIONS:
-            gathered.drop(NOT_A_SHIP, line)
+            rows.drop("not_a_ship", line)
         elif kind == LONG_RANGE:
-            gathered.drop(COARSE, line)
-        elif kind not in CLASS_A | CLASS_B | PARTICULARS:
-            gathered.drop(OTHER, line)
+            rows.drop("long_range", line)
+        elif kind not in POSITIONS | PARTICULARS:
+            rows.drop("other_message", line)
         else:
-            if kind in CLASS_A | CLASS_B:
-                place = float(message.lat), float(message.lon)
-                motion = float(message.speed), float(message.course), float(message.heading)
-                gathered.positions.append((mmsi, time_s, *place, *motion, line))
+            if kind in POSITIONS:
+                names = ("lat", "lon", "speed", "course", "heading")
+                rows.positions.append((mmsi, time_s, *(float(getattr(message, name)) for name in names), line))
             if kind in PARTICULARS:
-                gathered.particulars.append(_particulars(message, mmsi, time_s))
-            gathered.messages += 1
+                rows.particulars.append(_particulars(message, mmsi, time_s))
+            rows.messages += 1
     except Exception:  # pyais lets errors of many kinds through for messages that are cut short
-        gathered.drop(UNDECODABLE, line, "cannot be decoded")
+        rows.drop("undecodable", line, "cannot be decoded")
 
 
 def _particulars(message: Any, mmsi: int, time_s: float) -> tuple[Any, ...]:
     """A row of particulars; of a report in two halves each fills in its own columns."""
-
-    def number(name: str) -> float:
-        value = getattr(message, name, None)
-        return np.nan if value is None else float(value)
-
-    ship_type = getattr(message, "ship_type", None)
+    name, ship_type, *sizes = (getattr(message, field, None) for field in ("shipname", "ship_type", *SIZES))
     return (
         mmsi,
         time_s,
-        str(getattr(message, "shipname", None) or "").strip(),
+        str(name or "").strip(),
         "" if ship_type is None else str(int(ship_type)),
-        *(number(name) for name in ("to_bow", "to_stern", "to_port", "to_starboard")),
+        *(np.nan if size is None else float(size) for size in sizes),
         np.nan,
         np.nan,
     )

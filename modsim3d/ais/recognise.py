@@ -12,11 +12,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from modsim3d.ais.layouts import Layout, layout_of
+from modsim3d.ais.layouts import NEEDED, Layout, layout_of, layouts
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import shown
 
-GZIP, ZIP, ZSTANDARD = b"\x1f\x8b", b"PK\x03\x04", b"\x28\xb5\x2f\xfd"
+GZIP = b"\x1f\x8b"
+UNPACKED_BY = {b"PK\x03\x04": "unzip", b"\x28\xb5\x2f\xfd": "zstd -d"}
 SENTENCE = re.compile(rb"[!$][A-Z]{2}VD[MO],")
 LOOKED_AT_LINES = 200
 """A log of sentences may begin with comments or sentences of other instruments."""
@@ -39,14 +40,15 @@ def open_reports(path: Path) -> Iterator[IO[bytes]]:
         with path.open("rb") as file:
             magic = file.read(4)
             file.seek(0)
-            for kind, unpack in ((ZIP, "unzip"), (ZSTANDARD, "zstd -d")):
-                if magic.startswith(kind):
-                    raise InputError(source_of(path), [f"is packed: unpack it first ({unpack} {path.name})"])
+            if magic in UNPACKED_BY:
+                problem = f"is packed: unpack it first ({UNPACKED_BY[magic]} {path.name})"
+                raise InputError(source_of(path), [problem])
             if magic.startswith(GZIP):
                 with gzip.open(file) as unpacked:
                     yield io.BufferedReader(unpacked, 1 << 20)
             else:
                 yield file
+            return
     except FileNotFoundError:
         problem = "no such file"
     except IsADirectoryError:
@@ -55,8 +57,6 @@ def open_reports(path: Path) -> Iterator[IO[bytes]]:
         problem = "is not a complete gzip file"
     except OSError as error:
         problem = f"cannot be read: {error.strerror or error}"
-    else:
-        return
     raise InputError(source_of(path), [problem])
 
 
@@ -72,23 +72,18 @@ def recognise(path: Path) -> Layout | None:
         raise InputError(source_of(path), ["the file is empty"])
     if any(SENTENCE.search(line) for line in lines):
         return None
-    names = header_names(lines[0])
-    layout = layout_of(names)
+    header = header_names(lines[0])
+    layout = layout_of(header)
     if layout is None:
-        raise InputError(
-            source_of(path),
-            [
-                "is none of the formats that are read: CSV of the Danish Maritime Authority (its first line begins "
-                "with '# Timestamp,Type of mobile,MMSI'), of MarineCadastre ('MMSI,BaseDateTime,LAT,LON' or "
-                "'mmsi,base_date_time,longitude,latitude'), or NMEA sentences ('!AIVDM,...'). "
-                f"Its first line: {shown(lines[0].decode('utf-8', 'replace').strip())}"
-            ],
+        known = ", ".join(f"{known.name} ({','.join(known.columns[name] for name in NEEDED)})" for known in layouts())
+        problem = (
+            f"is none of the formats that are read: NMEA sentences (!AIVDM,...) or CSV with the columns of {known}. "
+            f"Its first line: {shown(lines[0].decode('utf-8', 'replace').strip())}"
         )
-    if missing := layout.missing(names):
-        raise InputError(
-            source_of(path),
-            [f"looks like {layout.name} CSV, but has no column {', '.join(missing)} (it has: {', '.join(names)})"],
-        )
+        raise InputError(source_of(path), [problem])
+    if missing := layout.missing(header):
+        problem = f"looks like {layout.name} CSV, but has no column {', '.join(missing)} (it has: {', '.join(header)})"
+        raise InputError(source_of(path), [problem])
     return layout
 
 

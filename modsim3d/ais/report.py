@@ -1,4 +1,4 @@
-"""What was read, dropped and filled in: for `report.json` and for the terminal."""
+"""What was read, dropped and filled in, for `report.json` and for the terminal, and what each reason means."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ EARTH_RADIUS_M = 6.371e6
 NOTICEABLE_M = 5.0
 REASONS = {
     "unreadable": "rows with a cell that cannot be read",
-    "checksum": "sentences that do not fit their checksum",
+    "checksum": "sentences that do not match their checksum",
     "undecodable": "messages that cannot be decoded",
     "incomplete": "sentences whose other parts are missing",
     "no_time": "sentences without a time",
     "not_a_ship": "base stations, aids to navigation, aircraft, beacons",
     "long_range": "long-range reports, to 180 m only",
-    "other_message": "messages that say nothing of where ships are",
+    "other_message": "messages of types that give no ship's position",
     "no_position": "latitude 91, longitude 181 or empty",
-    "impossible_position": "nowhere on Earth",
+    "impossible_position": "latitude beyond ±90 or longitude beyond ±180",
     "outside_region": "outside the region",
     "outside_window": "before or after the scene",
     "duplicate": "same vessel and time as another",
@@ -32,7 +32,7 @@ REASONS = {
 REPLACED = {
     "heading_from_course": "heading 511: course over ground in its place",
     "heading_from_bearing": "heading and course missing: bearing between positions",
-    "heading_held": "heading missing, hardly moving: the one before or after",
+    "heading_held": "heading missing while hardly moving: the heading before or after",
     "heading_unknown": "no heading, course or movement at all: north",
     "course_from_heading": "course 360: heading in its place",
     "course_unknown": "no course or heading: straight lines between positions",
@@ -42,15 +42,14 @@ DEFAULTS = {
     "type": "ship type missing: dimensions of the group 'unknown'",
     "length": "length missing: typical of the ship type",
     "beam": "beam missing: typical of the ship type",
-    "antenna": "antenna's place missing: taken for the middle of the hull",
+    "antenna": "antenna's place missing: taken to be the middle of the hull",
     "air_draft": "never in AIS: typical of the ship type",
 }
 
 
 def report(traffic: Traffic) -> dict[str, Any]:
     """The content of `report.json`; it does not depend on the order of rows in the files."""
-    options = traffic.options
-    camera = traffic.camera
+    options, camera = traffic.options, traffic.camera
     return {
         "start": time_text(traffic.grid.start_s),
         "end": time_text(traffic.grid.end_s),
@@ -75,10 +74,10 @@ def report(traffic: Traffic) -> dict[str, Any]:
             "read": messages_read(traffic),
             "used": messages_used(traffic),
             "particulars_only": traffic.dropped["particulars_only"],
-            "dropped": _some(dropped(traffic)),
+            "dropped": _dropped(traffic),
         },
-        "replaced": _some(replaced(traffic)),
-        "defaults": defaults(traffic),
+        "replaced": _replaced(traffic),
+        "defaults": _defaults(traffic),
         "vessels": {str(vessel.mmsi): _vessel(traffic, vessel) for vessel in traffic.vessels},
         "vessels_at_no_step": [str(mmsi) for mmsi in traffic.elsewhere],
         "farthest_m": round(_farthest_m(traffic), 1),
@@ -91,14 +90,14 @@ def _vessel(traffic: Traffic, vessel: VesselTrack) -> dict[str, Any]:
     return {
         "name": hull.name,
         "ship_type": hull.group,
-        "label": traffic.label(vessel),
+        "label": traffic.options.label(hull.group),
         "messages": vessel.messages,
         "steps_present": int(vessel.present.sum()),
         "length_m": hull.length_m,
         "beam_m": hull.beam_m,
         "air_draft_m": hull.air_draft_m,
         "centre_from_antenna_m": {"ahead": hull.ahead_m, "to_port": hull.to_port_m},
-        "defaults": [*hull.defaults, "air_draft"],
+        "defaults": hull.defaults,
         "replaced": _some(vessel.replaced),
     }
 
@@ -118,20 +117,19 @@ def messages_used(traffic: Traffic) -> int:
     return messages_read(traffic) - sum(traffic.dropped.values())
 
 
-def dropped(traffic: Traffic) -> Counter[str]:
+def _dropped(traffic: Traffic) -> dict[str, int]:
     """Reason → number of messages dropped."""
-    return Counter({name: count for name, count in traffic.dropped.items() if name in REASONS})
+    return {name: count for name, count in _some(traffic.dropped).items() if name in REASONS}
 
 
-def replaced(traffic: Traffic) -> Counter[str]:
+def _replaced(traffic: Traffic) -> dict[str, int]:
     """Replacement → number of missing values of used messages that it stands for."""
-    return sum((vessel.replaced for vessel in traffic.vessels), Counter[str]())
+    return _some(sum((vessel.replaced for vessel in traffic.vessels), Counter[str]()))
 
 
-def defaults(traffic: Traffic) -> dict[str, int]:
+def _defaults(traffic: Traffic) -> dict[str, int]:
     """Default → number of vessels that it is used for."""
-    counts = Counter(name for vessel in traffic.vessels for name in (*vessel.hull.defaults, "air_draft"))
-    return _some(counts)
+    return _some(Counter(name for vessel in traffic.vessels for name in vessel.hull.defaults))
 
 
 def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]]]:
@@ -139,28 +137,30 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
     options = traffic.options
     times = f"{time_text(traffic.grid.start_s)} to {time_text(traffic.grid.end_s)}"
     present = sum(int(vessel.present.sum()) for vessel in traffic.vessels)
+    away = f"{len(traffic.elsewhere)} more are there at no step" if traffic.elsewhere else ""
     read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
     made = [
         ("messages used", str(messages_used(traffic)), f"of {messages_read(traffic)}"),
         ("particulars", str(traffic.dropped["particulars_only"]), "messages with names and dimensions only"),
-        ("vessels", str(len(traffic.vessels)), _elsewhere(traffic)),
+        ("vessels", str(len(traffic.vessels)), away),
         ("steps", str(len(traffic.grid.timestamps)), f"every {options.time_step_s:g} s, {times}"),
         ("poses", str(present), f"away where reports are more than {options.max_gap_s:g} s apart"),
         ("farthest", f"{_farthest_m(traffic) / 1000:.1f} km", _flatness(_farthest_m(traffic))),
         ("origin", "{:.5f}, {:.5f}".format(*traffic.origin), "latitude, longitude of w1 = w2 = 0"),
     ]
-    left_out = [
-        (name, str(count), REASONS[name].format(max_speed_kn=options.max_speed_kn))
-        for name, count in _some(dropped(traffic)).items()
-    ]
-    filled = [(name, str(count), REPLACED[name]) for name, count in _some(replaced(traffic)).items()]
-    open_ = [(name, str(count), DEFAULTS[name]) for name, count in defaults(traffic).items()]
+
+    def explained(counts: dict[str, int], meaning: dict[str, str]) -> list[tuple[str, str, str]]:
+        return [
+            (name, str(count), meaning[name].format(max_speed_kn=options.max_speed_kn))
+            for name, count in counts.items()
+        ]
+
     return [
         ("read", read),
-        ("made of it", made),
-        ("messages dropped", left_out),
-        ("values replaced, in messages", filled),
-        ("defaults, in vessels", open_),
+        ("result", made),
+        ("messages dropped", explained(_dropped(traffic), REASONS)),
+        ("values replaced, in messages", explained(_replaced(traffic), REPLACED)),
+        ("defaults, in vessels", explained(_defaults(traffic), DEFAULTS)),
     ]
 
 
@@ -174,8 +174,3 @@ def _flatness(distance_m: float) -> str:
     off_m = distance_m**3 / (6 * EARTH_RADIUS_M**2)
     text = "from the origin"
     return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
-
-
-def _elsewhere(traffic: Traffic) -> str:
-    count = len(traffic.elsewhere)
-    return f"{count} more are there at no step" if count else ""

@@ -16,11 +16,11 @@ ROUNDING_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ReportedTrack:
-    """Reports of one vessel.
+    """Reports of one vessel, with the places of its antenna.
 
     Attributes:
         times_s: Ascending, shape (n,).
-        places_m: East and north of the antenna, shape (n, 2).
+        places_m: East and north, shape (n, 2).
         velocities_m_s: East and north, NaN where unknown, shape (n, 2).
         headings_rad: Counter-clockwise from w1, shape (n,).
     """
@@ -32,21 +32,12 @@ class ReportedTrack:
 
 
 def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
-    """Places and headings of a vessel at some times.
+    """Whether a vessel is there at some times, shape (m,), its places in metres, (m, 2), and headings in radians, (m,).
 
     Between two reports the vessel follows the cubic with the reported velocities at both ends (cubic Hermite
     interpolation), or a straight line where these are unknown or do not fit the positions. Its heading turns evenly
     along the shorter arc. The vessel is away before the first report, after the last, and between reports that are
     further apart than the longest gap.
-
-    Args:
-        track: The vessel's reports.
-        times_s: Times to resample at, shape (m,).
-        max_gap_s: The longest gap.
-
-    Returns:
-        Whether the vessel is there, shape (m,), places of the antenna in metres, shape (m, 2), and headings in radians,
-        shape (m,).
     """
     known = track.times_s
     if len(known) == 1:
@@ -76,15 +67,11 @@ def _places(track: ReportedTrack, leg: Indices, share: Array) -> Array:
     return np.asarray((1 - u) * track.places_m[leg] + u * track.places_m[leg + 1] + bend)
 
 
-def to_hull_centre(places_m: Array, headings_rad: Array, ahead_m: float, to_port_m: float) -> Array:
-    """Centres of a hull from places of its antenna.
+def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_port_m: float) -> Array:
+    """Places of a hull's centre from those of its antenna, shape (m, 2), at headings counter-clockwise from w1, (m,).
 
-    Args:
-        places_m: Places of the antenna, shape (m, 2).
-        headings_rad: Counter-clockwise from w1, shape (m,).
-        ahead_m: Distance of the centre ahead of the antenna.
-        to_port_m: Distance of the centre to port of the antenna.
+    The centre lies `ahead_m` ahead of the antenna and `to_port_m` to port of it.
     """
     cosine, sine = np.cos(headings_rad), np.sin(headings_rad)
     offset = np.stack([ahead_m * cosine - to_port_m * sine, ahead_m * sine + to_port_m * cosine], axis=-1)
-    return places_m + offset
+    return antenna_m + offset

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import gzip
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from modsim3d.ais.detector_file import detector_text
+import yaml
+
 from modsim3d.ais.options import time_text
 from modsim3d.ais.report import report
 from modsim3d.ais.traffic import Traffic
 from modsim3d.errors import ModsimError
+from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.inputs.text_files import read_text
 
-SCENE, VESSELS, POSES, DETECTOR, REPORT = (
-    "scene.yaml",
-    "vessels.json",
-    "poses.json.gz",
-    "detector.yaml",
-    "report.json",
-)
+SCENE, REPORT = "scene.yaml", "report.json"
 SCENE_TEXT = """\
 # Traffic from AIS: {vessels} vessels from {start}, one step every {time_step:g} s; made by `modsim3d ais`.
 # w1 points east, w2 north of latitude {latitude:.7f}, longitude {longitude:.7f}. report.json says what was left out
@@ -33,11 +32,15 @@ cameras:
     pixel_size_m: [5.0e-6, 5.0e-6]
     principal_point_px: [960, 540]
     image_size_px: [1920, 1080]
-    # Looks from {distance:.0f} m across the square kilometre that most vessels visit, at {target}.
+    # Looks from {camera.distance_m:.0f} m across the square kilometre that most vessels visit, at {target}.
     # It is clear of all hulls, but AIS does not say where land is: move it to where a camera could stand.
-    pose: {{position_m: [{position[0]:g}, {position[1]:g}, {position[2]:g}], yaw_rad: {yaw:g}, pitch_rad: {pitch:g}}}
+    pose: {{position_m: [{position}], yaw_rad: {camera.yaw_rad:g}, pitch_rad: {camera.pitch_rad:g}}}
 annotation: {{mode: 0, source: rendered}} # the mode in which this detector was measured; 2 annotates what is seen
 detector: detector.yaml
+"""
+DETECTOR_NOTE = """\
+# The detector of {name}, spread over several labels: the same chance to miss a vessel whatever it is, none to take
+# it for another, and false positives of all labels alike. That is an assumption; put measured numbers in their place.
 """
 
 
@@ -48,7 +51,7 @@ def check_free(folder: Path, overwrite: bool) -> None:
         ModsimError: The folder is not free, or is no folder.
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
-        raise ModsimError(f"{folder} is there already and is no folder: choose another with --out")
+        raise ModsimError(f"{folder} is there already and is not a folder: choose another with --out")
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     ours = all((folder / name).is_file() for name in (SCENE, REPORT))
@@ -56,34 +59,38 @@ def check_free(folder: Path, overwrite: bool) -> None:
         hint = "replace the scene in it with --overwrite, or " if ours else ""
         raise ModsimError(f"{folder} is not empty: {hint}choose another folder with --out")
     if not ours:
-        raise ModsimError(f"{folder} is not empty and holds no scene made from AIS: it is left alone")
+        raise ModsimError(f"{folder} is not empty and holds no scene made from AIS, so it is left alone")
 
 
 def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool = False) -> None:
     """Write everything that the scene needs, and the report.
 
     Args:
-        traffic: The traffic.
+        traffic: What the scene shows.
         folder: The scene folder; made if it does not exist.
         detector: A detector file with one label, to be copied or spread over the scene's labels.
-        overwrite: Replace an existing scene folder.
+        overwrite: Replace a scene folder that is there.
 
     Raises:
         ModsimError: The folder is not free.
     """
     check_free(folder, overwrite)
-    labels = list(dict.fromkeys(sorted(traffic.label(vessel) for vessel in traffic.vessels)))
-    texts = {
-        VESSELS: _vessels_text(traffic),
-        DETECTOR: detector_text(detector, labels),
-        REPORT: json.dumps(report(traffic), indent=2, ensure_ascii=False) + "\n",
+    labels = sorted({traffic.options.label(vessel.hull.group) for vessel in traffic.vessels})
+    files = {
+        "vessels.json": _json_text(_vessels(traffic)),
+        "detector.yaml": detector_text(detector, labels),
+        REPORT: _json_text(report(traffic)),
         SCENE: _scene_text(traffic),
     }
     packed = gzip.compress(_poses_text(traffic).encode("utf-8"), mtime=0)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / POSES).write_bytes(packed)
-    for name, text in texts.items():
+    (folder / "poses.json.gz").write_bytes(packed)
+    for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def _json_text(content: Any) -> str:
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
 def _scene_text(traffic: Traffic) -> str:
@@ -95,25 +102,22 @@ def _scene_text(traffic: Traffic) -> str:
         latitude=traffic.origin[0],
         longitude=traffic.origin[1],
         steps=len(traffic.grid.timestamps),
-        distance=camera.distance_m,
+        camera=camera,
         target="w1 {:g}, w2 {:g}".format(*camera.target_m),
-        position=camera.position_m,
-        yaw=camera.yaw_rad,
-        pitch=camera.pitch_rad,
+        position=", ".join(f"{value:g}" for value in camera.position_m),
     )
 
 
-def _vessels_text(traffic: Traffic) -> str:
-    entries = {
+def _vessels(traffic: Traffic) -> dict[str, Any]:
+    return {
         str(vessel.mmsi): {
             "air_draft_m": vessel.hull.air_draft_m,
             "beam_m": vessel.hull.beam_m,
             "length_m": vessel.hull.length_m,
-            "label": traffic.label(vessel),
+            "label": traffic.options.label(vessel.hull.group),
         }
         for vessel in traffic.vessels
     }
-    return json.dumps(entries, indent=2, ensure_ascii=False) + "\n"
 
 
 def _poses_text(traffic: Traffic) -> str:
@@ -127,3 +131,22 @@ def _poses_text(traffic: Traffic) -> str:
             entries[step].append(f'"{vessel.mmsi}":{pose}')
     lines = (f'"{time}":{{{",".join(entry)}}}' for time, entry in zip(traffic.grid.timestamps, entries, strict=True))
     return "{" + ",\n".join(lines) + "}\n"
+
+
+def detector_text(single: Path, labels: Sequence[str]) -> str:
+    """The text of a detector file for some labels, made from a file with a single label.
+
+    If that label is the only one, the file is copied as it is. Otherwise it gets a confusion matrix for all of them.
+    """
+    text = read_text(single, "detector file")
+    data: dict[str, Any] = load_yaml(single, "detector file")
+    if list(labels) == data["labels"]:
+        return text
+    data["labels"] = list(labels)
+    for state in data["states"].values():
+        (found,), (missed,) = state["confusion"]
+        own = [[found if row == column else 0.0 for column in range(len(labels))] for row in range(len(labels))]
+        state["confusion"] = [*own, [missed] * len(labels)]
+        state["false_positive_labels"] = [1 / len(labels)] * len(labels)
+    note = DETECTOR_NOTE.format(name=single.name)
+    return note + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)

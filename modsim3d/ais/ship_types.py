@@ -15,45 +15,31 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class ShipType:
-    """A group of ship types.
+    """A group of ship types: its label for a detector, its typical dimensions, and the codes and words that mean it."""
 
-    Attributes:
-        group: Its name.
-        label: Label for a detector.
-        length_m: Typical length.
-        beam_m: Typical beam.
-        air_draft_m: Typical height above the waterline.
-    """
-
-    group: str
     label: str
     length_m: float
     beam_m: float
     air_draft_m: float
+    spellings: frozenset[str]
 
 
 @cache
-def _table() -> tuple[Mapping[str, ShipType], Mapping[str, str]]:
-    """The groups, and the group of each code or word."""
-    types: dict[str, ShipType] = {}
-    spelt: dict[str, str] = {}
-    for group, entry in load_yaml(TABLE, "table of ship types").items():
-        sizes = (float(entry[key]) for key in ("length_m", "beam_m", "air_draft_m"))
-        types[group] = ShipType(group, entry["label"], *sizes)
-        codes = [str(code) for first, last in entry["codes"] for code in range(first, last + 1)]
-        spelt |= dict.fromkeys([*codes, *entry["words"]], group)
-    return types, spelt
-
-
 def ship_types() -> Mapping[str, ShipType]:
     """All groups by name."""
-    return _table()[0]
+    types: dict[str, ShipType] = {}
+    for group, entry in load_yaml(TABLE, "table of ship types").items():
+        length_m, beam_m, air_draft_m = (float(entry[key]) for key in ("length_m", "beam_m", "air_draft_m"))
+        codes = [str(code) for first, last in entry["codes"] for code in range(first, last + 1)]
+        types[group] = ShipType(entry["label"], length_m, beam_m, air_draft_m, frozenset(codes + entry["words"]))
+    return types
 
 
+@cache
 def group_of(text: str) -> str:
     """The group of a ship type, given as a code or a word; `unknown` for any other text."""
     plain = text.strip().lower()
     number, point, zeros = plain.partition(".")
     if point and not zeros.strip("0"):  # 70.0, as tables with gaps in them are often saved
         plain = number
-    return _table()[1].get(plain, UNKNOWN)
+    return next((group for group, kind in ship_types().items() if plain in kind.spellings), UNKNOWN)

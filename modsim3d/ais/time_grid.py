@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.ais.messages import Positions
 from modsim3d.ais.options import Options, time_text
-from modsim3d.ais.reports import Positions
 from modsim3d.ais.resampling import ROUNDING_S
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import ModsimError
@@ -22,8 +22,7 @@ class TimeGrid:
 
     Attributes:
         start_s: Unix time of the first step.
-        times_s: Time of each step since the first, shape (S,).
-        timestamps: The same as text.
+        times_s: Time of each step since the first, shape (S,); `timestamps` has them as text.
     """
 
     start_s: float
@@ -47,10 +46,8 @@ def time_grid(positions: Positions, options: Options) -> TimeGrid:
         ModsimError: There would be too many steps.
     """
     start = float(positions.time_s.min()) if options.start_s is None else options.start_s
-    if options.duration_s is not None:
-        span = options.duration_s
-    else:
-        span = (float(positions.time_s.max()) if options.end_s is None else options.end_s) - start
+    end = float(positions.time_s.max()) if options.end_s is None else options.end_s
+    span = end - start if options.duration_s is None else options.duration_s
     steps = int(np.floor(span / options.time_step_s + ROUNDING_S)) + 1 if span >= 0 else 1
     if steps > MAX_STEPS:
         raise ModsimError(

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.ais.cleaning import SLACK_S
-from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, HeadingSource, fill_courses, fill_headings
+from modsim3d.ais.cleaning import reachable
+from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, HeadingSource, fill_headings, heading_rad
 from modsim3d.ais.hulls import Hull
-from modsim3d.ais.jumps import reachable
+from modsim3d.ais.messages import Positions
 from modsim3d.ais.options import Options
-from modsim3d.ais.projection import heading_rad
-from modsim3d.ais.reports import Positions
 from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
 from modsim3d.ais.time_grid import TimeGrid
 from modsim3d.arrays import Array, Mask
@@ -31,10 +29,8 @@ class VesselTrack:
     """One vessel of the traffic.
 
     Attributes:
-        mmsi: Its identity.
-        hull: Dimensions and type.
         messages: Number of positions that were used.
-        jumps: Number of positions that were dropped because the vessel cannot have reached them.
+        jumps: Number of positions that the vessel cannot have reached, and that were dropped.
         replaced: What was missing → in how many of the used positions it was replaced.
         present: At which steps it is there, shape (S,).
         places_m: w1 and w2 of the hull's centre, shape (S, 2).
@@ -52,21 +48,17 @@ class VesselTrack:
 
 
 def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGrid, options: Options) -> VesselTrack:
-    """Drop jumps, fill in headings and courses, and resample.
+    """The track of one vessel from its reports by time, with their metres east and north of the origin, shape (n, 2).
 
-    Args:
-        positions: Reports of one vessel by time.
-        places_m: East and north of the origin of each report, shape (n, 2).
-        hull: The vessel.
-        grid: The steps.
-        options: The longest gap, and the speed above which a position is a jump.
+    Jumps are dropped, and missing headings and courses filled in.
     """
-    kept = reachable(positions.time_s - grid.start_s, places_m, options.max_speed_kn * KNOT_M_S, SLACK_S)
+    kept = reachable(positions.time_s - grid.start_s, places_m, options.max_speed_kn * KNOT_M_S)
     used, places = positions.take(kept), places_m[kept]
     since_s = used.time_s - grid.start_s
-    speed, heading = used.speed_kn, used.heading_deg
-    compass, source = fill_headings(since_s, places, speed, used.course_deg, heading, options.max_gap_s)
-    course, course_taken = fill_courses(used.course_deg, heading, speed)
+    speed, course, heading = used.speed_kn, used.course_deg, used.heading_deg
+    compass, source = fill_headings(since_s, places, speed, course, heading, options.max_gap_s)
+    course_taken = np.isnan(course) & ~np.isnan(heading) & (speed >= MOVING_KN)
+    course = np.where(course_taken, heading, course)
     track = ReportedTrack(since_s, places, _velocities(speed, course), heading_rad(compass))
     present, antenna, headings = resample(track, grid.times_s, options.max_gap_s)
     replaced = Counter({name: int((source == kind).sum()) for kind, name in HEADING_NAMES.items()})

@@ -22,15 +22,7 @@ MAX_POSES = 200_000
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera ashore.
-
-    Attributes:
-        position_m: Place of the camera, w1, w2 and w3.
-        yaw_rad: Counter-clockwise from w1.
-        pitch_rad: Positive down.
-        target_m: Place on the water that it looks at, w1 and w2.
-        distance_m: Horizontal distance to the target.
-    """
+    """A camera ashore, at w1, w2, w3, that looks at a place on the water, w1, w2; its pitch is positive down."""
 
     position_m: tuple[float, float, float]
     yaw_rad: float
@@ -49,7 +41,7 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     Args:
         present: Which vessel is there at which step, shape (S, V).
         places_m: Centres of hulls, shape (S, V, 2).
-        half_lengths_m: Half the length of each vessel, shape (V,).
+        half_lengths_m: Half the length of each hull, shape (V,).
     """
     steps, vessels = np.nonzero(present)
     places = places_m[steps, vessels]
@@ -69,14 +61,9 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
 
 
 def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
-    """Direction from the target at right angles to the traffic around it, and a distance that shows half of it.
+    """Direction from the target at right angles to the traffic around it, in radians from w1, and a distance in metres.
 
-    Args:
-        places_m: All places of hulls, shape (n, 2).
-        target_m: Shape (2,).
-
-    Returns:
-        Radians counter-clockwise from w1, to the south where possible so that the light comes from behind, and metres.
+    The direction is to the south, so that the light comes from behind; the distance shows half of the traffic.
     """
     near = places_m[np.abs(places_m - target_m).max(axis=1) <= 1.5 * CELL_M]
     spread = near - near.mean(axis=0)
@@ -91,15 +78,7 @@ def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
 def _clear_place(places_m: Array, clearance_m: Array, target_m: Array, bearing_rad: float, distance_m: float) -> Array:
     """The first place that is clear of all hulls: at the bearing and distance, turned aside, or further away.
 
-    Args:
-        places_m: All places of hulls, shape (n, 2).
-        clearance_m: Distance to keep from each, shape (n,).
-        target_m: Shape (2,).
-        bearing_rad: Direction from the target, counter-clockwise from w1.
-        distance_m: Distance from the target.
-
-    Returns:
-        Shape (2,).
+    `clearance_m`, shape (n,), is the distance to keep from each of the places, shape (n, 2).
     """
     for attempt in range(TRIES):
         turned = bearing_rad + (0.0, np.pi, 0.5, -0.5)[attempt % 4]
@@ -112,12 +91,7 @@ def _clear_place(places_m: Array, clearance_m: Array, target_m: Array, bearing_r
 
 
 def _busiest(places_m: Array, vessels: Indices) -> Array:
-    """The mean place, shape (2,), in the cell that most vessels visit; of several, the one with most poses.
-
-    Args:
-        places_m: Shape (n, 2).
-        vessels: Vessel of each place, shape (n,).
-    """
+    """The mean place, shape (2,), in the cell that most vessels visit; of several, the one with most poses."""
     cells = np.floor(places_m / CELL_M).astype(np.int64)
     names, cell = np.unique(cells, axis=0, return_inverse=True)
     cell = cell.reshape(-1)

@@ -15,57 +15,47 @@ if TYPE_CHECKING:
 
 
 class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """What vessels from AIS are labelled by."""
+    """What the labels of vessels from AIS say."""
 
     vessel = "vessel"
     type = "type"
 
 
-FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs: CSV or NMEA, also gzipped.")]
-OriginOption = Annotated[
-    str | None,
-    typer.Option(metavar="LAT,LON", help="Place of w1 = w2 = 0, in degrees.", show_default="median position"),
-]
-RegionOption = Annotated[
-    str | None, typer.Option(metavar="LAT1,LON1,LAT2,LON2", help="Keep only what is between these two corners.")
-]
-StartOption = Annotated[
-    str | None, typer.Option(metavar="TIME", help="Time of the first step, in UTC.", show_default="first report")
-]
-EndOption = Annotated[
-    str | None, typer.Option(metavar="TIME", help="Time of the last step, in UTC.", show_default="last report")
-]
-DurationOption = Annotated[
-    float | None, typer.Option(metavar="SECONDS", help="Time from the first step to the last, in place of --end.")
-]
-TimeStepOption = Annotated[float, typer.Option(metavar="SECONDS", help="Time between steps.")]
-MaxGapOption = Annotated[
-    float, typer.Option(metavar="SECONDS", help="A vessel is away between reports that are further apart.")
-]
-MaxSpeedOption = Annotated[
-    float, typer.Option(metavar="KNOTS", help="Drop a position that a vessel can reach only at a higher speed.")
-]
-SwapOption = Annotated[bool, typer.Option("--swap-coordinates", help="Exchange latitude and longitude in all tables.")]
-LabelsOption = Annotated[Labels, typer.Option(help="One label for all vessels, or one for each group of ship types.")]
-LabelOption = Annotated[
-    list[str] | None, typer.Option(metavar="GROUP=LABEL", help="Label of one group of ship types; repeatable.")
-]
-
-
 def ais_command(
-    files: FilesArgument,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs: CSV or NMEA, also gzipped.")],
     out: Annotated[Path, typer.Option(help="Scene folder to write.")],
-    origin: OriginOption = None,
-    region: RegionOption = None,
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
-    time_step: TimeStepOption = 1.0,
-    max_gap: MaxGapOption = 400.0,
-    max_speed: MaxSpeedOption = 60.0,
-    swap_coordinates: SwapOption = False,
-    labels: LabelsOption = Labels.vessel,
-    label: LabelOption = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(metavar="LAT,LON", help="Place of w1 = w2 = 0, in degrees.", show_default="median position"),
+    ] = None,
+    region: Annotated[
+        str | None, typer.Option(metavar="LAT1,LON1,LAT2,LON2", help="Keep only positions between these two corners.")
+    ] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Time of the first step, in UTC.", show_default="first report")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Time of the last step, in UTC.", show_default="last report")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Time from the first step to the last, in place of --end.")
+    ] = None,
+    time_step: Annotated[float, typer.Option(metavar="SECONDS", help="Time between steps.")] = 1.0,
+    max_gap: Annotated[
+        float, typer.Option(metavar="SECONDS", help="A vessel is absent between reports that are further apart.")
+    ] = 400.0,
+    max_speed: Annotated[
+        float, typer.Option(metavar="KNOTS", help="Drop a position that a vessel can reach only at a higher speed.")
+    ] = 60.0,
+    swap_coordinates: Annotated[
+        bool, typer.Option("--swap-coordinates", help="Exchange latitude and longitude in all tables.")
+    ] = False,
+    labels: Annotated[
+        Labels, typer.Option(help="One label for all vessels, or one for each group of ship types.")
+    ] = Labels.vessel,
+    label: Annotated[
+        list[str] | None, typer.Option(metavar="GROUP=LABEL", help="Label of one group of ship types; repeatable.")
+    ] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
@@ -73,8 +63,8 @@ def ais_command(
     Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --duration 600 --out scenes/sound
     """
     from modsim3d.ais import options as given
-    from modsim3d.ais.conversion import read_traffic
     from modsim3d.ais.scene_folder import check_free, write_scene
+    from modsim3d.ais.traffic import read_traffic
     from modsim3d.inputs.shipped import data_folder
 
     options = given.Options(

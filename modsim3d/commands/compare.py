@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.progress import progress_bar
-from modsim3d.commands.shared import SceneArgument, print_rows
+from modsim3d.commands.progress import progress
+from modsim3d.commands.shared import EveryOption, SceneArgument, StepsOption, print_line, print_rows
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 def compare_command(
     scene: SceneArgument,
-    steps: Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Look at every K-th step.")] = 1,
+    steps: StepsOption = None,
+    every: EveryOption = 1,
     supersample: Annotated[
         int | None, typer.Option(min=1, max=8, help="Buffer pixels per image pixel and axis, in place of the scene's.")
     ] = None,
@@ -45,18 +45,15 @@ def compare_command(
     with open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("compare needs the rendered source")
-        with progress_bar() as bar:
-            task = bar.add_task(loaded.name, total=None if loaded.live else -(-loaded.steps // every))
-            comparison = compare_sources(
-                loaded, renderer, every=every, progress=lambda steps: bar.update(task, advance=steps, refresh=True)
-            )
+        with progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:
+            comparison = compare_sources(loaded, renderer, every=every, progress=advance)
         if out is not None:
             compare_report.write_report(comparison, loaded, renderer, out)
     figures = comparison.figures
     console = Console()
     _print_figures(console, figures)
     if out is not None:
-        console.print(f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}", highlight=False, soft_wrap=True)
+        print_line(console, f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}")
     if figures.unexplained:
         raise typer.Exit(1)
 
@@ -73,5 +70,4 @@ def _print_figures(console: Console, figures: Figures) -> None:
         ("time per frame", compare_report.time_rows(figures)),
         ("intersecting boxes", compare_report.intersection_rows(figures)),
     ):
-        if rows:
-            print_rows(console, title, rows)
+        print_rows(console, title, rows)

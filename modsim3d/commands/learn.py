@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modsim3d.formats.labelled import LabelledSet
-    from modsim3d.formats.reading.pair import ReadOptions
+    from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.report import Report
 
 
@@ -60,12 +60,8 @@ def learn_command(
     bias: Annotated[bool, typer.Option("--bias", help="Find how much matching shifts the numbers.")] = False,
     correct: Annotated[bool, typer.Option("--correct", help="Take that shift off the numbers, once.")] = False,
     labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
-    image_size: Annotated[
-        str | None, typer.Option(metavar="W,H", help="For YOLO, and MOT without seqinfo.ini.")
-    ] = None,
-    frame_rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="For MOT without it, and COCO's frame_id.")
-    ] = None,
+    image_size: Annotated[str | None, typer.Option(metavar="W,H", help="For YOLO; MOT without seqinfo.ini.")] = None,
+    frame_rate: Annotated[float | None, typer.Option(metavar="HZ", help="For MOT without it; for COCO.")] = None,
     category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out wrong entries.")] = False,
     page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
@@ -96,7 +92,7 @@ def learn_command(
 def _read_options(
     labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int
 ) -> ReadOptions:
-    from modsim3d.formats.reading.pair import ReadOptions
+    from modsim3d.formats.reading.builder import ReadOptions
 
     names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
     if frame_rate is not None and not 0 < frame_rate < math.inf:

@@ -1,4 +1,4 @@
-"""The progress bar of commands that take a while."""
+"""The progress bar of commands that take long."""
 
 from __future__ import annotations
 
@@ -31,11 +31,7 @@ def progress_bar() -> Progress:
 
 @contextmanager
 def progress(description: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """Show a bar with one task.
-
-    Args:
-        description: Text before the bar.
-        total: Number of steps in all; None if that is not known.
+    """Show a bar after a description; `total` is the number of steps in all, or None if that is not known.
 
     Yields:
         The function to call with the number of steps done since its last call.

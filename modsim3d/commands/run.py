@@ -12,14 +12,7 @@ import typer
 
 from modsim3d.commands.progress import progress
 from modsim3d.commands.run_summary import print_summary
-from modsim3d.commands.shared import (
-    INTERRUPTED,
-    OverwriteOption,
-    SceneArgument,
-    SeedOption,
-    StepsOption,
-    WorkersOption,
-)
+from modsim3d.commands.shared import INTERRUPTED, OverwriteOption, SceneArgument, StepsOption, WorkersOption
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -42,7 +35,7 @@ def run_command(
     out: Annotated[Path | None, typer.Option(help="Run directory to write.", show_default="runs/SCENE")] = None,
     overwrite: OverwriteOption = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
-    seed: SeedOption = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed, in place of the scene's.")] = None,
     detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the scene's.")] = None,
     detector_seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of the detector alone; poses and waves keep theirs.")
@@ -78,7 +71,7 @@ def run_command(
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
         from modsim3d.runs.stored_run import open_run
-        from modsim3d.view.draw_contact_sheet import draw_contact_sheet
+        from modsim3d.view.pictures.contact_sheet import draw_contact_sheet
 
         draw_contact_sheet(open_run(folder))
     print_summary(loaded, result, sheet)

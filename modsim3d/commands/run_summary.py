@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 Row = tuple[str, str, str]
 """Name, value and meaning."""
 NOTICEABLE_SHARE = 0.005
-"""The bias of resampled box errors is shown if at least this share of the detections was resampled."""
+"""The bias from resampled box errors is shown if at least this share of the detections was resampled."""
 
 
 def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
@@ -26,12 +26,7 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     table.add_column(style="bold")
     table.add_column(justify="right")
     table.add_column(style="dim")
-    for row in (
-        *_frame_rows(scene, result),
-        *_detection_rows(result.counts),
-        *_time_rows(result),
-        *_model_rows(result),
-    ):
+    for row in _frame_rows(scene, result) + _detection_rows(result.counts) + _time_rows(result) + _model_rows(result):
         table.add_row(*row)
     console = Console()
     console.print(table)
@@ -56,7 +51,7 @@ def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
 def _detection_rows(counts: Counts) -> list[Row]:
     every = counts.detected + counts.false_positives
     true = max(counts.detected, 1)
-    below = f"{counts.below_half_iou / true:.1%} of detections: a matching evaluation misses these"
+    below = f"{counts.below_half_iou / true:.1%} of detections: an evaluation by IoU counts them as missed"
     resampled = f"{counts.redrawn / true:.1%}: the first sampled error shrank the box below one pixel"
     return [
         ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
@@ -77,7 +72,7 @@ def _time_rows(result: RunResult) -> list[Row]:
 
 
 def _model_rows(result: RunResult) -> list[Row]:
-    """What optional parts of the detector did, if anything."""
+    """What optional parts of the detector did, if they did anything."""
     counts = result.counts
     rows = _bias_rows(result)
     if counts.missed_by_gate:

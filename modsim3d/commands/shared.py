@@ -21,13 +21,12 @@ OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace exis
 WorkersOption = Annotated[
     int, typer.Option(min=1, help="Number of processes that share the work; the output stays the same.")
 ]
-SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed, in place of the scene's.")]
 StepsOption = Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")]
-EveryOption = Annotated[int, typer.Option(min=1, help="Show every K-th step only.")]
+EveryOption = Annotated[int, typer.Option(min=1, help="Take every K-th step only.")]
 
 
 def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
-    """Print a table without a header under a title; nothing if there are no rows."""
+    """Print rows as a table without a header under a title; print nothing if there are no rows."""
     from rich.table import Table
 
     if not rows:
@@ -40,5 +39,5 @@ def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) ->
 
 
 def print_line(console: Console, text: str, style: str = "") -> None:
-    """Print text as it is: without markup or highlighting, and without wrapping paths."""
+    """Print text as it is: no markup, no highlighting, no wrapping of paths."""
     console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)

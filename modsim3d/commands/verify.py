@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from modsim3d.verify.parameters import Verdict
 
-
 WIDE = 150
 """Columns of a table that is written to a file or a pipe."""
 
@@ -59,7 +58,7 @@ def verify_command(
 
 
 def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -> None:
-    """Print a table of verdicts; a narrow terminal gets fewer columns, because wrapped numbers cannot be read."""
+    """Print a table of verdicts, on a narrow terminal with fewer columns, because wrapped numbers cannot be read."""
     from rich.markup import escape
     from rich.table import Table
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from modsim3d.runs.selection import Selection
     from modsim3d.runs.stored_run import StoredRun
     from modsim3d.view.films.plan import FilmPlan
-    from modsim3d.view.render_style import RenderStyle
+    from modsim3d.view.shaded.render_style import RenderStyle
 
 INTERRUPTED = 130
 
@@ -111,7 +111,7 @@ def _say_what_there_is(run: StoredRun) -> None:
 def _style(film: Film | None, look: Style | None, visibility: float | None, night: bool) -> tuple[RenderStyle, bool]:
     """How scenes look, and whether boxes are drawn on such pictures too."""
     from modsim3d.render.context import choose_backend
-    from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
+    from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
     weather = visibility is not None or night
     if (weather or look is not None) and film not in (None, Film.scene, Film.detections, Film.all):
@@ -136,9 +136,9 @@ def _draw_map(
     run: StoredRun, cameras: tuple[int, ...], at: str | None, width: int | None, out: Path | None, overwrite: bool
 ) -> None:
     from modsim3d.runs.selection import find_step, times_of
-    from modsim3d.view.birds_eye import BirdsEye
     from modsim3d.view.films.plan import WIDTH_PX
-    from modsim3d.view.map_picture import FORMATS, check_matplotlib, save_map
+    from modsim3d.view.maps.birds_eye import BirdsEye
+    from modsim3d.view.maps.map_picture import FORMATS, check_matplotlib, save_map
 
     step = len(times_of(run)) - 1 if at is None else find_step(run, at)
     path = out or run.folder / f"map_{step:06d}.png"
@@ -160,7 +160,7 @@ def _plan(
     boxes_on_scene: bool,
 ) -> FilmPlan:
     from modsim3d.view.films.plan import ALL, SEVERAL_WIDTH_PX, WIDTH_PX, FilmPlan, crop_to_vessels, parse_crop
-    from modsim3d.view.layers import Layers
+    from modsim3d.view.pictures.layers import Layers
 
     kinds = ALL if film is Film.all else (film.value,)
     several = film is not Film.map and (len(kinds) > 1 or len(selection.cameras) > 1)
@@ -170,14 +170,14 @@ def _plan(
     chosen = Layers.of(name.strip() for name in layers.split(",")) if layers is not None else None
     crops = crop_to_vessels(selection) if crop == "vessels" else parse_crop(selection, crop) if crop else ()
     if film is Film.map:
-        from modsim3d.view.map_picture import check_matplotlib
+        from modsim3d.view.maps.map_picture import check_matplotlib
 
         check_matplotlib()
     return FilmPlan(kinds, selection.cameras, wide, chosen, crops, style, boxes_on_scene, selection.run.steps)
 
 
 def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
-    from modsim3d.view.draw_contact_sheet import SHEET_FILE, draw_contact_sheet
+    from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
 
     if not run.finished:
         raise ModsimError(

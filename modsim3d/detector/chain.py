@@ -220,12 +220,12 @@ class Detector:
             errors_px=np.full((count, 4), np.nan),
             redrawn=np.zeros(count, dtype=bool),
             visible_fraction=np.full(count, np.nan),
-            uniforms=clutter.uniforms(self._streams, purpose, frames, width=2),
+            uniforms=clutter.uniforms(self._streams, purpose, frames),
         )
 
     def _score_uniforms(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
         """Uniform numbers for confidence and order, shape (n, 2)."""
-        return target_uniforms(self._streams, purpose, frames, vessels, width=2)
+        return target_uniforms(self._streams, purpose, frames, vessels)
 
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""

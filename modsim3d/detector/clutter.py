@@ -74,7 +74,6 @@ class SceneSizes:
         return self.census.sizes_px(uniforms)
 
 
-_DRAWS = DRAWS + 2  # a false positive: place, size, label
 _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
 
 
@@ -123,9 +122,9 @@ class Clutter:
     boxes_px: Array
     label: Indices
 
-    def uniforms(self, streams: Streams, purpose: Purpose, frames: CameraFrames, width: int) -> Array:
+    def uniforms(self, streams: Streams, purpose: Purpose, frames: CameraFrames) -> Array:
         """Uniform numbers of each false positive, shape (m, width)."""
-        return ordinal_uniforms(streams, purpose, frames, self.frame, self.ordinal, width)
+        return ordinal_uniforms(streams, purpose, frames, self.frame, self.ordinal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +177,7 @@ class ClutterSource:
         streams, frames, share = around.streams, around.frames, 1 - self.options.persistent_share
         counts = self.options.numbers.draw(streams, frames, self.rates, around.counts, share)
         frame, ordinal = numbered_rows(counts)
-        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER, frames, frame, ordinal, _DRAWS)
+        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER, frames, frame, ordinal)
         return self._clutter(around, frame, ordinal, uniforms, None)
 
     def draw_persistent(self, around: Surroundings) -> Clutter:

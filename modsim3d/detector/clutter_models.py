@@ -131,7 +131,7 @@ class Thesis(ClutterModel):
         """Successes among the trials of each frame, shape (S,); none of them persists."""
         rate = rates.false_discovery[frames.states]
         frame, ordinal = numbered_rows(self._trials(rates, frames))
-        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER_TRIAL, camera_frames, frame, ordinal, width=1)
+        uniforms = ordinal_uniforms(streams, Purpose.CLUTTER_TRIAL, camera_frames, frame, ordinal)
         successes = frame[uniforms[:, 0] < rate[frame]]
         return np.bincount(successes, minlength=len(rate)).astype(np.int64)
 
@@ -152,8 +152,8 @@ def numbered_rows(counts: Indices) -> tuple[Indices, Indices]:
 
 
 def ordinal_uniforms(
-    streams: Streams, purpose: Purpose, frames: CameraFrames, frame: Indices, ordinal: Indices, width: int
+    streams: Streams, purpose: Purpose, frames: CameraFrames, frame: Indices, ordinal: Indices
 ) -> Array:
     """Uniform numbers of the first, second, ... false positive of a step, however many there are, shape (m, width)."""
     names: Sequence[str] = [str(number) for number in range(int(ordinal.max(initial=-1)) + 1)]
-    return keyed_uniforms(streams, purpose, frames, frame, ordinal, names, width)
+    return keyed_uniforms(streams, purpose, frames, frame, ordinal, names)

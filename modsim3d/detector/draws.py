@@ -29,33 +29,31 @@ def keyed_uniforms(
     frame: Indices,
     owner: Indices,
     owners: Sequence[str],
-    width: int,
 ) -> Array:
-    """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step, shape (n, width).
+    """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step, shape (n, width of the purpose).
 
     `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,).
     """
-    result = np.empty((len(frame), width))
+    result = np.empty((len(frame), purpose.uniforms))
     order = np.argsort(owner, kind="stable")
     starts = np.flatnonzero(np.diff(owner[order], prepend=-1))
     for rows in np.split(order, starts[1:]) if len(order) else []:
-        result[rows] = step_uniforms(
-            streams, purpose, frames.camera, owners[owner[rows[0]]], steps=frames.steps[frame[rows]], width=width
-        )
+        name, steps = owners[owner[rows[0]]], frames.steps[frame[rows]]
+        result[rows] = step_uniforms(streams, purpose, frames.camera, name, steps=steps)
     return result
 
 
-def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indices, width: int = 1) -> Array:
-    """Uniform numbers that belong to names and a step, shape (n, width), at steps (n,) in any order."""
+def step_uniforms(streams: Streams, purpose: Purpose, *names: str, steps: Indices) -> Array:
+    """Uniform numbers that belong to names and a step, shape (n, width of the purpose), at steps (n,) in any order."""
     if not len(steps):
-        return np.empty((0, width))
+        return np.empty((0, purpose.uniforms))
     first, last = int(steps.min()), int(steps.max())
-    return streams.uniforms(purpose, *names, first=first, count=last - first + 1, width=width)[steps - first]
+    return streams.uniforms(purpose, *names, first=first, count=last - first + 1)[steps - first]
 
 
-def target_uniforms(streams: Streams, purpose: Purpose, frames: CameraFrames, targets: Targets, width: int) -> Array:
-    """Uniform numbers of each target's vessel at its step, shape (n, width)."""
-    return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids, width)
+def target_uniforms(streams: Streams, purpose: Purpose, frames: CameraFrames, targets: Targets) -> Array:
+    """Uniform numbers of each target's vessel at its step, shape (n, width of the purpose)."""
+    return keyed_uniforms(streams, purpose, frames, targets.frame, targets.vessel, targets.vessel_ids)
 
 
 class LatentPurposes(NamedTuple):
@@ -79,8 +77,8 @@ def latent_normals(
     streams: Streams, purposes: LatentPurposes, frames: CameraFrames, targets: Targets, extra: int
 ) -> Array:
     """Independent standard normal numbers behind the box error of each target, shape (n, 4 + extra)."""
-    parts = purposes.widths(extra).items()
-    return normals(np.concatenate([target_uniforms(streams, name, frames, targets, n) for name, n in parts], axis=1))
+    parts = [target_uniforms(streams, purpose, frames, targets) for purpose in purposes.widths(extra)]
+    return normals(np.concatenate(parts, axis=1))
 
 
 def select(targets: Targets, rows: Indices) -> Targets:

@@ -68,7 +68,7 @@ class MergesAndSplits:
         if not self.duplicates and not self.splits:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))
-        uniforms = target_uniforms(streams, Purpose.DOUBLE, frames, vessels, width=2)
+        uniforms = target_uniforms(streams, Purpose.DOUBLE, frames, vessels)
         long = single & self.looks_long(vessels.boxes_px) & (sizes(boxes_px)[:, 0] >= LEAST_SPLIT_PX)
         doubled = np.flatnonzero(single & (uniforms[:, 0] < self.duplicates))
         split = np.flatnonzero(long & (uniforms[:, 0] >= 1 - self.splits))
@@ -132,4 +132,4 @@ def _pair_uniforms(streams: Streams, frames: CameraFrames, kept: Targets, pairs:
     ids = [kept.vessel_ids[vessel] for vessel in kept.vessel.tolist()]
     names = ["\n".join(sorted((ids[a], ids[b]))) for a, b in pairs.tolist()]
     owner = np.array([owners.setdefault(name, len(owners)) for name in names], dtype=np.int64)
-    return keyed_uniforms(streams, Purpose.MERGE, frames, kept.frame[pairs[:, 0]], owner, list(owners), 1)[:, 0]
+    return keyed_uniforms(streams, Purpose.MERGE, frames, kept.frame[pairs[:, 0]], owner, list(owners))[:, 0]

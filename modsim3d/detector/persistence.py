@@ -87,8 +87,8 @@ class Autoregressive:
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
         """Independent standard normal numbers, shape (count, width)."""
-        parts = BOX_ERROR_STREAMS.widths(self.width - ERROR_NORMALS).items()
-        uniforms = [streams.uniforms(name, camera, vessel, first=first, count=count, width=n) for name, n in parts]
+        purposes = BOX_ERROR_STREAMS.widths(self.width - ERROR_NORMALS)
+        uniforms = [streams.uniforms(purpose, camera, vessel, first=first, count=count) for purpose in purposes]
         return normals(np.concatenate(uniforms, axis=1))
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
@@ -151,7 +151,7 @@ class VesselNoise:
     def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
         """Uniform numbers for class and dropout, shape (n,)."""
         if not self._persistence.class_s:
-            return target_uniforms(self._streams, Purpose.CLASS, frames, targets, width=1)[:, 0]
+            return target_uniforms(self._streams, Purpose.CLASS, frames, targets)[:, 0]
         return self._walked(KeptUniform(self._persistence.class_s), frames, targets)[:, 0]
 
     def normals(self, frames: CameraFrames, targets: Targets, extra: int = 0) -> Array:

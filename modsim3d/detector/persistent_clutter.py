@@ -84,7 +84,7 @@ def _births(streams: Streams, camera: str, layer: str, first: int, count: int) -
     births = poisson_quantile(numbers, np.ones(count))
     cells, draws = [np.empty(0, dtype=np.int64)], [np.empty((0, _WIDTH))]
     for k in range(int(births.max(initial=0))):
-        some = streams.uniforms(Purpose.PERSISTENT, camera, layer, str(k), first=index, count=count, width=_WIDTH)
+        some = streams.uniforms(Purpose.PERSISTENT, camera, layer, str(k), first=index, count=count)
         ours = np.flatnonzero(births > k)
         cells.append(first + ours)
         draws.append(some[ours])

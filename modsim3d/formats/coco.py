@@ -16,15 +16,7 @@ from modsim3d.formats.labelled import LabelledSet
 
 
 def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
-    """Write `gt.json` and `dt.json`.
-
-    Args:
-        labelled: What to write.
-        folder: Made where it is not there.
-
-    Returns:
-        The two files.
-    """
+    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     truth, results = folder / "gt.json", folder / "dt.json"
     truth.write_bytes(orjson.dumps(ground_truth(labelled)))
@@ -34,7 +26,7 @@ def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
 
 def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
     """The content of a ground truth; IDs begin at 1."""
-    images, truth = labelled.images, labelled.annotations
+    images, rows = labelled.images, labelled.annotations
     sizes, times = images.sizes_px.tolist(), images.time_s.tolist()
     entries = []
     for k, name in enumerate(images.names):
@@ -44,17 +36,17 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
         if math.isfinite(times[k]):
             entry["time_s"] = times[k]
         entries.append(entry)
-    boxes = truth.boxes_px.tolist()
+    boxes = rows.boxes_px.tolist()
     annotations = []
-    for row, (image, label) in enumerate(zip(truth.image.tolist(), truth.label.tolist(), strict=True)):
+    for row, (image, label) in enumerate(zip(rows.image.tolist(), rows.label.tolist(), strict=True)):
         box = _sides(boxes[row])
         entry = {"id": row + 1, "image_id": image + 1, "category_id": label + 1, "bbox": box, "area": box[2] * box[3]}
-        entry["iscrowd"] = int(truth.crowd[row])
-        if truth.ignored[row] and not truth.crowd[row]:
+        entry["iscrowd"] = int(rows.crowd[row])
+        if rows.ignored[row] and not rows.crowd[row]:
             entry["ignore"] = 1
-        if truth.identity[row] >= 0:
-            entry["track_id"] = int(truth.identity[row])
-        for key, column in (("visible_fraction", truth.visible_fraction), ("distance_m", truth.depth_m)):
+        if rows.identity[row] >= 0:
+            entry["track_id"] = int(rows.identity[row])
+        for key, column in (("visible_fraction", rows.visible_fraction), ("distance_m", rows.depth_m)):
             if math.isfinite(column[row]):
                 entry[key] = float(column[row])
         annotations.append(entry)
@@ -64,8 +56,8 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
 
 def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
     """The content of a results file."""
-    found = labelled.results
-    columns = found.image.tolist(), found.label.tolist(), found.boxes_px.tolist(), found.confidence.tolist()
+    results = labelled.results
+    columns = results.image.tolist(), results.label.tolist(), results.boxes_px.tolist(), results.confidence.tolist()
     return [
         {"image_id": image + 1, "category_id": label + 1, "bbox": _sides(box), "score": score}
         for image, label, box, score in zip(*columns, strict=True)
@@ -73,5 +65,6 @@ def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
 
 
 def _sides(corners: list[float]) -> list[float]:
+    """Corner, width and height of a box."""
     x_min, y_min, x_max, y_max = corners
     return [x_min, y_min, x_max - x_min, y_max - y_min]

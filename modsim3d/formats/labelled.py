@@ -111,16 +111,7 @@ class Results:
 
 @dataclass(frozen=True, eq=False)
 class LabelledSet:
-    """Images with their annotations and a detector's results.
-
-    Attributes:
-        labels: Names of the classes.
-        conditions: Names of the conditions.
-        images: Names, sizes and times.
-        annotations: What is in the images.
-        results: What the detector put out.
-        notes: Remarks of the reader on what it read, such as entries left out.
-    """
+    """Images with their annotations and a detector's results; notes say what a reader left out, for instance."""
 
     labels: tuple[str, ...]
     conditions: tuple[str, ...]
@@ -136,10 +127,9 @@ def joined(parts: Sequence[LabelledSet]) -> LabelledSet:
         return parts[0]
     labels = tuple(dict.fromkeys(name for part in parts for name in part.labels))
     conditions = tuple(dict.fromkeys(name for part in parts for name in part.conditions))
-    offset, moved = _Offset(), []
-    for part in parts:
-        moved.append(_moved(part, offset, labels, conditions))
-        offset = offset.after(part)
+    counts = np.array([_counts(part) for part in parts])
+    offsets = np.cumsum(counts, axis=0) - counts
+    moved = [_moved(part, offset, labels, conditions) for part, offset in zip(parts, offsets.tolist(), strict=True)]
     return LabelledSet(
         labels,
         conditions,
@@ -150,33 +140,15 @@ def joined(parts: Sequence[LabelledSet]) -> LabelledSet:
     )
 
 
-@dataclass(frozen=True)
-class _Offset:
-    """First free numbers after the sets joined so far."""
-
-    images: int = 0
-    annotations: int = 0
-    sources: int = 0
-    sequences: int = 0
-    identities: int = 0
-
-    def after(self, part: LabelledSet) -> _Offset:
-        """First free numbers after another set."""
-        return _Offset(
-            self.images + len(part.images),
-            self.annotations + len(part.annotations),
-            self.sources + _next(part.images.source),
-            self.sequences + _next(part.images.sequence),
-            self.identities + _next(part.annotations.identity),
-        )
+def _counts(part: LabelledSet) -> list[int]:
+    """Numbers of images and annotations, and the first free numbers of a source, a sequence and an identity."""
+    numbered = part.images.source, part.images.sequence, part.annotations.identity
+    return [len(part.images), len(part.annotations), *(int(each.max(initial=-1)) + 1 for each in numbered)]
 
 
-def _next(numbers: Indices) -> int:
-    return int(numbers.max(initial=-1)) + 1
-
-
-def _moved(part: LabelledSet, offset: _Offset, labels: Sequence[str], conditions: Sequence[str]) -> LabelledSet:
+def _moved(part: LabelledSet, offset: Sequence[int], labels: Sequence[str], conditions: Sequence[str]) -> LabelledSet:
     """A set whose numbers and indices continue those before it, in the joined labels and conditions."""
+    first_image, first_annotation, first_source, first_sequence, first_identity = offset
     to_label = np.array([labels.index(name) for name in part.labels], dtype=np.int64)
     to_condition = np.array([conditions.index(name) for name in part.conditions], dtype=np.int64)
     images, annotations, results = part.images, part.annotations, part.results
@@ -189,21 +161,21 @@ def _moved(part: LabelledSet, offset: _Offset, labels: Sequence[str], conditions
         images=replace(
             images,
             condition=to_condition[images.condition],
-            source=images.source + offset.sources,
-            sequence=images.sequence + offset.sequences,
+            source=images.source + first_source,
+            sequence=images.sequence + first_sequence,
         ),
         annotations=replace(
             annotations,
-            image=annotations.image + offset.images,
+            image=annotations.image + first_image,
             label=to_label[annotations.label],
-            identity=np.where(annotations.identity >= 0, annotations.identity + offset.identities, NOBODY),
+            identity=np.where(annotations.identity >= 0, annotations.identity + first_identity, NOBODY),
         ),
         results=replace(
             results,
-            image=results.image + offset.images,
+            image=results.image + first_image,
             label=to_label[results.label],
             probabilities=probabilities,
-            origin=None if origin is None else np.where(origin >= 0, origin + offset.annotations, origin),
+            origin=None if origin is None else np.where(origin >= 0, origin + first_annotation, origin),
         ),
     )
 

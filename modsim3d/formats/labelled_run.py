@@ -56,14 +56,14 @@ def _truth(rows: RunRows, frames: Indices) -> Annotations:
 
 def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
     """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
-    image, vessels = positions(frames, rows.drawn_frame), len(rows.scene.vessels)
-    own = ~np.isin(indices(rows.drawn, "kind", KINDS), FALSE_KINDS) & (rows.drawn_vessel >= 0)
+    image, vessels = positions(frames, rows.detection_frame), len(rows.scene.vessels)
+    own = ~np.isin(indices(rows.detections, "kind", KINDS), FALSE_KINDS) & (rows.detection_vessel >= 0)
     return Results(
         image=image,
-        label=indices(rows.drawn, "label", rows.scene.detector.labels),
-        boxes_px=rows.drawn_boxes_px(),
-        confidence=numbers(rows.drawn, "confidence"),
+        label=indices(rows.detections, "label", rows.scene.detector.labels),
+        boxes_px=rows.detection_boxes_px(),
+        confidence=numbers(rows.detections, "confidence"),
         origin=positions(
-            truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.drawn_vessel, NOBODY)
+            truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.detection_vessel, NOBODY)
         ),
     ).by_image()

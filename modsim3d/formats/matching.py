@@ -88,20 +88,14 @@ class Matched:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Pairs that could match, n rows.
-
-    Attributes:
-        detection: Rows of the results, shape (n,).
-        annotation: Rows of the annotations, shape (n,).
-        quality: Of the match, the greater the better, shape (n,).
-    """
+    """Rows of detections and annotations that could match, and how well they do, the more the better, shapes (n,)."""
 
     detection: Indices
     annotation: Indices
     quality: Array
 
     def where(self, chosen: Mask) -> Candidates:
-        """Some of the pairs."""
+        """Some of the pairs, shape (n,)."""
         return Candidates(self.detection[chosen], self.annotation[chosen], self.quality[chosen])
 
 
@@ -160,15 +154,11 @@ def _by_provenance(labelled: LabelledSet, takes_part: Mask) -> Indices:
 def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
     """Pairs of detections that take part and annotations that the rule lets match."""
     rows, images = np.flatnonzero(takes_part), len(labelled.images)
-    kept = [Candidates(rows[:0], rows[:0], np.empty(0))]
+    kept = [(rows[:0], rows[:0], np.empty(0))]
     for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):
         good, quality = _quality(labelled, rows[first], second, rule)
-        kept.append(Candidates(rows[first], second, quality).where(good))
-    return Candidates(
-        np.concatenate([part.detection for part in kept]),
-        np.concatenate([part.annotation for part in kept]),
-        np.concatenate([part.quality for part in kept]),
-    )
+        kept.append((rows[first][good], second[good], quality[good]))
+    return Candidates(*(np.concatenate(column) for column in zip(*kept, strict=True)))
 
 
 def _quality(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> tuple[Mask, Array]:
@@ -197,8 +187,7 @@ def _greedy(labelled: LabelledSet, pairs: Candidates) -> Indices:
     order = np.lexsort(
         (-target, -pairs.quality, annotations.ignored[target], detection, -results.confidence[detection])
     )
-    taken: set[int] = set()
-    done: set[int] = set()
+    taken, done = set[int](), set[int]()
     crowd = annotations.crowd[target[order]].tolist()
     for row, box, many in zip(detection[order].tolist(), target[order].tolist(), crowd, strict=True):
         if row in done or (box in taken and not many):

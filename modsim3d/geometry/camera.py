@@ -68,13 +68,9 @@ class Intrinsics:
         return np.array([[f1, self.skew, a1], [0.0, f2, a2], [0.0, 0.0, 1.0]])
 
     def project(self, points_camera: ArrayLike) -> Array:
-        """Pixels of points in camera coordinates (eq. 4.18).
+        """Columns and rows of points in CCF, in metres, shape (..., 3) to (..., 2) (eq. 4.18).
 
-        Args:
-            points_camera: Metres in CCF, shape (..., 3).
-
-        Returns:
-            Columns and rows, shape (..., 2); NaN for points nearer than the near plane, which have no image.
+        They are NaN for points nearer than the near plane, which have no image.
         """
         points = np.asarray(points_camera, dtype=np.float64)
         depth = points[..., 2]
@@ -86,14 +82,9 @@ class Intrinsics:
         return np.stack([f1 * c1 + self.skew * c2 + a1, f2 * c2 + a2], axis=-1)
 
     def unproject(self, pixels: ArrayLike, depth_m: ArrayLike) -> Array:
-        """Points in camera coordinates that pixels show at a depth along c3: the inverse of `project`.
+        """Points in CCF, in metres, shape (..., 3), that pixels, shape (..., 2), show at depths along c3, shape (...).
 
-        Args:
-            pixels: Columns and rows, shape (..., 2).
-            depth_m: c3, shape (...).
-
-        Returns:
-            Metres in CCF, shape (..., 3).
+        This is the inverse of `project`.
         """
         pixel, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
         (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
@@ -113,22 +104,11 @@ class Intrinsics:
             return self
         low, high = self._window()
         (a1, a2), (width, height) = self.principal_point_px, (high - low).astype(int).tolist()
-        return replace(
-            self,
-            principal_point_px=(a1 - low[0], a2 - low[1]),
-            image_size_px=(width, height),
-            distortion=None,
-        )
+        centre = a1 - low[0], a2 - low[1]
+        return replace(self, principal_point_px=centre, image_size_px=(width, height), distortion=None)
 
     def through_lens(self, pinhole_px: ArrayLike) -> Array:
-        """Pixels of the distorted image.
-
-        Args:
-            pinhole_px: Pixels of the pinhole's image, shape (..., 2).
-
-        Returns:
-            Pixels, shape (..., 2).
-        """
+        """Pixels of the distorted image from those of the pinhole's image, both of shape (..., 2)."""
         pixels = np.asarray(pinhole_px, dtype=np.float64)
         if self.distortion is None:
             return pixels
@@ -143,13 +123,13 @@ class Intrinsics:
         """
         if self.distortion is None:
             return math.inf
-        border, step = self.pinhole.image_border(), 1.0
+        border = self.pinhole.image_border()
+        bent = self.through_lens(border)
         bends = [
             np.linalg.norm(self.through_lens(border + d) + self.through_lens(border - d) - 2 * bent, axis=1).max()
-            for bent in [self.through_lens(border)]
-            for d in step * np.array([[1.0, 0.0], [0.0, 1.0], [0.7, 0.7], [0.7, -0.7]])
+            for d in np.array([[1.0, 0.0], [0.0, 1.0], [0.7, 0.7], [0.7, -0.7]])
         ]
-        return min(max(math.sqrt(8 * BEND_PX / (max(bends) / step**2 + 1e-12)), 1.0), 256.0)
+        return min(max(math.sqrt(8 * BEND_PX / (max(bends) + 1e-12)), 1.0), 256.0)
 
     def image_border(self) -> Array:
         """Points around the edge of the image in pixels, shape (n, 2)."""
@@ -205,8 +185,6 @@ class Camera:
     """A virtual camera.
 
     Attributes:
-        name: ID of the camera.
-        intrinsics: Map from camera coordinates to pixels.
         mount: Place in the world or on a vessel.
         frame_rate_hz: Frames a second; None for one at every step of the scene.
         start_offset_s: Time from the scene's first step to the first frame.

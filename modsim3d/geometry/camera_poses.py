@@ -42,29 +42,14 @@ class CameraPoses:
     positions_m: Array
 
     def to_camera(self, points_world: Array) -> Array:
-        """World points in camera coordinates, R · (p − s) (Jessen & Mohr (2023), eq. 7.16).
-
-        Args:
-            points_world: Metres in WCF, shape (S, ..., 3).
-
-        Returns:
-            Metres in CCF, shape (S, ..., 3).
-        """
+        """World points in camera coordinates, both in metres and of shape (S, ..., 3): R · (p − s) (eq. 7.16)."""
         steps = len(self.positions_m)
         offsets = points_world.reshape(steps, -1, 3) - self.positions_m[:, None, :]
         return (offsets @ np.swapaxes(self.camera_R_world, 1, 2)).reshape(points_world.shape)
 
 
 def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
-    """The same pose at every step (Jessen & Mohr (2023), eq. 7.15, 7.16).
-
-    Args:
-        mount: Place in the world.
-        steps: Number of steps S.
-
-    Returns:
-        Poses of shapes (S, 3, 3) and (S, 3).
-    """
+    """The same pose in the world at each of S steps (Jessen & Mohr (2023), eq. 7.15, 7.16)."""
     rotation = camera_R_parent(mount.roll_rad, mount.pitch_rad, mount.yaw_rad)
     position = np.array(mount.position_m, dtype=np.float64)
     return CameraPoses(np.broadcast_to(rotation, (steps, 3, 3)), np.broadcast_to(position, (steps, 3)))
@@ -73,7 +58,7 @@ def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
 def poses_on_board(
     mount: Mount, positions_m: Array, headings_rad: Array, waves_rad: Array, composition: str = "rigid"
 ) -> CameraPoses:
-    """Poses of a camera on board a vessel in waves.
+    """Poses of a camera on board a vessel in waves, at S steps.
 
     `rigid`: camera = mount ∘ wave ∘ heading, lever arm included, so that a camera that looks abeam sees its vessel's
     roll as pitch. `additive` is the source's rule (eq. 7.32–7.34): it adds the wave's angles to the camera's own and
@@ -85,9 +70,6 @@ def poses_on_board(
         headings_rad: Counter-clockwise from w1, shape (S,).
         waves_rad: Roll, pitch and yaw of the vessel in waves, shape (S, 3).
         composition: `rigid` or `additive`.
-
-    Returns:
-        Poses of shapes (S, 3, 3) and (S, 3).
     """
     place = np.array(mount.position_m, dtype=np.float64)
     nominal = world_R_vehicle(headings_rad)

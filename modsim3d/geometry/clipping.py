@@ -14,16 +14,10 @@ def near_plane(intrinsics: Intrinsics) -> Array:
 
 
 def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
-    """The half-spaces that project to the image and a band around it.
+    """The half-spaces that project to the image and a band of `guard_px` around it, shape (4, 4).
 
-    The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera coordinates; the others follow alike.
-
-    Args:
-        intrinsics: Intrinsics of the camera.
-        guard_px: Width of the band.
-
-    Returns:
-        Rows (n, d) with n · p >= d, shape (4, 4).
+    Each row is (n, d) with n · p >= d. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera
+    coordinates; the others follow alike.
     """
     matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
     depth = matrix[2]
@@ -39,12 +33,8 @@ def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
 def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
     """The parts of triangles that lie inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
 
-    Args:
-        triangles_camera: Corners in CCF, shape (T, 3, 3).
-        half_spaces: Rows (n, d): inside is n · p >= d, shape (P, 4).
-
-    Returns:
-        Triangles in CCF, shape (T', 3, 3), in the same order and orientation.
+    Triangles are in CCF, shape (T, 3, 3) to (T', 3, 3), and keep their order and orientation. A half-space is a row
+    (n, d), shape (P, 4): inside is n · p >= d.
     """
     kept = triangles_camera
     for plane in half_spaces:
@@ -53,15 +43,7 @@ def clip_triangles(triangles_camera: Array, half_spaces: Array) -> Array:
 
 
 def _clip_by(triangles: Array, height: Array) -> Array:
-    """The parts of triangles where a linear function is not negative.
-
-    Args:
-        triangles: Shape (T, 3, 3).
-        height: The function at their corners, shape (T, 3).
-
-    Returns:
-        Triangles, shape (T', 3, 3).
-    """
+    """The parts of triangles (T, 3, 3) where a linear function, `height` (T, 3) at the corners, is not negative."""
     inside = height >= 0
     if inside.all():
         return triangles
@@ -72,9 +54,8 @@ def _clip_by(triangles: Array, height: Array) -> Array:
     corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
     heights = np.take_along_axis(height, turn, axis=1)
     one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
-    tip = np.stack(
-        [corners[one, 0], _crossing(corners, heights, one, 0, 1), _crossing(corners, heights, one, 0, 2)], axis=1
-    )
+    ends = _crossing(corners, heights, one, 0, 1), _crossing(corners, heights, one, 0, 2)
+    tip = np.stack([corners[one, 0], *ends], axis=1)
     first, last = _crossing(corners, heights, two, 1, 0), _crossing(corners, heights, two, 2, 0)
     near = np.stack([first, corners[two, 1], corners[two, 2]], axis=1)
     far = np.stack([first, corners[two, 2], last], axis=1)

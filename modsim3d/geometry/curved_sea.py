@@ -16,14 +16,11 @@ RADIUS_M = 6_371_000.0
 
 
 def drop_m(places_m: Array, camera_m: Array) -> Array:
-    """Drop of the sea at some places below the plane that touches it under a camera.
+    """Drop of the sea below the plane that touches it under a camera, in metres, shape (...).
 
     Args:
-        places_m: Places in WCF, w1, w2 and optionally w3, shape (..., 2) or (..., 3).
-        camera_m: Camera centres in WCF, the same shapes; they broadcast against the places.
-
-    Returns:
-        Metres, shape (...).
+        places_m: w1, w2 and optionally w3, shape (..., 2) or (..., 3).
+        camera_m: Camera centres in WCF, a shape that broadcasts against the places.
     """
     away = places_m[..., :2] - camera_m[..., :2]
     drop: Array = (away * away).sum(axis=-1) / (2 * RADIUS_M)
@@ -31,25 +28,15 @@ def drop_m(places_m: Array, camera_m: Array) -> Array:
 
 
 def lowered(places_m: Array, camera_m: Array) -> Array:
-    """Places as a camera sees them over a curved sea.
-
-    Args:
-        places_m: Places in WCF, shape (..., 3).
-        camera_m: Camera centres in WCF, shape (..., 3).
-
-    Returns:
-        Metres in WCF, shape (..., 3).
-    """
+    """Places in WCF, in metres, as cameras at `camera_m` see them over a curved sea; all shapes are (..., 3)."""
     places: Array = np.array(places_m, dtype=np.float64)
     places[..., 2] -= drop_m(places_m, camera_m)
     return places
 
 
 def shift_px(depth_m: Array, focal_px: tuple[float, float]) -> Array:
-    """Shift of things at a depth d down the image by the drop, f d / (2 R), in pixels, shape (n,).
+    """Pixels, shape (n,), by which the drop f d / (2 R) shifts things at depths d, shape (n,), down the image.
 
-    Args:
-        depth_m: Distance along the viewing direction, shape (n,).
-        focal_px: Focal lengths of the camera; the larger counts, as the camera may be rolled.
+    The larger focal length counts, as the camera may be rolled.
     """
     return max(focal_px) * depth_m / (2 * RADIUS_M)

@@ -14,27 +14,14 @@ from modsim3d.geometry.rotations import rotation_vector
 
 
 def slopes(times_s: Array, values: Array) -> Array:
-    """Change per second from each time to the next.
-
-    Args:
-        times_s: Ascending, shape (n,).
-        values: Any quantity, shape (n, ...).
-
-    Returns:
-        Units a second, shape (n − 1, ...).
-    """
+    """Change per second from each of n ascending times, shape (n,), to the next, shape (n, ...) to (n − 1, ...)."""
     return np.diff(values, axis=0) / _along(np.diff(times_s), values.ndim)
 
 
 def first_derivative(times_s: Array, between: Array) -> Array:
-    """The derivative at each time from the slopes between the times.
+    """The derivative at n ascending times, shape (n,), from the slopes between them, shape (n − 1, ...) to (n, ...).
 
-    Args:
-        times_s: Ascending, shape (n,).
-        between: Slopes, shape (n − 1, ...).
-
-    Returns:
-        The unit of the slopes, shape (n, ...); zero if there is only one time.
+    It has the unit of the slopes, and is zero if there is only one time.
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between):
@@ -45,14 +32,9 @@ def first_derivative(times_s: Array, between: Array) -> Array:
 
 
 def second_derivative(times_s: Array, between: Array) -> Array:
-    """The second derivative at each time from the slopes between the times.
+    """The second derivative at n ascending times, shape (n,), from the slopes between, shape (n − 1, ...) to (n, ...).
 
-    Args:
-        times_s: Ascending, shape (n,).
-        between: Slopes, shape (n − 1, ...).
-
-    Returns:
-        The unit of the slopes a second, shape (n, ...); zero if there are fewer than three times.
+    It has the unit of the slopes a second, and is zero if there are fewer than three times.
     """
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between) < 2:
@@ -68,7 +50,7 @@ def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
 
     Args:
         times_s: Ascending, shape (n,).
-        positions_m: Positions, shape (n, V, 3).
+        positions_m: Shape (n, V, 3).
         present: Whether each vessel is present, shape (n, V).
 
     Returns:

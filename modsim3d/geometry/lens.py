@@ -17,15 +17,7 @@ MOST_ITERATIONS = 100
 
 @dataclass(frozen=True)
 class Distortion:
-    """x' = x · (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms (Brown, 1971).
-
-    Attributes:
-        k1: Radial coefficient of r².
-        k2: Radial coefficient of r⁴.
-        p1: Tangential coefficient.
-        p2: Tangential coefficient.
-        k3: Radial coefficient of r⁶.
-    """
+    """x' = x · (1 + k1 r² + k2 r⁴ + k3 r⁶) + tangential terms with p1 and p2 (Brown, 1971)."""
 
     k1: float = 0.0
     k2: float = 0.0
@@ -58,14 +50,7 @@ class Distortion:
         return np.stack([np.stack([xx, cross], axis=-1), np.stack([cross, yy], axis=-1)], axis=-2)
 
     def undistort(self, distorted: Array) -> Array:
-        """The inverse of `distort`, by Newton's method.
-
-        Args:
-            distorted: Distorted places, shape (..., 2).
-
-        Returns:
-            Points of the ideal plane, shape (..., 2); NaN where none is found.
-        """
+        """The inverse of `distort`, by Newton's method, both of shape (..., 2); NaN where no ideal point is found."""
         ideal = np.array(distorted, dtype=np.float64)
         with np.errstate(all="ignore"):
             for _ in range(MOST_ITERATIONS):

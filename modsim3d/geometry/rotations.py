@@ -3,7 +3,8 @@
 World: w1, w2 on the sea, w3 up, right-handed, metres. Vehicle: v1 forward, v2 to port, v3 up, origin at the
 centre of the bottom plane. Camera: c3 the viewing direction, c1 right, c2 down.
 
-All functions broadcast over leading axes, so that one call handles many steps.
+All functions broadcast over leading axes, so that one call handles many steps. Equations are those of Jessen & Mohr
+(2023).
 """
 
 from __future__ import annotations
@@ -19,15 +20,7 @@ BASE_R_WORLD.setflags(write=False)
 
 
 def rotation(axis: int, angle_rad: ArrayLike) -> Array:
-    """Right-handed rotation matrix about a coordinate axis (Jessen & Mohr (2023), eq. 7.9, 7.11, 7.13).
-
-    Args:
-        axis: 0, 1 or 2.
-        angle_rad: Angles, shape (...).
-
-    Returns:
-        Matrices of shape (..., 3, 3).
-    """
+    """Right-handed rotation about coordinate axis 0, 1 or 2, shape (...) to (..., 3, 3) (eq. 7.9, 7.11, 7.13)."""
     angle = np.asarray(angle_rad, dtype=np.float64)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.zeros((*angle.shape, 3, 3))
@@ -39,72 +32,41 @@ def rotation(axis: int, angle_rad: ArrayLike) -> Array:
 
 
 def attitude(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
-    """Rotation in camera-base axes, Rz(roll) · Rx(pitch) · Ry(yaw) (Jessen & Mohr (2023), eq. 7.15, 7.25).
+    """Rotation in camera-base axes, Rz(roll) · Rx(pitch) · Ry(yaw), shape (...) to (..., 3, 3) (eq. 7.15, 7.25).
 
-    Passive: it maps coordinates before the rotation to coordinates in the rotated frame. Positive yaw turns
-    to port, positive pitch bow down, positive roll port side down.
-
-    Args:
-        roll_rad: About c3, shape (...).
-        pitch_rad: About c1, shape (...).
-        yaw_rad: About c2, shape (...).
-
-    Returns:
-        Matrices of shape (..., 3, 3).
+    Roll is about c3, pitch about c1, yaw about c2. Passive: it maps coordinates before the rotation to coordinates in
+    the rotated frame. Positive yaw turns to port, positive pitch bow down, positive roll port side down.
     """
     return rotation(2, roll_rad) @ rotation(0, pitch_rad) @ rotation(1, yaw_rad)
 
 
 def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
-    """Rotation from the frame that carries a camera (WCF ashore, VCF on board) to CCF (eq. 7.15).
-
-    Args:
-        roll_rad: Camera roll, shape (...).
-        pitch_rad: Camera pitch, shape (...).
-        yaw_rad: Camera yaw, shape (...).
-
-    Returns:
-        Matrices of shape (..., 3, 3).
-    """
+    """Rotation from the frame that carries a camera, WCF or VCF, to CCF, shape (...) to (..., 3, 3) (eq. 7.15)."""
     return attitude(roll_rad, pitch_rad, yaw_rad) @ BASE_R_WORLD
 
 
 def world_R_vehicle(heading_rad: ArrayLike) -> Array:
-    """Rotation from the nominal vehicle frame to the world (Jessen & Mohr (2023), eq. 7.2).
+    """Rotation from the nominal vehicle frame to the world, shape (...) to (..., 3, 3) (eq. 7.2).
 
-    Args:
-        heading_rad: Counter-clockwise from w1, shape (...).
-
-    Returns:
-        Matrices of shape (..., 3, 3).
+    `heading_rad` is counter-clockwise from w1.
     """
     return rotation(2, heading_rad)
 
 
 def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
-    """Rotation from the nominal vehicle frame to the one that waves have turned (eq. 7.25, in vehicle axes).
+    """Rotation from the nominal vehicle frame to the one that waves have turned, shape (..., 3) to (..., 3, 3).
 
-    The angles are those of a camera that looks forward: positive roll lowers the port side, positive pitch the bow,
-    positive yaw turns to port.
-
-    Args:
-        angles_rad: Roll, pitch and yaw, shape (..., 3).
-
-    Returns:
-        Matrices of shape (..., 3, 3).
+    It is eq. 7.25 in vehicle axes. The angles are roll, pitch and yaw of a camera that looks forward: positive roll
+    lowers the port side, positive pitch the bow, positive yaw turns to port.
     """
     roll, pitch, yaw = np.moveaxis(np.asarray(angles_rad, dtype=np.float64), -1, 0)
     return BASE_R_WORLD.T @ attitude(roll, pitch, yaw) @ BASE_R_WORLD
 
 
 def rotation_vector(matrix: ArrayLike) -> Array:
-    """Axis times angle of right-handed rotations, in [0, π]; the inverse of the exponential map.
+    """Axis times angle, in [0, π], of right-handed active rotations, shape (..., 3, 3) to (..., 3).
 
-    Args:
-        matrix: Active rotations, shape (..., 3, 3).
-
-    Returns:
-        Vectors of shape (..., 3).
+    It is the inverse of the exponential map.
     """
     turn = np.asarray(matrix, dtype=np.float64)
     odd = turn - np.swapaxes(turn, -1, -2)
@@ -123,13 +85,9 @@ def rotation_vector(matrix: ArrayLike) -> Array:
 
 
 def heading_of(direction: ArrayLike) -> Array:
-    """Heading of direction vectors by atan2; the arccos of eq. 7.3 loses the sign.
+    """Headings in (−π, π] of world vectors, shape (..., 2) or (..., 3) to (...).
 
-    Args:
-        direction: World vectors, shape (..., 2) or (..., 3).
-
-    Returns:
-        Angles in (−π, π], shape (...).
+    By atan2, because the arccos of eq. 7.3 loses the sign.
     """
     vector = np.asarray(direction, dtype=np.float64)
     return np.arctan2(vector[..., 1], vector[..., 0])

@@ -46,7 +46,7 @@ def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) 
     Args:
         group: Entry point group.
         name: Name in the scene file.
-        path: Path of the key with this name, for errors.
+        path: Where the scene file has this name, for errors.
         built_in: Names that need no plug-in, for the hint at an unknown name.
 
     Raises:
@@ -68,7 +68,7 @@ def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) 
 
 
 def failed(plugin: Plugin, error: Exception) -> ModsimError:
-    """The error of a plug-in in one line, with its name and the line that failed."""
+    """The error of a plug-in in one line, with the name of the plug-in and where it failed."""
     return ModsimError(
         f"{plugin}: {error}" if isinstance(error, ModsimError) else f"{plugin} failed: {_summary(error)}"
     )

@@ -31,7 +31,7 @@ def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
 
 
 def load_json(path: Path, what: str) -> Any:
-    """The content of a JSON file; repeated keys, which parsers drop silently, are refused.
+    """The content of a JSON file; repeated keys are refused.
 
     Raises:
         InputError: The file cannot be read or is not valid JSON; the message names line and column.
@@ -43,13 +43,13 @@ def load_json(path: Path, what: str) -> Any:
 
 
 def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file") -> Any:
-    """The value of a JSON text; repeated keys, which parsers drop silently, are refused.
+    """The value of a JSON text; repeated keys are refused.
 
     Args:
         text: JSON.
-        source: Name of the source in errors.
-        first_line: Number of its first line.
-        whole: Kind of text in errors, `file` or `line`.
+        source: Name of the source, for errors.
+        first_line: Number of the text's first line in the source.
+        whole: What the text is, for errors: `file` or `line`.
 
     Raises:
         InputError: It is not valid JSON; the message names line and column.

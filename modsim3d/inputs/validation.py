@@ -1,4 +1,4 @@
-"""Types and messages that input files share, so that every problem is reported at once and in the same words."""
+"""Types and messages that input files share, so that all problems are reported at once and in the same words."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def join_path(*parts: object) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint with the name that was probably meant, or with valid names."""
+    """A hint: the known name that was probably meant, or the known names."""
     names = [str(candidate) for candidate in known]
     close = difflib.get_close_matches(str(name), names, n=1)
     if close:
@@ -43,7 +43,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Valid keys of the section at a location, for the hint at an unknown key."""
+    """The valid keys of the section at a location."""
     current: Any = model
     for part in location:
         if get_origin(current) is dict:
@@ -75,20 +75,17 @@ _brief.maxlevel, _brief.maxlist, _brief.maxdict = 3, 4, 4
 
 
 def shown(value: object) -> str:
-    """A short text of a value for a message; YAML's aliases can make a few lines enormous."""
+    """A short text of a value for a message; with YAML's aliases a few lines can hold an enormous value."""
     return _brief.repr(value)
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
-    """One line for each problem that pydantic found: path, problem, value.
+    """One line for each problem that pydantic found, such as `cameras.C0.skew: Input should be a number (got 'x')`.
 
     Args:
         error: The error of the model's validation.
         model: The model, for the names of its keys.
         *prefix: Keys that lead to the model in the file.
-
-    Returns:
-        Lines such as `cameras.C0.skew: Input should be a valid number (got 'x')`.
     """
     lines = []
     for item in error.errors(include_url=False):

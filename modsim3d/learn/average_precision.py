@@ -7,7 +7,7 @@ interpolated curve, and 11 points (eq. 5.43) a coarser average.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,13 +20,7 @@ COCO_POINTS, FEW_POINTS = 101, 11
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Precision and recall at falling confidence.
-
-    Attributes:
-        recall: Non-decreasing, shape (m,).
-        precision: At that recall, shape (m,).
-        confidence: Least confidence that gives them, shape (m,).
-    """
+    """Recall, which does not fall, precision and the least confidence that gives both, shapes (m,)."""
 
     recall: Array
     precision: Array
@@ -54,6 +48,10 @@ class Curve:
         recall, precision = np.append(0.0, self.recall), np.append(self.precision[0], self.precision)
         return float(np.trapezoid(precision, recall))
 
+    def summaries(self) -> tuple[float, float, float, float]:
+        """Average precision by all points, by 11 and by COCO's 101, and the area under the curve itself."""
+        return self.all_points(), self.at_points(FEW_POINTS), self.at_points(COCO_POINTS), self.area()
+
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
@@ -73,19 +71,14 @@ class Ranking:
 
     @classmethod
     def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
-        """Detections of a label in some of the images.
-
-        Args:
-            labelled: Images, annotations and results.
-            matched: Matches label by label, at any confidence.
-            label: Index of the label.
-            images: Which images take part, shape (I,).
-        """
-        found, truth = labelled.results, labelled.annotations
-        rows = np.flatnonzero(matched.counts & (found.label == label) & images[found.image])
-        rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
-        sought = matched.sought & (truth.label == label) & images[truth.image]
-        return cls(found.image[rows], matched.annotation[rows] >= 0, found.confidence[rows], truth.image[sought])
+        """Detections of a label in some images, shape (I,), matched label by label at any confidence."""
+        results, annotations = labelled.results, labelled.annotations
+        rows = np.flatnonzero(matched.counts & (results.label == label) & images[results.image])
+        rows = rows[np.argsort(-results.confidence[rows], kind="stable")]
+        sought = matched.sought & (annotations.label == label) & images[annotations.image]
+        return cls(
+            results.image[rows], matched.annotation[rows] >= 0, results.confidence[rows], annotations.image[sought]
+        )
 
     def curve(self, weights: Array | None = None) -> Curve | None:
         """The curve under weights of images, shape (I,), all one if None; None if there is nothing to detect."""
@@ -99,37 +92,11 @@ class Ranking:
         return Curve(right[some] / total, right[some] / every[some], self.confidence[some])
 
 
-@dataclass(frozen=True)
-class AveragePrecision:
-    """Summaries of a curve of precision against recall.
-
-    Attributes:
-        all_points: Area under the interpolated curve (eq. 5.44).
-        eleven_points: Mean interpolated precision at 11 levels of recall (eq. 5.43).
-        coco_points: Mean interpolated precision at 101 levels of recall, as COCO's tools have it.
-        area: Area under the curve itself.
-    """
-
-    all_points: float
-    eleven_points: float
-    coco_points: float
-    area: float
-
-    @classmethod
-    def of(cls, curve: Curve) -> AveragePrecision:
-        """Those of a curve."""
-        return cls(curve.all_points(), curve.at_points(FEW_POINTS), curve.at_points(COCO_POINTS), curve.area())
-
-
 def average_precisions(ranking: Ranking, weights: Array) -> Array:
-    """The fields of `AveragePrecision` under each row of weights (rows, I).
-
-    Returns:
-        Shape (rows, 4), NaN where there is nothing to detect.
-    """
+    """The summaries of the curve under each row of weights (rows, I), shape (rows, 4); NaN without annotations."""
     result = np.full((len(weights), 4), np.nan)
     for row, weight in enumerate(weights):
         curve = ranking.curve(None if row == 0 and np.all(weight == 1) else weight)
         if curve is not None:
-            result[row] = astuple(AveragePrecision.of(curve))
+            result[row] = curve.summaries()
     return result

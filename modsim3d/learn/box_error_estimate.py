@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
-from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.arrays import Array
 from modsim3d.learn.class_estimate import kept_share
 from modsim3d.learn.entries import Entry, Key, nested
-from modsim3d.learn.error_moments import PAIRS, ErrorMoments, covariance
-from modsim3d.learn.form import SIGNIFICANT, Note, Topic
+from modsim3d.learn.error_laws import LAWS, ErrorSample, LearnedLaw, heavy_tails
+from modsim3d.learn.form import SIGNIFICANT
 from modsim3d.learn.observed import ErrorSource, Observed
 from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, steps_between
-from modsim3d.learn.resampling import Column, Resampling, widened
+from modsim3d.learn.resampling import Resampling
 
 ERRORS_NEEDED = 20
 """Pairs that the box error of a state needs."""
-_PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in PAIRS)
+_ROUNDS = 4
+"""Rounds in which a correlation time and what it leaves of the correlation settle."""
 
 
 @dataclass(frozen=True)
 class StateErrorForm:
-    """The model of the box error in one state.
-
-    Attributes:
-        unit: Whether errors are in pixels or in sides of the box.
-        source: Which pairs it is learned from.
-        law: Name in `LAWS` of the distribution.
-    """
+    """The unit of the box error in one state, the pairs it is learned from and the name in `LAWS` of its law."""
 
     unit: Literal["px", "relative"]
     source: ErrorSource = ErrorSource.OWN_STATE
@@ -45,17 +38,11 @@ class StateErrorForm:
 
 @dataclass(frozen=True)
 class BoxErrorForm:
-    """The model of the box error.
-
-    Attributes:
-        states: One for each state.
-        box_s: Rough correlation time of errors; 0 if they do not persist.
-        notes: Why the model is not a richer one.
-    """
+    """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist."""
 
     states: tuple[StateErrorForm, ...]
     box_s: float
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     @property
     def relative(self) -> bool:
@@ -67,88 +54,18 @@ class BoxErrorForm:
         box_s = None
         if self.box_s > 0:
             box_s = Entry(Key(("persistence", "box_s")), consecutive_errors(observed, self.states).column(resampling))
-        kept, pairs, learned = kept_share(observed, box_s), observed.pairs, []
+        kept, pairs, learned = kept_share(observed, 0.0 if box_s is None else float(box_s.estimate)), observed.pairs, []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
             chosen = pairs.of_source(form.source, form.relative, index)
             errors = pairs.errors(chosen, form.relative)
-            learned.append(LAWS[form.law].estimate(resampling, pairs.image[chosen], errors, kept, name, form.unit))
+            sample = ErrorSample(errors, pairs.image[chosen], kept, name, form.unit)
+            learned.append(LAWS[form.law].estimate(resampling, sample))
         return LearnedBoxErrors(self, tuple(learned), box_s)
-
-
-class LearnedLaw(Protocol):
-    """A distribution of box errors in one state; its fields hold `Entry` objects."""
-
-    def section(self) -> dict[str, Any]:
-        """What it writes into `box_error` of the detector file, but for the unit."""
-
-
-class ErrorLaw(Protocol):
-    """How the numbers of a distribution of box errors are estimated."""
-
-    def estimate(
-        self, resampling: Resampling, image: Indices, errors: Array, kept: float, state: str, unit: str
-    ) -> LearnedLaw:
-        """Estimate the numbers for one state.
-
-        Args:
-            resampling: Weights of images.
-            image: Image of each error, shape (n,).
-            errors: e_x, e_y, e_w, e_h in the unit, shape (n, 4).
-            kept: Correlation of an error with that of the frame before.
-            state: Name of the state.
-            unit: `px` or `relative`.
-        """
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedNormal:
-    """A normal distribution of box errors: mean (4,), standard deviation (4,) and correlation of the `PAIRS` (6,)."""
-
-    mean: Entry
-    std: Entry
-    correlation: Entry
-
-    def section(self) -> dict[str, Any]:
-        """Mean and covariance."""
-        mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
-        return {"mean": nested(mean), "covariance": nested(_positive(covariance(std, correlation)))}
-
-
-class NormalErrors:
-    """Normal box errors."""
-
-    def estimate(
-        self, resampling: Resampling, image: Indices, errors: Array, kept: float, state: str, unit: str
-    ) -> LearnedNormal:
-        """Moments whose replicates spread at least as theory has it for errors that persist; see `ErrorLaw`."""
-        moments = ErrorMoments.of(resampling, image, errors)
-        mean, std, correlation = moments.mean, moments.std, moments.correlation
-        root = np.sqrt(np.maximum(mean.counts[0], 1.0))
-        of_sums, of_squares = np.sqrt((1 + kept) / (1 - kept)) / root, np.sqrt((1 + kept**2) / (1 - kept**2)) / root
-        least = (1 - correlation.estimate**2) * of_squares
-        return LearnedNormal(
-            Entry(Key(("box_error_mean",), state, (ERROR_COMPONENTS,), unit), _wide(mean, std.estimate * of_sums)),
-            Entry(
-                Key(("box_error_std",), state, (ERROR_COMPONENTS,), unit),
-                _wide(std, std.estimate * of_squares / np.sqrt(2)),
-            ),
-            Entry(Key(("box_error_correlation",), state, (_PAIR_NAMES,)), _wide(correlation, least)),
-        )
-
-
-LAWS: Mapping[str, ErrorLaw] = {"normal": NormalErrors()}
-"""Distributions of box errors that can be learned, by name."""
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedBoxErrors:
-    """Numbers of the box error.
-
-    Attributes:
-        form: The model.
-        states: The law of each state.
-        box_s: Correlation time of errors; None if they do not persist.
-    """
+    """The law of the box error in each state, and the correlation time of errors, None if they do not persist."""
 
     form: BoxErrorForm
     states: tuple[LearnedLaw, ...]
@@ -166,13 +83,15 @@ class LearnedBoxErrors:
 
 
 def choose_box_errors(observed: Observed) -> BoxErrorForm:
-    """Unit and source of the box error of each state, and whether errors persist."""
-    notes: list[Note] = []
+    """Unit, source and law of the box error of each state, and whether errors persist."""
+    notes: list[str] = []
     states = tuple(_state_form(observed, index, notes) for index in range(len(observed.states)))
-    return BoxErrorForm(states, _persistence_s(observed, states, notes), tuple(notes))
+    box_s = _persistence_s(observed, states, notes)
+    states = tuple(_with_law(observed, index, form, box_s, notes) for index, form in enumerate(states))
+    return BoxErrorForm(states, box_s, tuple(notes))
 
 
-def _state_form(observed: Observed, state: int, notes: list[Note]) -> StateErrorForm:
+def _state_form(observed: Observed, state: int, notes: list[str]) -> StateErrorForm:
     """Pixels or sides of the box, whichever makes the errors likelier as normal ones."""
     numbers = []
     for source in ErrorSource:
@@ -182,14 +101,25 @@ def _state_form(observed: Observed, state: int, notes: list[Note]) -> StateError
             break
     if source is not ErrorSource.OWN_STATE:
         edge = ", with boxes at the image's edge" if source is ErrorSource.ALL_PAIRS else ""
-        text = (
+        notes.append(
             f"states.{observed.states[state]}.box_error: that of all states{edge}; had {numbers[0]} matches away from "
             f"the image's edge, needs {ERRORS_NEEDED}"
         )
-        notes.append(Note(Topic.BOX_ERROR, text))
     pairs = observed.pairs
     relative = _likelihood(pairs.error_px[in_sides], pairs.sides_px[in_sides])
     return StateErrorForm("relative" if relative > _likelihood(pairs.error_px[in_px], None) else "px", source)
+
+
+def _with_law(observed: Observed, state: int, form: StateErrorForm, box_s: float, notes: list[str]) -> StateErrorForm:
+    """The form with the law that errors of the state's own follow; normal where those of other states are taken."""
+    if form.source is not ErrorSource.OWN_STATE:
+        return form
+    errors = observed.pairs.errors(observed.pairs.of_source(form.source, form.relative, state), form.relative)
+    why = heavy_tails(errors, kept_share(observed, box_s))
+    if not why:
+        return form
+    notes.append(f"states.{observed.states[state]}.box_error: student_t, for {why}")
+    return replace(form, law="student_t")
 
 
 def _likelihood(errors_px: Array, sides_px: Array | None) -> float:
@@ -202,7 +132,7 @@ def _likelihood(errors_px: Array, sides_px: Array | None) -> float:
     return float(-0.5 * logarithm - stretch) if sign > 0 else np.inf
 
 
-def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[Note]) -> float:
+def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes: list[str]) -> float:
     """Rough correlation time of errors; 0 with a note if they do not persist."""
     if len(observed.steps) < PAIRS_NEEDED:
         return 0.0  # which the note on misses says
@@ -213,7 +143,7 @@ def _persistence_s(observed: Observed, states: tuple[StateErrorForm, ...], notes
         if len(consecutive) >= PAIRS_NEEDED and consecutive.correlated(SIGNIFICANT):
             return consecutive.rough_time_s()
         text = f"persistence.box_s: 0; errors of {len(consecutive)} consecutive pairs are not correlated"
-    notes.append(Note(Topic.PERSISTENCE, text))
+    notes.append(text)
     return 0.0
 
 
@@ -225,22 +155,16 @@ def consecutive_errors(observed: Observed, states: tuple[StateErrorForm, ...]) -
         chosen = pairs.of_source(ErrorSource.OWN_STATE, form.relative, index)
         if chosen.sum() < ERRORS_NEEDED:
             continue
-        errors = pairs.errors(chosen, form.relative)
-        values, vectors = np.linalg.eigh(np.cov(errors.T))
-        root = (vectors / np.sqrt(np.maximum(values, 1e-9 * max(values[-1], 1e-12)))) @ vectors.T
-        white[chosen] = (errors - errors.mean(axis=0)) @ root
+        white[chosen] = LAWS[form.law].whitened(pairs.errors(chosen, form.relative))
     kept = np.flatnonzero(np.isfinite(white[:, 0]))
     steps = steps_between(observed.labelled, pairs.rows[kept])
     a, b = kept[steps.earlier], kept[steps.later]
     products, expected = (white[a] * white[b]).mean(axis=1), (white[a] ** 2).mean(axis=1)
-    return Consecutive(products, expected, steps.apart_s, pairs.image[b])
-
-
-def _wide(column: Column, least: Array) -> Column:
-    return Column(widened(column.values, least), column.kind, column.counts)
-
-
-def _positive(matrix: Array) -> Array:
-    """A covariance (4, 4) without negative eigenvalues, which rounding or a correction may have left."""
-    values, vectors = np.linalg.eigh(matrix)
-    return matrix if values[0] >= 0 else (vectors * np.maximum(values, 0)) @ vectors.T
+    found = Consecutive(products, expected, steps.apart_s, pairs.image[b])
+    if all(form.law == "normal" for form in states):
+        return found
+    for _ in range(_ROUNDS):
+        correlation = np.exp(-steps.apart_s / max(found.rough_time_s(), 1e-9))
+        left = np.stack([LAWS[form.law].correlation_left(correlation) for form in states])
+        found = replace(found, expected=expected * left[pairs.state[b], np.arange(len(b))])
+    return found

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, Effect, MissFit, attribute_values, fit_misses
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits
-from modsim3d.learn.form import SIGNIFICANT, Note, Topic, ratio
+from modsim3d.learn.form import SIGNIFICANT, ratio
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.persistence_fit import PAIRS_NEEDED, Consecutive, frame_interval_s
 from modsim3d.learn.resampling import Column, Resampling, resample, spread, widened
@@ -22,17 +22,11 @@ _TRIALS, _USUAL_RUNS = 200, 24
 
 @dataclass(frozen=True)
 class ClassForm:
-    """The model of dropout and class.
-
-    Attributes:
-        effects: Attributes that change the odds of a miss; none leaves the confusion matrix alone.
-        class_s: Rough correlation time of misses; 0 if they do not persist.
-        notes: Why the model is not a richer one.
-    """
+    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist."""
 
     effects: tuple[Effect, ...]
     class_s: float
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
         """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
@@ -41,7 +35,7 @@ class ClassForm:
         if self.class_s > 0:
             chance = fit if self.effects else _plain_fit(observed)
             class_s = Entry(Key(("persistence", "class_s")), consecutive_misses(observed, chance).column(resampling))
-            kept = kept_share(observed, class_s)
+            kept = kept_share(observed, float(class_s.estimate))
         inflation = (1 + kept) / (1 - kept)
         slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
         return LearnedClasses(slopes, class_s, _confusion(observed, fit, resampling, inflation), inflation)
@@ -57,11 +51,9 @@ class LearnedEffect:
 
 @dataclass(frozen=True, eq=False)
 class LearnedClasses:
-    """Numbers of dropout and class.
+    """Numbers of dropout and class; `class_s` is the correlation time of misses, None if they do not persist.
 
     Attributes:
-        effects: Those on the odds of a miss.
-        class_s: Correlation time of misses; None if they do not persist.
         confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
         inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
             frames.
@@ -93,23 +85,23 @@ class LearnedClasses:
 
 def choose_classes(observed: Observed) -> ClassForm:
     """Which effects on misses, and whether their persistence, the data can carry."""
-    notes: list[Note] = []
+    notes: list[str] = []
     effects, fit = _significant(observed, _candidates(observed, notes), notes)
     class_s = _persistence_s(observed, effects, fit, notes)
     return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)))
 
 
-def _candidates(observed: Observed, notes: list[Note]) -> tuple[Effect, ...]:
+def _candidates(observed: Observed, notes: list[str]) -> tuple[Effect, ...]:
     """Attributes that are given for every annotation and vary, if there are enough misses for them."""
     chosen = []
     for name, column in attribute_values(observed).items():
         known = column[np.isfinite(column)]
         if not len(known):
-            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; it is not given"))
+            notes.append(f"dropout.{name}: none; it is not given")
         elif len(known) < len(column):
-            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; not given everywhere"))
+            notes.append(f"dropout.{name}: none; not given everywhere")
         elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
-            notes.append(Note(Topic.DROPOUT, f"dropout.{name}: none; constant"))
+            notes.append(f"dropout.{name}: none; constant")
         else:
             reference = 1.0 if name == "visible_fraction" else float(f"{np.median(known):.3g}")
             chosen.append(Effect(name, reference))
@@ -118,31 +110,29 @@ def _candidates(observed: Observed, notes: list[Note]) -> tuple[Effect, ...]:
     if rarer >= needed:
         return tuple(chosen)
     rare = "misses" if misses == rarer else "finds"
-    text = f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}"
-    notes.append(Note(Topic.DROPOUT, text))
+    notes.append(f"dropout: as in the confusion matrix; had {rarer} {rare}, needs {needed}")
     return ()
 
 
 def _significant(
-    observed: Observed, effects: tuple[Effect, ...], notes: list[Note]
+    observed: Observed, effects: tuple[Effect, ...], notes: list[str]
 ) -> tuple[tuple[Effect, ...], MissFit | None]:
     """Effects after the least certain ones were left out one by one, and the fit with those that remain."""
     runs = resample(observed.labelled.images, _TRIALS, 0, _usual_run_s(observed)) if effects else None
     while effects and runs is not None:
         fit = fit_misses(observed, effects, runs)
         if fit is None:
-            text = f"dropout: as in the confusion matrix; {len(observed.rows)} truths do not determine the effects"
-            notes.append(Note(Topic.DROPOUT, text))
+            count = len(observed.rows)
+            notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")
             break
         strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, spread(fit.slopes[1:]))
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
             return effects, fit
-        text = (
+        notes.append(
             f"dropout.{effects[weakest].attribute}: none; {strength[weakest]:.1f} standard errors from 0 in "
-            f"{len(observed.rows)} truths, needs {SIGNIFICANT}"
+            f"{len(observed.rows)} annotations, needs {SIGNIFICANT}"
         )
-        notes.append(Note(Topic.DROPOUT, text))
         effects = effects[:weakest] + effects[weakest + 1 :]
     return (), None
 
@@ -155,13 +145,13 @@ def _usual_run_s(observed: Observed) -> float:
     return float(np.nanmax(times) - np.nanmin(times)) / _USUAL_RUNS
 
 
-def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[Note]) -> float:
+def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit | None, notes: list[str]) -> float:
     """Rough correlation time of misses; 0 with a note if they do not persist."""
     pairs, misses = len(observed.steps), int(observed.missed.sum())
     if pairs < PAIRS_NEEDED:
         text = (
             f"persistence: none; had {pairs} sightings that follow one of the same vessel, needs {PAIRS_NEEDED} "
-            "(frames with times, truth with identities)"
+            "(frames with times, annotations with identities)"
         )
     elif misses < MISSES_NEEDED:
         text = f"persistence.class_s: 0; had {misses} misses, needs {MISSES_NEEDED}"
@@ -170,11 +160,11 @@ def _persistence_s(observed: Observed, effects: tuple[Effect, ...], fit: MissFit
         if consecutive.correlated(SIGNIFICANT):
             return consecutive.rough_time_s()
         text = f"persistence.class_s: 0; misses of {pairs} consecutive pairs are not correlated"
-    notes.append(Note(Topic.PERSISTENCE, text))
+    notes.append(text)
     return 0.0
 
 
-def _empty_columns(observed: Observed) -> list[Note]:
+def _empty_columns(observed: Observed) -> list[str]:
     """Notes on labels that a state has not seen."""
     notes, k = [], len(observed.labelled.labels)
     counts = np.bincount(observed.state * k + observed.label, minlength=len(observed.states) * k).reshape(-1, k)
@@ -184,7 +174,7 @@ def _empty_columns(observed: Observed) -> list[Note]:
         else:
             instead = "found as often as the other labels, always by its name"
         column = f"states.{observed.states[state]}.confusion, column {observed.labelled.labels[label]}"
-        notes.append(Note(Topic.CONFUSION, f"{column}: {instead}; had 0 of it"))
+        notes.append(f"{column}: {instead}; had 0 of it")
     return notes
 
 
@@ -194,15 +184,11 @@ def _plain_fit(observed: Observed) -> MissFit | None:
 
 
 def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
-    """Residuals of misses in consecutive frames.
+    """Residuals of misses in consecutive frames from fitted chances of a miss, or one chance for all if None.
 
     A pair's expected product is that of two misses read from the same draw, scaled by how large the earlier squared
     residual was. Runs of frames with more misses than others then have larger products and larger expected products
     alike, and do not change the correlation time.
-
-    Args:
-        observed: The data.
-        fit: Chances of a miss; None for one chance for all.
     """
     rate = np.full(len(observed.rows), observed.missed.mean()) if fit is None else fit.chance
     residual = observed.missed - rate
@@ -212,11 +198,9 @@ def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
     return Consecutive(residual[a] * residual[b], expected, observed.steps.apart_s, observed.image[b])
 
 
-def kept_share(observed: Observed, correlation_s: Entry | None) -> float:
-    """Share of noise with a correlation time that is kept from one frame to the next; 0 without one."""
-    if correlation_s is None or correlation_s.estimate <= 0:
-        return 0.0
-    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s.estimate))
+def kept_share(observed: Observed, correlation_s: float) -> float:
+    """Share of noise with a correlation time, 0 if it does not persist, that is kept from one frame to the next."""
+    return float(np.exp(-frame_interval_s(observed.labelled) / correlation_s)) if correlation_s > 0 else 0.0
 
 
 def _slopes(

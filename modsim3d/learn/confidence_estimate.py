@@ -11,7 +11,6 @@ from scipy import special
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.clipped_normal import clipped_sums, fit_clipped
 from modsim3d.learn.entries import Entry, Key, digits, nested
-from modsim3d.learn.form import Note, Topic
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -33,17 +32,11 @@ ScoreForm = Literal["normal", "quantiles", "shared"]
 
 @dataclass(frozen=True)
 class ConfidenceForm:
-    """The model of confidence.
-
-    Attributes:
-        true: For true detections of each state.
-        false: For false detections of each state.
-        notes: Why the model is not a richer one.
-    """
+    """The distributions of confidence of true and of false detections in each state."""
 
     true: tuple[ScoreForm, ...]
     false: tuple[ScoreForm, ...]
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
         """The distributions of each state."""
@@ -128,7 +121,7 @@ class LearnedConfidence:
 
 def choose_confidence(observed: Observed) -> ConfidenceForm:
     """Which distribution the confidences of each state and kind follow."""
-    notes: list[Note] = []
+    notes: list[str] = []
     scores = {kind: Scores.of(observed, kind) for kind in KINDS}
     chosen: dict[Kind, list[ScoreForm]] = {"true": [], "false": []}
     for index, state in enumerate(observed.states):
@@ -136,11 +129,10 @@ def choose_confidence(observed: Observed) -> ConfidenceForm:
             values = scores[kind].of_state(index).values
             chosen[kind].append(_score_form(values, observed.threshold))
             if chosen[kind][-1] == "shared":
-                text = (
+                notes.append(
                     f"states.{state}.confidence.{kind}: that of all states; had {len(values)} detections, "
                     f"needs {SCORES_NEEDED}"
                 )
-                notes.append(Note(Topic.CONFIDENCE, text))
     return ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(notes))
 
 

@@ -18,12 +18,7 @@ _STEPS = 60
 
 @dataclass(frozen=True)
 class Effect:
-    """One attribute in the odds of a miss.
-
-    Attributes:
-        attribute: Its key in the detector file: `visible_fraction`, `size_px` or `distance_m`.
-        reference: Value of the attribute at which the odds are those of the state.
-    """
+    """An attribute that changes the odds of a miss, by its key in the file; at its reference they are the state's."""
 
     attribute: str
     reference: float
@@ -41,19 +36,17 @@ class Effect:
     def of(self, values: Array) -> Array:
         """Units or doublings beyond the reference, 0 where the value is unknown, shape (n,)."""
         known = np.where(np.isfinite(values), values, self.reference)
-        if self.doublings:
-            changed: Array = np.log2(np.maximum(known, 1.0) / self.reference)
-            return changed
-        return known - self.reference
+        changed: Array = known - self.reference
+        return np.log2(np.maximum(known, 1.0) / self.reference) if self.doublings else changed
 
 
 def attribute_values(observed: Observed) -> dict[str, Array]:
     """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
-    truth = observed.labelled.annotations
+    annotations = observed.labelled.annotations
     return {
-        "visible_fraction": truth.visible_fraction[observed.rows],
-        "size_px": truth.size_px[observed.rows],
-        "distance_m": truth.depth_m[observed.rows],
+        "visible_fraction": annotations.visible_fraction[observed.rows],
+        "size_px": annotations.size_px[observed.rows],
+        "distance_m": annotations.depth_m[observed.rows],
     }
 
 
@@ -78,48 +71,31 @@ class MissFit:
 def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resampling) -> MissFit | None:
     """Fit intercepts and slopes by maximum likelihood, replicates by one Newton step from the estimate.
 
-    Args:
-        observed: The data.
-        effects: Attributes whose slopes are fitted; may be empty.
-        resampling: Weights of images.
-
-    Returns:
-        None where the misses do not determine the parameters.
+    Gives None where the misses do not determine the parameters. There may be no effects.
     """
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
     x = np.empty((len(observed.rows), len(effects)))
     for column, effect in enumerate(effects):
         x[:, column] = effect.of(values[effect.attribute])
-    group = observed.state * k + observed.label
-    missed = observed.missed.astype(np.float64)
+    group, missed = observed.state * k + observed.label, observed.missed.astype(np.float64)
     number = np.bincount(group, minlength=states * k)
     hits = np.bincount(group, weights=missed, minlength=states * k)
     usable = (hits > 0) & (hits < number)  # the others have a rate of 0 or 1 whatever the attributes are
-    fitted = usable[group]
-    place = np.cumsum(usable) - 1
-    count, p = int(usable.sum()), int(usable.sum()) + len(effects)
+    fitted, count = usable[group], int(usable.sum())
     if count == 0:
         return None
-    intercepts = special.logit(hits[usable] / number[usable])
-    theta = np.concatenate([intercepts, np.zeros(len(effects))])
-    xf, gf, yf, image = x[fitted], place[group[fitted]], missed[fitted], observed.image[fitted]
-    for _ in range(_STEPS):
-        chance = special.expit(theta[gf] + xf @ theta[count:])
-        information = _information(chance * (1 - chance), gf, xf, count)
-        if not np.all(np.isfinite(information)) or np.linalg.cond(information) > 1e12:
-            return None
-        residual = yf - chance
-        score = np.concatenate([np.bincount(gf, weights=residual, minlength=count), xf.T @ residual])
-        step = np.linalg.solve(information, score)
-        theta = theta + step * min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
-        if np.abs(step).max() < 1e-9:
-            break
+    group_fitted = (np.cumsum(usable) - 1)[group[fitted]]
+    maximum = _maximum(missed[fitted], group_fitted, x[fitted], special.logit(hits[usable] / number[usable]))
+    if maximum is None:
+        return None
+    theta, chance, information = maximum
     inverse: Array = np.linalg.inv(information).astype(np.float64)
-    scores = np.zeros((len(yf), p))
-    scores[np.arange(len(yf)), gf] = residual
-    scores[:, count:] = residual[:, None] * xf
-    curvature = _weighted_information(chance * (1 - chance), gf, xf, count, image, resampling)
+    image, residual = observed.image[fitted], missed[fitted] - chance
+    scores = np.zeros((len(chance), len(theta)))
+    scores[np.arange(len(chance)), group_fitted] = residual
+    scores[:, count:] = residual[:, None] * x[fitted]
+    curvature = _weighted_information(chance * (1 - chance), group_fitted, x[fitted], count, image, resampling)
     thetas = theta + _steps(curvature, resampling.sums(image, scores), inverse)
     every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
     full = np.where(fitted, 0.0, every[group])
@@ -128,7 +104,32 @@ def fit_misses(observed: Observed, effects: tuple[Effect, ...], resampling: Resa
     return MissFit(thetas[:, count:], np.sqrt(np.diag(inverse))[count:], rates, full)
 
 
-def _information(weight: Array, group: Array, x: Array, count: int) -> Array:
+def _maximum(missed: Array, group: Indices, x: Array, intercepts: Array) -> tuple[Array, Array, Array] | None:
+    """Likeliest parameters (p,), chances of a miss (n,) and information (p, p), by Newton's method; None without one.
+
+    Args:
+        missed: One for a miss, else 0, shape (n,).
+        group: Index of the intercept of each, shape (n,).
+        x: Values of the effects, shape (n, effects).
+        intercepts: Those to begin with; slopes begin at 0.
+    """
+    count = len(intercepts)
+    theta = np.concatenate([intercepts, np.zeros(x.shape[1])])
+    for _ in range(_STEPS):
+        chance = special.expit(theta[group] + x @ theta[count:])
+        information = _information(chance * (1 - chance), group, x, count)
+        if not np.all(np.isfinite(information)) or np.linalg.cond(information) > 1e12:
+            return None
+        residual = missed - chance
+        score = np.concatenate([np.bincount(group, weights=residual, minlength=count), x.T @ residual])
+        step = np.linalg.solve(information, score)
+        theta = theta + step * min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
+        if np.abs(step).max() < 1e-9:
+            break
+    return theta, chance, information
+
+
+def _information(weight: Array, group: Indices, x: Array, count: int) -> Array:
     size = count + x.shape[1]
     matrix = np.zeros((size, size))
     matrix[:count, :count] = np.diag(np.bincount(group, weights=weight, minlength=count))
@@ -156,19 +157,11 @@ def _weighted_information(
 
 
 def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
-    """One Newton step under each row of weights; the first row is at the maximum already, so its step is zero.
+    """One Newton step (rows, p) under each row of weights, from information (rows, p, p) and gradients (rows, p).
 
     Each row has its own curvature: with that of the estimate, effects that few images decide would look better known
-    than they are. Where the curvature of a row is singular, because it has no misses of some kind, that of the
-    estimate is used.
-
-    Args:
-        curvature: Information matrix under each row of weights, shape (rows, p, p).
-        scores: Gradient of the log-likelihood under each row, shape (rows, p).
-        inverse: Inverse of the information matrix of the estimate, shape (p, p).
-
-    Returns:
-        Shape (rows, p).
+    than they are. Where that of a row is singular, because it has no misses of some kind, the inverse information of
+    the estimate (p, p) is used. The first row is at the maximum already, so its step is zero.
     """
     ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
     steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]

@@ -108,7 +108,7 @@ def nested(values: Array) -> Any:
 
 
 def columns_of_one(matrix: Array) -> Any:
-    """A matrix or vector as lists whose columns sum to one as written: the largest entry takes the rounding error."""
+    """An array of shape (n, ...) as lists whose columns sum to one as written: the largest takes the rounding error."""
     clean = np.clip(np.array(matrix, dtype=np.float64), 0, 1)
     rounded = np.round(clean / clean.sum(axis=0), 7)
     columns = rounded.reshape(len(rounded), -1)

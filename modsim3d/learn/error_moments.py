@@ -7,23 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.learn.resampling import Column, Resampling
 
-PAIRS = tuple((i, j) for i in range(4) for j in range(i + 1, 4))
-"""Pairs of different components of the box error."""
 CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
 """Cells of the upper triangle of a covariance."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorMoments:
-    """Moments of box errors.
-
-    Attributes:
-        mean: Of each component, shape (4,).
-        std: Standard deviations, with n − 1, shape (4,).
-        correlation: Of the `PAIRS` of components, shape (6,).
-    """
+    """Mean (4,), standard deviation with n − 1 (4,) and correlation of the `ERROR_PAIRS` (6,) of box errors."""
 
     mean: Column
     std: Column
@@ -43,31 +36,22 @@ class ErrorMoments:
     def covariance(self) -> Column:
         """Covariances of the `CELLS`, shape (10,)."""
         std, correlation = self.std.values, self.correlation.values
-        of_pair = [correlation[:, PAIRS.index(cell)] if cell in PAIRS else 1.0 for cell in CELLS]
+        of_pair = [correlation[:, ERROR_PAIRS.index(cell)] if cell in ERROR_PAIRS else 1.0 for cell in CELLS]
         values = [std[:, i] * std[:, j] * of for (i, j), of in zip(CELLS, of_pair, strict=True)]
         return Column(np.stack(values, axis=1), "mean", np.repeat(self.mean.counts[:1], len(CELLS)))
 
 
 def covariance(std: Array, correlation: Array) -> Array:
-    """Covariance (4, 4) from standard deviations (4,) and correlations of the `PAIRS` (6,)."""
+    """Covariance from standard deviations and correlations of the `ERROR_PAIRS`, shapes (4, 4), (4,) and (6,)."""
     matrix = np.eye(4)
-    for (i, j), value in zip(PAIRS, correlation, strict=True):
+    for (i, j), value in zip(ERROR_PAIRS, correlation, strict=True):
         matrix[i, j] = matrix[j, i] = value
     result: Array = np.outer(std, std) * matrix
     return result
 
 
 def moments(resampling: Resampling, image: Indices, values: Array) -> tuple[Array, Array, Array]:
-    """Mean, standard deviation and correlation of vectors, with n − 1.
-
-    Args:
-        resampling: Weights of images.
-        image: Image of each vector, shape (n,).
-        values: The vectors, shape (n, 4).
-
-    Returns:
-        Shapes (rows, 4), (rows, 4), (rows, 6).
-    """
+    """Mean, standard deviation and correlation of vectors (n, 4), shapes (rows, 4), (rows, 4) and (rows, 6)."""
     centre = values.mean(axis=0) if len(values) else np.zeros(4)
     moved = values - centre  # squares of small numbers keep their digits
     products = moved[:, :, None] * moved[:, None, :]
@@ -78,7 +62,7 @@ def moments(resampling: Resampling, image: Indices, values: Array) -> tuple[Arra
         second = sums[:, 5:].reshape(-1, 4, 4) - number[:, None, None] * mean[:, :, None] * mean[:, None, :]
         second = second / (number - 1)[:, None, None]
         std = np.sqrt(np.maximum(np.einsum("bii->bi", second), 0))
-        correlation = np.stack([second[:, i, j] / (std[:, i] * std[:, j]) for i, j in PAIRS], axis=1)
+        correlation = np.stack([second[:, i, j] / (std[:, i] * std[:, j]) for i, j in ERROR_PAIRS], axis=1)
     few = number < 2
     std[few], correlation[few] = np.nan, np.nan
     return mean + centre, std, np.where(np.isfinite(correlation), correlation, 0.0)

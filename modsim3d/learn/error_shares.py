@@ -36,13 +36,7 @@ _KINDS = tuple(ErrorKind)
 
 @dataclass(frozen=True)
 class ErrorShare:
-    """One kind of error.
-
-    Attributes:
-        kind: The kind.
-        count: How many errors of this kind there are.
-        gain_points: Hundredths of mean average precision that correcting them would gain.
-    """
+    """How many errors of a kind there are, and the hundredths of mean average precision that they cost."""
 
     kind: ErrorKind
     count: int
@@ -67,7 +61,7 @@ class _Nearest:
     other_iou: Array
 
     def kinds(self, least_iou: float) -> Indices:
-        """Index into `ErrorKind` of each; a localisation error comes before one of the label."""
+        """Index into `ErrorKind` of each, shape (n,); a localisation error comes before one of the label."""
         duplicate, localisation = self.same_iou >= least_iou, self.same_iou >= BACKGROUND_IOU
         classification, both = self.other_iou >= least_iou, self.other_iou >= BACKGROUND_IOU
         order = ErrorKind.DUPLICATE, ErrorKind.LOCALISATION, ErrorKind.CLASSIFICATION, ErrorKind.BOTH
@@ -77,14 +71,7 @@ class _Nearest:
 
 
 def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_iou: float = 0.5) -> ErrorShares:
-    """The shares over some images.
-
-    Args:
-        labelled: Images, annotations and results.
-        by_label: Matches label by label, by IoU in order of confidence.
-        images: Which images, shape (I,).
-        least_iou: Least IoU of those matches.
-    """
+    """The shares over some images, shape (I,), of matches label by label, by IoU in order of confidence."""
     results, annotations = labelled.results, labelled.annotations
     counts = by_label.counts & images[results.image]
     sought = by_label.sought & images[annotations.image]
@@ -112,13 +99,13 @@ def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_i
 
 def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask) -> _Nearest:
     """Best annotations for some rows of the results (n,); −1 where nothing overlaps."""
-    found, truth, size = labelled.results, labelled.annotations, len(rows)
+    results, annotations, size = labelled.results, labelled.annotations, len(rows)
     best = {same: (np.full(size, NOBODY), np.zeros(size)) for same in (True, False)}
     columns = np.flatnonzero(sought)
-    for first, second in image_pairs(found.image[rows], truth.image[columns], len(labelled.images)):
+    for first, second in image_pairs(results.image[rows], annotations.image[columns], len(labelled.images)):
         target = columns[second]
-        value = overlap(found.boxes_px[rows[first]], truth.boxes_px[target], truth.crowd[target])
-        equal = found.label[rows[first]] == truth.label[target]
+        value = overlap(results.boxes_px[rows[first]], annotations.boxes_px[target], annotations.crowd[target])
+        equal = results.label[rows[first]] == annotations.label[target]
         for same, (where, how) in best.items():
             ours = np.flatnonzero((equal == same) & (value > 0))
             order = ours[np.argsort(value[ours], kind="stable")]
@@ -138,40 +125,40 @@ class _State:
 
     def mean_precision(self) -> float:
         """Mean average precision over the labels that are there, by all points."""
-        found, truth, values = self.labelled.results, self.labelled.annotations, []
+        results, annotations, values = self.labelled.results, self.labelled.annotations, []
         for label in range(len(self.labelled.labels)):
-            total = int((self.sought & (truth.label == label)).sum())
+            total = int((self.sought & (annotations.label == label)).sum())
             if not total:
                 continue
             rows = np.flatnonzero(self.counts & (self.label == label))
-            rows = rows[np.argsort(-found.confidence[rows], kind="stable")]
+            rows = rows[np.argsort(-results.confidence[rows], kind="stable")]
             right = np.cumsum(self.right[rows])
             recall = np.minimum(right / total, 1.0)
-            values.append(Curve(recall, right / np.arange(1, len(rows) + 1), found.confidence[rows]).all_points())
+            values.append(Curve(recall, right / np.arange(1, len(rows) + 1), results.confidence[rows]).all_points())
         return float(np.mean(values)) if values else 0.0
 
     def without(self, rows: Indices) -> _State:
-        """Leave some detections out."""
+        """Leave some detections out, shape (n,)."""
         counts = self.counts.copy()
         counts[rows] = False
         return replace(self, counts=counts)
 
-    def corrected(self, rows: Indices, truths: Indices, taken: Mask) -> _State:
+    def corrected(self, rows: Indices, annotations: Indices, taken: Mask) -> _State:
         """Make some detections right.
 
         Args:
             rows: The detections, shape (n,).
-            truths: The annotation of each, shape (n,). The most confident detection of one counts, if nothing else
+            annotations: The annotation of each, shape (n,). The most confident detection of one counts, if nothing else
                 has detected it; the other rows are left out.
             taken: Which annotations have been detected, shape (T,).
         """
-        free = ~taken[truths]
+        free = ~taken[annotations]
         order = np.argsort(-self.labelled.results.confidence[rows[free]], kind="stable")
-        rows_free, truths_free = rows[free][order], truths[free][order]
-        _, first = np.unique(truths_free, return_index=True)
+        rows_free, annotations_free = rows[free][order], annotations[free][order]
+        _, first = np.unique(annotations_free, return_index=True)
         chosen = rows_free[first]
         right, counts, label = self.right.copy(), self.counts.copy(), self.label.copy()
         counts[rows] = False
         counts[chosen], right[chosen] = True, True
-        label[chosen] = self.labelled.annotations.label[truths_free[first]]
+        label[chosen] = self.labelled.annotations.label[annotations_free[first]]
         return replace(self, counts=counts, right=right, label=label)

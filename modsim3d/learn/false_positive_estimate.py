@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centres, sizes
 from modsim3d.learn.entries import Entry, Key, columns_of_one, digits, nested
-from modsim3d.learn.form import Note, Topic, ratio
+from modsim3d.learn.form import ratio
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.resampling import Column, Resampling, widened
 
@@ -28,16 +28,14 @@ class FalsePositiveForm:
     """The model of false positives.
 
     Attributes:
-        model: `calibrated` or `per_image`.
         sizes: Whether they have sizes of their own; those of vessels if not.
         grid: Rows and columns of the map of where they are; None where they are anywhere below the horizon.
-        notes: Why the model is not a richer one.
     """
 
     model: str
     sizes: bool
     grid: tuple[int, int] | None
-    notes: tuple[Note, ...]
+    notes: tuple[str, ...]
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes and the map that all states share."""
@@ -61,13 +59,7 @@ class LearnedSize:
 
 @dataclass(frozen=True, eq=False)
 class StateFalsePositives:
-    """False positives in one state.
-
-    Attributes:
-        labels: Share of each label, shape (k,).
-        discovery_rate: False detections over all detections.
-        per_image: False detections in an image.
-    """
+    """Shares of the labels (k,), false detections over all detections, and those in an image, in one state."""
 
     labels: Entry
     discovery_rate: Entry
@@ -76,13 +68,9 @@ class StateFalsePositives:
 
 @dataclass(frozen=True, eq=False)
 class LearnedFalsePositives:
-    """Numbers of false positives.
+    """Numbers of false positives: rates and labels of each state, sizes (None for those of vessels) and a map.
 
-    Attributes:
-        form: The model.
-        states: Rates and labels of each state.
-        size: Distribution of sizes; None for those of vessels.
-        density: Share of each cell of the map, of the grid's shape; None where there is no map.
+    The map has the share of each cell, in the grid's shape; None where there is none.
     """
 
     form: FalsePositiveForm
@@ -114,28 +102,21 @@ class LearnedFalsePositives:
 
 
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
-    """The model of false positives that the data can carry.
-
-    Args:
-        observed: The data.
-        model: Model of their number; `auto` for the likelier of `calibrated` and `per_image`.
-    """
-    notes: list[Note] = []
+    """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
+    notes: list[str] = []
     false, needed = len(observed.false), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
     if false < FALSE_NEEDED:
-        text = f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}"
-        notes.append(Note(Topic.FALSE_POSITIVE_BOXES, text))
+        notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
     known = bool(np.isfinite(observed.labelled.images.sizes_px).all())
     mapped = false >= needed and known
     if not mapped:
         why = f"had {false} false detections, needs {needed}" if known else "the size of some images is not known"
-        text = f"false_positives.placement: uniform below the horizon; {why}"
-        notes.append(Note(Topic.FALSE_POSITIVE_BOXES, text))
+        notes.append(f"false_positives.placement: uniform below the horizon; {why}")
     chosen = _likelier(observed, notes) if model == "auto" else model
     return FalsePositiveForm(chosen, false >= FALSE_NEEDED, GRID if mapped else None, tuple(notes))
 
 
-def _likelier(observed: Observed, notes: list[Note]) -> str:
+def _likelier(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
     images = len(observed.labelled.images)
     false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
@@ -153,11 +134,10 @@ def _likelier(observed: Observed, notes: list[Note]) -> str:
         even += float(total * np.log(total / n_images))
     if even <= with_true:
         return "calibrated"
-    text = (
+    notes.append(
         "false_positives: per_image, for their number does not follow that of the true detections "
         f"(log-likelihood {even:.1f} against {with_true:.1f})"
     )
-    notes.append(Note(Topic.FALSE_POSITIVE_NUMBER, text))
     return "per_image"
 
 
@@ -204,15 +184,9 @@ def _density(image: Indices, boxes_px: Array, sizes_px: Array, grid: tuple[int, 
 
 
 def _size(image: Indices, boxes_px: Array, sizes_px: Array, resampling: Resampling) -> LearnedSize:
-    """One shape, scaled by a number whose logarithm is normal.
+    """One shape, scaled by a number whose logarithm is normal; of boxes (n, 4) in images (n,) of such sizes (n, 2).
 
     The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
-
-    Args:
-        image: Image of each box, shape (n,).
-        boxes_px: The boxes, shape (n, 4).
-        sizes_px: Width and height of the image of each, NaN where unknown, shape (n, 2).
-        resampling: Weights of images.
     """
     half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2
     centre = centres(boxes_px)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,7 @@ CURVE_REPLICATES = 200
 _LEAST_PROBABILITY = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class Rates:
+class Rates(NamedTuple):
     """Rates of one kind of detection, each of the same shape (eq. 5.1 to 5.20)."""
 
     precision: Column
@@ -35,69 +35,43 @@ class Rates:
     def of(cls, right: Array, detected: Array, true: Array, beta: float) -> Rates:
         """Rates from numbers of right detections, of detections and of annotations, shapes (rows, ...)."""
         precision, recall = ratio(right, detected), ratio(right, true)
-
-        def f(weight: float) -> Array:
-            return ratio((1 + weight**2) * right, detected + weight**2 * true)  # eq. 5.9, 5.11 in counts
-
+        f1, f_beta = (ratio((1 + w**2) * right, detected + w**2 * true) for w in (1, beta))  # eq. 5.9, 5.11 in counts
         number, whole = detected[0], true[0]
         return cls(
             Column(precision, "share", number),
             Column(recall, "share", whole),
-            Column(f(1), "fraction", whole),
-            Column(f(beta), "fraction", whole),
+            Column(f1, "fraction", whole),
+            Column(f_beta, "fraction", whole),
             Column(1 - recall, "share", whole),
             Column(1 - precision, "share", number),
         )
 
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """All six, in the order of the fields."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
     def averaged(self, weights: Array, count: float) -> Rates:
-        """Means over labels that are there (eq. 5.22, 5.23).
-
-        Args:
-            weights: Of the labels, shape (rows, k).
-            count: Number of annotations that the means rest on.
-        """
-        return Rates(*(_average(column, weights, count) for column in self.columns))
+        """Means over labels that are there, weights of shape (rows, k), from so many annotations (eq. 5.22, 5.23)."""
+        return Rates(*(_average(column, weights, count) for column in self))
 
 
-@dataclass(frozen=True, eq=False)
-class AveragePrecisions:
-    """Average precision in four forms; see `AveragePrecision`."""
+class AveragePrecisions(NamedTuple):
+    """Average precision in four forms; see `Curve.summaries`."""
 
     all_points: Column
     eleven_points: Column
     coco_points: Column
     area: Column
 
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """All four, in the order of the fields."""
-        return self.all_points, self.eleven_points, self.coco_points, self.area
-
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """The figures of one condition or state.
+    """The figures of one condition or state, in so many images, which so many resampled runs or images hold.
 
     Attributes:
-        name: Of the condition or state.
-        images: How many images it has.
-        units: How many resampled runs or images hold them.
         counts: Confusion matrix, rows what was detected, columns what was there, both labels then background; its last
             entry is undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
-        any_label: Rates with labels left aside.
-        of_labels: Rates of each label, shape (k,).
-        mean: Arithmetic means of the rates of labels.
-        weighted: Means of the rates of labels, weighted by their annotations.
+        of_labels: Rates of each label, shape (k,); their means, also weighted by annotations, are beside them.
         confusion: Probabilities, shape (k + 1, k) (eq. 5.25).
         false_labels: Share of each label among false detections, shape (k,) (eq. 5.26).
-        errors: Moments of the box errors in pixels (eq. 5.36 to 5.41).
+        errors: Moments of the box errors in pixels (eq. 5.36 to 5.41), also of each label.
         error_covariance: Of the `CELLS`, in px², shape (10,).
-        errors_of_labels: Moments of the box errors of each label, k of them.
         average_precision: Of each label, shape (k,).
         mean_average_precision: Over labels that are there (eq. 5.46).
         confidence_entropy: Cross-entropy of confidence, as the probability of being right.
@@ -128,10 +102,8 @@ class Matches:
     """A labelled set with its matches, and how its images are resampled.
 
     Attributes:
-        labelled: Images, annotations and results.
         matched: Matches with labels left aside, above the confidence threshold.
         by_label: Matches label by label, at any confidence: for average precision.
-        resampling: Weights of all images.
         beta: How many times more recall weighs than precision in F-beta.
         inflation: Factor by which persistent misses raise variances at least. Replicates cannot tell it for what
             happened once.
@@ -145,12 +117,7 @@ class Matches:
     inflation: float = 1.0
 
     def figures(self, name: str, images: Mask) -> Figures:
-        """The figures of some images.
-
-        Args:
-            name: What to call them.
-            images: Which images, shape (I,).
-        """
+        """The figures of some images, shape (I,), called by a name."""
         counts = confusion_counts(self.labelled, self.matched, self.resampling, images)
         k = len(self.labelled.labels)
         right = np.einsum("bii->bi", counts)[:, :k]
@@ -251,5 +218,5 @@ def _average(column: Column, weights: Array, count: float) -> Column:
 
 def _mean_average_precision(of_labels: AveragePrecisions) -> AveragePrecisions:
     return AveragePrecisions(
-        *(_average(column, np.ones_like(column.values), column.counts.sum()) for column in of_labels.columns)
+        *(_average(column, np.ones_like(column.values), column.counts.sum()) for column in of_labels)
     )

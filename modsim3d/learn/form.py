@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,26 +12,6 @@ from modsim3d.learn.resampling import Resampling
 
 SIGNIFICANT = 3.3
 """Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
-
-
-class Topic(IntEnum):
-    """What a note is about, in the order in which reports list notes."""
-
-    BOX_ERROR = 0
-    DROPOUT = 1
-    PERSISTENCE = 2
-    FALSE_POSITIVE_BOXES = 3
-    CONFIDENCE = 4
-    FALSE_POSITIVE_NUMBER = 5
-    CONFUSION = 6
-
-
-@dataclass(frozen=True)
-class Note:
-    """Why an entry of the detector file has its simple form: how much data there was, and how much it needs."""
-
-    topic: Topic
-    text: str
 
 
 class LearnedPart(Protocol):
@@ -50,14 +28,14 @@ class PartForm(Protocol):
     """The model of one part that the data can carry."""
 
     @property
-    def notes(self) -> tuple[Note, ...]:
-        """Why it is not a richer one."""
+    def notes(self) -> tuple[str, ...]:
+        """Why it is not a richer one: how much data there was, and how much is needed."""
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """The numbers of the model, with replicates for the weights of the resampling."""
 
 
 def ratio(part: Array, whole: Array) -> Array:
-    """Quotients of arrays that broadcast; NaN where the whole is not positive."""
+    """Quotients of arrays whose shapes broadcast; NaN where the whole is not positive."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(whole > 0, part / whole, np.nan)

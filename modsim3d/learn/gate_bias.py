@@ -31,14 +31,9 @@ SURE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Images of one sequence and size, as the detector takes them.
+    """Images of one sequence and size, as the detector takes them: frames and targets.
 
-    Attributes:
-        images: Their rows, shape (S,).
-        rows: Rows of the annotations in them that count, shape (n,).
-        frames: The images as frames of a camera.
-        targets: The annotations as targets.
-        states: Performance state in each frame, shape (S,).
+    With the rows of the images (S,), of the annotations in them that count (n,), and the state in each frame (S,).
     """
 
     images: Indices
@@ -49,12 +44,12 @@ class Part:
 
 
 def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
-    """Split all images that have a state (I,) by sequence and size.
+    """Split all images that have a state, shape (I,), by sequence and size.
 
     Raises:
         ModsimError: The size of an image is not known.
     """
-    images, truth = labelled.images, labelled.annotations
+    images, annotations = labelled.images, labelled.annotations
     used = np.flatnonzero(image_state >= 0)
     if not np.isfinite(images.sizes_px[used]).all():
         raise ModsimError("the detector cannot be simulated over images whose size is not known")
@@ -69,11 +64,11 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
             times = np.arange(len(ours), dtype=np.float64)
         place = np.full(len(images), NOBODY)
         place[ours] = np.arange(len(ours))
-        rows = np.flatnonzero((place[truth.image] >= 0) & ~truth.ignored)
-        rows = rows[np.argsort(place[truth.image[rows]], kind="stable")]
-        frame = place[truth.image[rows]]
+        rows = np.flatnonzero((place[annotations.image] >= 0) & ~annotations.ignored)
+        rows = rows[np.argsort(place[annotations.image[rows]], kind="stable")]
+        frame = place[annotations.image[rows]]
         ordinal = np.arange(len(rows)) - np.searchsorted(frame, frame)
-        identity = truth.identity[rows]
+        identity = annotations.identity[rows]
         known = identity >= 0
         names, vessel = np.unique(np.where(known, identity, -1 - ordinal), return_inverse=True)
         half_planes = np.tile([0.0, 0.0, 1.0], (len(ours), 1))  # no horizon is known: sea everywhere
@@ -85,10 +80,10 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
             Targets(
                 frame=frame,
                 vessel=vessel.ravel(),
-                label=truth.label[rows],
-                boxes_px=np.clip(truth.boxes_px[rows], 0, [*size, *size]),
-                visible_fraction=truth.visible_fraction[rows],
-                depth_m=truth.depth_m[rows],
+                label=annotations.label[rows],
+                boxes_px=np.clip(annotations.boxes_px[rows], 0, [*size, *size]),
+                visible_fraction=annotations.visible_fraction[rows],
+                depth_m=annotations.depth_m[rows],
                 vessel_ids=tuple(f"{name}" for name in names.tolist()),
             ),
             image_state[ours],
@@ -96,7 +91,7 @@ def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[Part]:
 
 
 def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel, seed: int) -> LabelledSet:
-    """The same images and annotations with the results of a simulated detector, in the state of each image (I,)."""
+    """The same images and annotations with results of a simulated detector, in states of images of shape (I,)."""
     parts = list(parts_of(labelled, image_state))
     census = take_census(model, ((part.frames, part.targets) for part in parts))
     columns: list[Results] = []
@@ -127,13 +122,9 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """By how much learning shifts one entry, on the scale on which it is nearly normal; arrays of the entry's shape.
+    """Mean shift of an entry with its standard error, on the scale on which it is nearly normal; of the entry's shape.
 
-    Attributes:
-        entry: What was learned.
-        shift: Mean shift.
-        error: Its standard error.
-        again: Mean of what was learned again, on the plain scale.
+    `again` is the mean of what was learned again, on the plain scale.
     """
 
     entry: Entry
@@ -153,7 +144,7 @@ class Shift:
 
     @property
     def corrected(self) -> Array:
-        """The estimate less the shift."""
+        """The estimate less the shift, shape (...)."""
         kind = _scale(self.entry.column)
         moved = from_scale(to_scale(self.entry.estimate, kind) - self.shift, kind)
         least, most = _RANGES.get(self.entry.column.kind, (-np.inf, np.inf))
@@ -162,20 +153,14 @@ class Shift:
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """By how much learning shifts each entry.
-
-    Attributes:
-        learned: What was learned.
-        shifts: One for each of its entries.
-        repeats: How often it was learned again.
-    """
+    """By how much learning shifts each entry of what was learned, found by learning it again so often."""
 
     learned: Learned
     shifts: tuple[Shift, ...]
     repeats: int
 
     def significant(self, shift: Shift) -> Mask:
-        """Which numbers of an entry are surely shifted, by Student's test of all numbers together."""
+        """Which numbers of an entry are surely shifted, by Student's test of all together, shape (...)."""
         numbers = sum(np.size(each.shift) for each in self.shifts)
         needed = float(stats.t.ppf(1 - SURE / (2 * numbers), self.repeats - 1))
         with np.errstate(invalid="ignore"):
@@ -215,13 +200,7 @@ def _least_error(column: Column) -> Array:
 
 
 def bias_of(learned: Learned, settings: Settings, repeats: int = 12) -> Bias:
-    """Simulate what was learned over the data that it was learned from, learn it again, and compare.
-
-    Args:
-        learned: What was learned.
-        settings: How it was learned.
-        repeats: How often to learn it again, each time from another seed.
-    """
+    """Simulate what was learned over its own data, learn it again, each time from another seed, and compare."""
     model, observed = parse_detector(learned.detector(), "what was learned"), learned.observed
     runs = []
     for k in range(repeats):

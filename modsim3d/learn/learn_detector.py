@@ -31,7 +31,7 @@ class LearnOptions:
         clusters: Number of states to make by F1.
         sequence: Text with the name of a state on each line.
         interval_s: Time between transitions.
-        level: Of the confidence intervals.
+        level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
         bias: Whether to find how much matching shifts the numbers.
     """
@@ -53,7 +53,7 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     """
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
-        raise ModsimError("there is no truth that is to be found: nothing can be learned")
+        raise ModsimError("no annotation is there to be detected: nothing can be learned")
     by_label = match(labelled, Rule(least_iou=settings.rule.least_iou, by_label=True))
     state_map = _state_map(labelled, matched, options)
     image_state = state_map.of_images(labelled.images, labelled.conditions)
@@ -129,7 +129,7 @@ def _remarks(observed: Observed, rule: Rule) -> Iterator[str]:
     """What speaks against the matches."""
     labelled, (found, annotation) = observed.labelled, observed.matched.pairs
     if not len(found):
-        yield "nothing matches: are truth and detections of the same images, and boxes in pixels of the same size?"
+        yield "nothing matches: do annotations and detections belong to the same images, with boxes in the same pixels?"
         return
     yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
     if rule.method in ("confidence", "optimal"):
@@ -143,8 +143,8 @@ def _remarks_on_labels(shift: Indices) -> Iterator[str]:
     for step, where in ((1, "after"), (-1, "before")):
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             yield (
-                f"{(shift == step).mean():.0%} of the matches have the label {where} that of the truth in the list of "
-                f"categories: do results count from elsewhere (--category-offset {-step})?"
+                f"{(shift == step).mean():.0%} of the matches have the label {where} that of the annotation in the "
+                f"list of categories: do results count from another number (--category-offset {-step})?"
             )
 
 

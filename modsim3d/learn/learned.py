@@ -40,8 +40,8 @@ class Settings:
         rule: How boxes are matched.
         threshold: Least confidence of a detection that counts.
         replicates: Number of replicates of the bootstrap.
-        seed: Of all random numbers.
-        clutter: Model of the number of false positives, or `auto`.
+        seed: Seed of all random numbers.
+        clutter: Model of the number of false positives; `auto` for the likelier of `calibrated` and `per_image`.
     """
 
     rule: Rule = field(default_factory=Rule)
@@ -64,8 +64,7 @@ class DetectorForm:
     def notes(self) -> tuple[str, ...]:
         """Why the models are not richer ones."""
         parts: tuple[PartForm, ...] = (self.classes, self.box_errors, self.false_positives, self.confidence)
-        notes = sorted((note for part in parts for note in part.notes), key=lambda note: note.topic)
-        return tuple(note.text for note in notes)
+        return tuple(note for part in parts for note in part.notes)
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedDetector:
         """The numbers of every part, with replicates for the weights of the resampling."""
@@ -78,12 +77,7 @@ class DetectorForm:
 
 
 def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
-    """The models that the data can carry.
-
-    Args:
-        observed: The data.
-        clutter: Model of the number of false positives, or `auto`.
-    """
+    """The models that the data can carry; see `Settings` for the clutter."""
     return DetectorForm(
         choose_classes(observed),
         choose_box_errors(observed),
@@ -127,11 +121,6 @@ class Learned:
     """What was learned, and from what.
 
     Attributes:
-        observed: The data, matched.
-        form: The model of each part.
-        numbers: The numbers of each part.
-        transitions: How states follow each other.
-        resampling: Weights of images.
         run_s: Length of the runs of frames that were resampled; 0 if single images were.
         units: How many runs or images were resampled that hold images of each state; of None, of any state.
     """
@@ -170,13 +159,7 @@ class Learned:
 
 
 def learn(observed: Observed, transitions: Transitions, settings: Settings) -> Learned:
-    """Learn a detector.
-
-    Args:
-        observed: The data, matched by the rule and at the threshold of the settings.
-        transitions: How states follow each other.
-        settings: Model of false positives, and the resampling.
-    """
+    """Learn a detector from data that were matched by the rule and at the threshold of the settings."""
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
     run_s = _run_s(observed, form)
     resampling = resample(images, settings.replicates, settings.seed, run_s)

@@ -28,14 +28,9 @@ class ErrorSource(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Annotations that are to be detected, and what became of each.
+    """Annotations that are to be detected, and what became of each at a least confidence.
 
-    Attributes:
-        labelled: Images, annotations and results.
-        matched: Which result is of which annotation.
-        states: Names of the performance states.
-        image_state: State of each image, −1 where it takes no part, shape (I,).
-        threshold: Least confidence that took part.
+    Each image has the index of a state, −1 where it takes no part, shape (I,).
     """
 
     labelled: LabelledSet
@@ -112,13 +107,9 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Annotations that were detected, m rows.
+    """Annotations that were detected: their rows, images, states and confidences, shapes (m,).
 
     Attributes:
-        rows: Of the annotations, shape (m,).
-        image: Index of the image, shape (m,).
-        state: State in the image, shape (m,).
-        confidence: Of the detection, shape (m,).
         annotated_px: The annotated box, x_min, y_min, x_max, y_max, shape (m, 4).
         error_px: e_x, e_y, e_w, e_h of the detected box, shape (m, 4).
         image_px: Width and height of the image, NaN where unknown, shape (m, 2).
@@ -158,15 +149,11 @@ class Pairs:
 
         The annotated box alone decides: leaving rows out by what was detected would itself cut errors.
         """
-        return self._unclipped_relative if relative else self._unclipped_px
+        return self._unclipped_by_unit[relative]
 
     @cached_property
-    def _unclipped_px(self) -> Mask:
-        return self._unclipped(np.ones_like(self.sides_px))
-
-    @cached_property
-    def _unclipped_relative(self) -> Mask:
-        return self._unclipped(self.sides_px)
+    def _unclipped_by_unit(self) -> tuple[Mask, Mask]:
+        return self._unclipped(np.ones_like(self.sides_px)), self._unclipped(self.sides_px)
 
     def _unclipped(self, unit_px: Array) -> Mask:
         low, high, size = self.annotated_px[:, :2], self.annotated_px[:, 2:], self.image_px

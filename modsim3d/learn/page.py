@@ -42,8 +42,8 @@ _STYLE = (
     ".wide td, .wide th { white-space: nowrap; padding: 0.2rem 0.9rem 0.2rem 0; }"
 )
 _SHARES = (
-    "Points of mean average precision that mending one kind of error would gain (Bolya et al., 2020): classification, "
-    "localisation, both, duplicate, background, missed."
+    "Points of mean average precision that correcting one kind of error would gain (Bolya et al., 2020): "
+    "classification, localisation, both, duplicate, background, missed."
 )
 _POINTS = (
     "Average precision: by all points it is the area under the interpolated curve; COCO's tools average that curve at "

@@ -1,16 +1,14 @@
-"""The parts of a detector, the models that each can be, and what learns them.
-
-Each model is registered once here, by its part and the name that detector files use. Reports list the models that
-nothing learns as such.
-"""
+"""What learns each model of a detector, registered under the part and name that `detector.parts.MODELS` gives it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
-from modsim3d.learn.box_error_estimate import LAWS, choose_box_errors
+from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, MODELS, Part
+from modsim3d.learn.box_error_estimate import choose_box_errors
 from modsim3d.learn.class_estimate import choose_classes
 from modsim3d.learn.confidence_estimate import choose_confidence
+from modsim3d.learn.error_laws import LAWS
 from modsim3d.learn.false_positive_estimate import choose_false_positives
 from modsim3d.learn.form import PartForm
 from modsim3d.learn.states import transitions_of
@@ -18,14 +16,18 @@ from modsim3d.learn.transitions import Transitions
 
 Learner = Callable[..., PartForm | Transitions]
 
-STATE, CLASS, BOX_ERROR = "performance state", "dropout and class", "box error"
-FALSE_POSITIVES, CONFIDENCE = "false positives", "confidence"
-
-LEARNERS: Mapping[str, Mapping[str, Learner | None]] = {
-    STATE: {"markov_chain": transitions_of},
-    CLASS: {"confusion": choose_classes, "logistic": choose_classes, "table": None},
-    BOX_ERROR: dict.fromkeys(LAWS, choose_box_errors),
-    FALSE_POSITIVES: {"calibrated": choose_false_positives, "per_image": choose_false_positives, "thesis": None},
-    CONFIDENCE: {"normal": choose_confidence, "quantiles": choose_confidence, "precision_recall": None},
+LEARNERS: Mapping[Part, Mapping[str, Learner]] = {
+    Part.STATE: {MARKOV_CHAIN: transitions_of},
+    Part.CLASS: dict.fromkeys((CONFUSION, "logistic"), choose_classes),
+    Part.BOX_ERROR: dict.fromkeys(LAWS, choose_box_errors),
+    Part.FALSE_POSITIVES: dict.fromkeys(("calibrated", "per_image"), choose_false_positives),
+    Part.CONFIDENCE: dict.fromkeys(("normal", "quantiles"), choose_confidence),
 }
-"""What chooses and estimates each model, by part and name; None for a model that is not learned."""
+"""What chooses and estimates each model that can be learned."""
+
+
+def models_and_learners() -> Iterator[tuple[Part, str, Learner | None]]:
+    """Part, name and learner of every registered model; None for a model that nothing learns."""
+    for part, models in MODELS.items():
+        for name in models:
+            yield part, name, LEARNERS[part].get(name)

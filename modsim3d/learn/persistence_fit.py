@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,13 +18,7 @@ _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Consecutive sightings of the same thing.
-
-    Attributes:
-        earlier: Places of the earlier ones among the rows given, shape (m,).
-        later: Places of the later ones, shape (m,).
-        apart_s: Time between the two, shape (m,).
-    """
+    """Consecutive sightings of the same thing: their places among the rows given and the time between, shapes (m,)."""
 
     earlier: Indices
     later: Indices
@@ -62,25 +56,50 @@ class Consecutive:
 
     def rough_time_s(self) -> float:
         """The correlation time, without replicates."""
-        image = np.zeros_like(self.image)
-        return float(correlation_time(_ONCE, image, self.products, self.expected, self.apart_s)[0])
+        once = replace(self, image=np.zeros_like(self.image))
+        return float(once.times_s(_ONCE)[0])
 
     def column(self, resampling: Resampling) -> Column:
         """The correlation time; its replicates spread at least as pairs say, since runs of frames may be few."""
-        times = correlation_time(resampling, self.image, self.products, self.expected, self.apart_s)
+        times = self.times_s(resampling)
         if times[0] > 0:
-            least = np.array(relative_error(self.products, self.expected, self.apart_s, float(times[0])))
+            least = np.array(self.relative_error(float(times[0])))
             times = np.exp(widened(np.log(np.maximum(times, 1e-12)), least))
         return Column(times, "positive", np.array(float(len(self))))
 
+    def times_s(self, resampling: Resampling) -> Array:
+        """Correlation times τ for which the products sum to the expected ones times e^(−Δt/τ), shape (rows,).
+
+        They are 0 where there is no correlation, and at most a thousand times the median Δt.
+        """
+        gap = float(np.median(self.apart_s))
+        grid = gap * np.geomspace(0.05, 1000, _GRID)
+        if np.ptp(self.apart_s) < 1e-6 * gap:
+            sums = resampling.sums(self.image, np.column_stack([self.products, self.expected]))
+            curve = sums[:, 1:] * np.exp(-gap / grid)
+        else:
+            decayed = self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid)
+            sums = resampling.sums(self.image, np.column_stack([self.products, decayed]))
+            curve = sums[:, 1:]
+        result = np.zeros(len(sums))
+        for row in np.flatnonzero(sums[:, 0] > 0):
+            result[row] = np.exp(np.interp(sums[row, 0], curve[row], np.log(grid)))
+        return result
+
+    def relative_error(self, time_s: float) -> float:
+        """Relative standard error of a correlation time τ, from the deviation of each pair's product.
+
+        Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from
+        that are independent of each other whatever persists, and there are many more pairs than runs of frames.
+        """
+        gap = float(np.median(self.apart_s))
+        kept = float(np.exp(-gap / time_s))
+        stray = np.sqrt(((self.products - kept * self.expected) ** 2).sum()) / self.expected.sum()
+        return float(stray / kept * time_s / gap)
+
 
 def steps_between(labelled: LabelledSet, rows: Indices) -> Steps:
-    """Consecutive annotations of the same thing, where it has an identity and the frames have times.
-
-    Args:
-        labelled: The sets.
-        rows: Of the annotations to look at, shape (n,).
-    """
+    """Consecutive ones of some annotations, shape (n,), of things with identities in frames with times."""
     image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
     sequence, time_s = labelled.images.sequence[image], labelled.images.time_s[image]
     known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
@@ -98,51 +117,3 @@ def frame_interval_s(labelled: LabelledSet) -> float:
     same = np.diff(labelled.images.sequence[order]) == 0
     gaps = gaps[same & np.isfinite(gaps) & (gaps > 0)]
     return float(np.median(gaps)) if len(gaps) else float("nan")
-
-
-def correlation_time(resampling: Resampling, image: Indices, products: Array, expected: Array, apart_s: Array) -> Array:
-    """Correlation time τ for which the products sum to the expected ones times e^(−Δt/τ).
-
-    Args:
-        resampling: Weights of images.
-        image: Image of each pair, shape (m,).
-        products: Of residuals that persist together, shape (m,).
-        expected: Expectation of the products if the noise were the same in both, shape (m,).
-        apart_s: Time Δt between the two, shape (m,).
-
-    Returns:
-        Seconds, shape (rows,): 0 where there is no correlation; at most a thousand times the median Δt.
-    """
-    gap = float(np.median(apart_s))
-    grid = gap * np.geomspace(0.05, 1000, _GRID)
-    if np.ptp(apart_s) < 1e-6 * gap:
-        sums = resampling.sums(image, np.column_stack([products, expected]))
-        curve = sums[:, 1:] * np.exp(-gap / grid)
-    else:
-        decayed = expected[:, None] * np.exp(-apart_s[:, None] / grid)
-        sums = resampling.sums(image, np.column_stack([products, decayed]))
-        curve = sums[:, 1:]
-    wanted = sums[:, 0]
-    result = np.zeros(len(wanted))
-    for row, (value, levels) in enumerate(zip(wanted, curve, strict=True)):
-        if value > 0:
-            result[row] = np.exp(np.interp(value, levels, np.log(grid)))
-    return result
-
-
-def relative_error(products: Array, expected: Array, apart_s: Array, time_s: float) -> float:
-    """Relative standard error of a correlation time τ, from the deviation of each pair's product.
-
-    Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from that
-    are independent of each other whatever persists, and there are many more pairs than runs of frames.
-
-    Args:
-        products: Of residuals, shape (m,).
-        expected: Expectation of the products if the noise were the same in both, shape (m,).
-        apart_s: Time Δt between the two, shape (m,).
-        time_s: The correlation time τ.
-    """
-    gap = float(np.median(apart_s))
-    kept = float(np.exp(-gap / time_s))
-    stray = np.sqrt(((products - kept * expected) ** 2).sum()) / expected.sum()
-    return float(stray / kept * time_s / gap)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
-from modsim3d.learn.error_moments import CELLS, PAIRS, ErrorMoments
+from modsim3d.learn.error_moments import CELLS, ErrorMoments
 from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.figures import Figures, Rates
 from modsim3d.learn.gate_bias import Bias
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.parts import LEARNERS
+from modsim3d.learn.parts import models_and_learners
 from modsim3d.learn.resampling import Column
 from modsim3d.learn.states import StateMap
 
@@ -27,15 +27,11 @@ class Report:
     """Everything that is reported.
 
     Attributes:
-        labelled: Images, annotations and results.
         by_label: Matches label by label, for curves.
         conditions: Figures of each condition, the largest F1 first.
-        states: Figures of each performance state.
-        state_map: Which conditions make which state.
-        learned: The detector.
         shares: What average precision is lost to.
         bias: By how much matching shifts the numbers; None where that was not asked for.
-        level: Of the confidence intervals.
+        level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
         matched_by: The matching rule in words.
         remarks: What the numbers have to be read with: entries left out, what matching hides.
@@ -93,9 +89,7 @@ def _cell(column: Column, level: float, units: int, digits: int, *place: int) ->
 def tables(report: Report, every: bool = False) -> list[Table]:
     """All tables in the order of the thesis's chapter 8.
 
-    Args:
-        report: What was learned.
-        every: Also what a terminal has no room for: labels of each condition, errors of labels, covariances.
+    `every` adds what a terminal has no room for: labels of each condition, errors of labels, covariances.
     """
     groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
     detailed = groups if every else report.states
@@ -128,7 +122,7 @@ def _rates(report: Report, groups: Sequence[Figures]) -> Table:
         (
             report.name(figures),
             str(figures.images),
-            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label.columns),
+            *(_cell(column, report.level, figures.units, 3) for column in figures.any_label),
         )
         for figures in groups
     )
@@ -141,7 +135,7 @@ def _labels(report: Report, figures: Figures) -> Table:
         return [_cell(column, report.level, figures.units, 3, *place) for column in columns]
 
     def row(rates: Rates) -> tuple[Column, ...]:
-        return rates.precision, rates.recall, rates.f1, rates.false_negative_rate, rates.false_discovery_rate
+        return (*rates[:3], *rates[4:])  # without F-beta
 
     columns = [*row(figures.of_labels), figures.average_precision.all_points]
     rows = [
@@ -151,7 +145,7 @@ def _labels(report: Report, figures: Figures) -> Table:
     rows.append(("arithmetic mean", "", *cells([*row(figures.mean), figures.mean_average_precision.all_points])))
     rows.append(("weighted mean", "", *cells(row(figures.weighted)), ""))
     title = f"Labels in {report.name(figures)}: another label is a miss of one and a false one of the other"
-    return Table(title, ("label", "truths", *_RATES, "AP"), tuple(rows))
+    return Table(title, ("label", "annotations", *_RATES, "AP"), tuple(rows))
 
 
 def _error_cells(report: Report, figures: Figures, moments: ErrorMoments) -> list[str]:
@@ -166,7 +160,7 @@ def _errors(report: Report, groups: Sequence[Figures]) -> Table:
 
 def _correlations(report: Report, groups: Sequence[Figures]) -> Table:
     title = "Correlation coefficients of the box errors"
-    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, PAIRS)
+    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, ERROR_PAIRS)
 
 
 def _covariances(report: Report, groups: Sequence[Figures]) -> Table:
@@ -203,7 +197,7 @@ def _curves(report: Report, groups: Sequence[Figures]) -> Table:
     rows = []
     for figures in groups:
         entropies = [figures.confidence_entropy, *([figures.label_entropy] if figures.label_entropy else [])]
-        columns = [*figures.mean_average_precision.columns, *entropies]
+        columns = [*figures.mean_average_precision, *entropies]
         rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
     extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
     title = "Mean average precision over labels, every detection counted"
@@ -230,7 +224,7 @@ def _confusion(report: Report, figures: Figures) -> Table:
 def _shares(report: Report) -> Table:
     rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
     title = f"What mean average precision, {100 * report.shares.average_precision:.1f} points, is lost to"
-    return Table(title, ("error", "number", "points gained if mended"), rows)
+    return Table(title, ("error", "number", "points gained if corrected"), rows)
 
 
 def _parameters(report: Report) -> Table:
@@ -260,16 +254,15 @@ def _bias(bias: Bias) -> Table:
 
 def _models() -> Table:
     rows = tuple(
-        (part, name, "not learned" if learner is None else "learned")
-        for part, models in LEARNERS.items()
-        for name, learner in models.items()
+        (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
     )
     return Table("Models that are learned", ("part", "model", "estimate"), rows)
 
 
 NEVER_LEARNED = (
     "Never learned: duplicates, merged and split boxes (they count as false or missed), false positives that persist, "
-    "box errors with both a fixed and a growing part, confidence that follows size or visibility."
+    "box errors with both a fixed and a growing part, confidence as a precision-recall curve or that follows size or "
+    "visibility."
 )
 
 
@@ -278,7 +271,7 @@ def lead(report: Report) -> str:
     learned, labelled = report.learned, report.labelled
     drawn = f"runs of {learned.run_s:.3g} s" if learned.run_s else "images"
     return (
-        f"{len(labelled.images)} images, {len(labelled.annotations)} truths, {len(labelled.results)} detections; "
+        f"{len(labelled.images)} images, {len(labelled.annotations)} annotations, {len(labelled.results)} detections; "
         f"matched by {report.matched_by}, confidence at least {learned.observed.threshold:g}; "
         f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
     )

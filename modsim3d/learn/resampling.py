@@ -7,6 +7,7 @@ images. Their first row, one for each image, gives the estimate, and the other r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,39 +20,26 @@ from modsim3d.formats.labelled import Images
 
 _LEAST_SPREAD = 1e-12
 
-Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate"]
-"""A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, or a
-`rate` of a Poisson number."""
+Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two"]
+"""A `share` of a number of trials, another `fraction` from 0 to 1, a `mean`, a `positive` number, a `correlation`, a
+`rate` of a Poisson number, or a number `above_two`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """Weights of images.
+    """How often each image was drawn, in the first row once each, shape (1 + replicates, I).
 
-    Attributes:
-        weights: How often each image was drawn; in the first row once each, shape (1 + replicates, I).
-        unit: Index of what was drawn with each image, itself or a run of frames, shape (I,).
+    `unit` is the index of what was drawn with each image, itself or a run of frames, shape (I,).
     """
 
     weights: Array
     unit: Indices
 
     def sums(self, image: Indices, values: Array) -> Array:
-        """Weighted sums of values.
-
-        Args:
-            image: Image of each value, shape (n,).
-            values: Shape (n, ...).
-
-        Returns:
-            Shape (1 + replicates, ...).
-        """
-        columns = int(np.prod(values.shape[1:]))
-        flat = values.reshape(len(image), columns)
-        index = np.repeat(image, columns), np.tile(np.arange(columns), len(image))
-        by_image = csr_array((flat.ravel(), index), shape=(self.weights.shape[1], columns))
-        total: Array = np.asarray((by_image.T @ self.weights.T).T)
-        return total.reshape(len(self.weights), *values.shape[1:])
+        """Weighted sums of values (n, ...), given the image of each (n,), shape (1 + replicates, ...)."""
+        cells = int(np.prod(values.shape[1:]))
+        cell = np.tile(np.arange(cells), len(image))
+        return self.counts(np.repeat(image, cells), cell, values.shape[1:], values.ravel())
 
     def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...], amount: Array | None = None) -> Array:
         """Weighted counts in the cells of a table.
@@ -59,11 +47,8 @@ class Resampling:
         Args:
             image: Image of each thing that is counted, shape (n,).
             cell: Its cell in the flattened table, shape (n,).
-            shape: Of the table.
+            shape: Of the table; that of the result is (1 + replicates, *shape).
             amount: How much each counts, one if None, shape (n,).
-
-        Returns:
-            Shape (1 + replicates, *shape).
         """
         size = int(np.prod(shape))
         amount = np.ones(len(image)) if amount is None else amount
@@ -77,14 +62,7 @@ class Resampling:
 
 
 def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> Resampling:
-    """Draw as many images, or runs of frames, from each source as it has.
-
-    Args:
-        images: The images.
-        replicates: How often they are drawn.
-        seed: Of all random numbers.
-        run_s: Length of the runs where images have times; 0 draws single images.
-    """
+    """Draw as many images, or runs of so many seconds where they have times, from each source as it has."""
     timed = np.isfinite(images.time_s) if run_s > 0 else np.zeros(len(images), dtype=bool)
     run = np.where(timed, np.floor(np.nan_to_num(images.time_s) / max(run_s, 1e-9) + 1e-9), -1).astype(np.int64)
     single = np.where(timed, -1, np.arange(len(images)))
@@ -121,17 +99,14 @@ class Column:
 
     @property
     def estimate(self) -> Array:
-        """The first row of the values."""
+        """The first row of the values, shape (...)."""
         first: Array = self.values[0]
         return first
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
-        """Both ends of confidence intervals, each of the shape of one row.
+        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row.
 
-        Args:
-            level: Such as 0.95.
-            units: Number of images or runs that were drawn. With few of them the spread itself is uncertain, hence
-                Student's distribution.
+        With few units, images or runs that were drawn, the spread itself is uncertain, hence Student's distribution.
         """
         wide = float(stats.t.ppf((1 + level) / 2, max(units - 1, 1)))
         widen, tail = (wide / float(stats.norm.ppf((1 + level) / 2))) ** 2, (1 - level) / 2
@@ -177,16 +152,9 @@ def spread(replicates: Array) -> Array:
 
 
 def widened(values: Array, least: Array) -> Array:
-    """Replicates whose spread is at least a standard error from theory, in which noise that persists is counted.
+    """Replicates of shape (1 + replicates, ...) that spread at least as a standard error (...) from theory does.
 
     With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
-
-    Args:
-        values: The estimate, then its replicates, shape (1 + replicates, ...).
-        least: Standard error of the estimate, shape (...).
-
-    Returns:
-        The same shape, and the same estimate.
     """
     if len(values) == 1:
         return values
@@ -197,27 +165,29 @@ def widened(values: Array, least: Array) -> Array:
     return scaled
 
 
+Scale = tuple[Callable[[Array], Array], Callable[[Array], Array]]
+_PLAIN: Scale = (lambda x: x, lambda x: x)
+_LOGIT: Scale = (lambda x: special.logit(np.clip(x, 1e-9, 1 - 1e-9)), special.expit)
+_LOGARITHM: Scale = (lambda x: np.log(np.maximum(x, 1e-12)), np.exp)
+_SCALES: dict[Kind, Scale] = {
+    "share": _LOGIT,
+    "fraction": _LOGIT,
+    "mean": _PLAIN,
+    "positive": _LOGARITHM,
+    "rate": _LOGARITHM,
+    "above_two": (lambda x: np.log(np.maximum(x - 2, 1e-12)), lambda x: 2 + np.exp(x)),
+    "correlation": (lambda x: np.arctanh(np.clip(x, -1 + 1e-9, 1 - 1e-9)), np.tanh),
+}
+"""To the scale on which an estimate of each kind is nearly normal, and back."""
+
+
 def to_scale(values: Array, kind: Kind) -> Array:
-    """Numbers of any shape on a scale on which an estimate of this kind is nearly normal."""
-    scaled = values
+    """Numbers of any shape on the scale of their kind."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        if kind in ("share", "fraction"):
-            scaled = special.logit(np.clip(values, 1e-9, 1 - 1e-9))
-        elif kind in ("positive", "rate"):
-            scaled = np.log(np.maximum(values, 1e-12))
-        elif kind == "correlation":
-            scaled = np.arctanh(np.clip(values, -1 + 1e-9, 1 - 1e-9))
-    return scaled
+        return _SCALES[kind][0](values)
 
 
 def from_scale(values: Array, kind: Kind) -> Array:
-    """Numbers of any shape back from the scale of `to_scale`."""
-    plain = values
+    """Numbers of any shape back from the scale of their kind."""
     with np.errstate(over="ignore"):
-        if kind in ("share", "fraction"):
-            plain = special.expit(values)
-        elif kind in ("positive", "rate"):
-            plain = np.exp(values)
-        elif kind == "correlation":
-            plain = np.tanh(values)
-    return plain
+        return _SCALES[kind][1](values)

@@ -24,11 +24,7 @@ NAMES = {
 
 @dataclass(frozen=True)
 class StateMap:
-    """Performance states and their conditions.
-
-    Attributes:
-        states: Names of the conditions of each state, by the name of the state.
-    """
+    """Names of the conditions of each performance state, by the name of the state."""
 
     states: Mapping[str, tuple[str, ...]]
 
@@ -78,14 +74,10 @@ def each_its_own(conditions: Sequence[str]) -> StateMap:
 
 
 def cluster(f1: Mapping[str, float], count: int) -> StateMap:
-    """Cluster conditions by F1 into the intervals with the least sum of squares within.
+    """Cluster conditions by their F1 into so many intervals with the least sum of squares within.
 
     On a line the best clusters are intervals. Dynamic programming tries all of them (Fisher (1958)), so the answer is
     always the same, unlike that of k-means from random starts.
-
-    Args:
-        f1: F1 of each condition, by its name.
-        count: Number of states.
 
     Raises:
         InputError: There are fewer conditions than states.
@@ -125,7 +117,7 @@ def transitions_of(images: Images, image_state: Indices, states: int, interval_s
     Cameras that had the same states at the same times share a chain and count once.
 
     Args:
-        images: The images.
+        images: Images with their times.
         image_state: State of each image, −1 for none, shape (I,).
         states: Number of states.
         interval_s: Time between transitions; if None, one at each frame, and the usual time between frames.

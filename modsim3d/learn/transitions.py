@@ -49,19 +49,14 @@ class Transitions:
 
     def interval(self, level: float, states: tuple[str, ...]) -> Interval:
         """Credible intervals of the matrix, whose entries have Beta distributions; `states` names its axes."""
-        key = Key(("transition_matrix",), axes=(states, states))
-        return Interval(key, self.matrix, *self._ends(level))
-
-    def _ends(self, level: float) -> tuple[Array, Array]:
-        n = len(self.counts)
+        n, key = len(self.counts), Key(("transition_matrix",), axes=(states, states))
         if n == 1:
-            return self.matrix, self.matrix
+            return Interval(key, self.matrix, self.matrix, self.matrix)
         if not self.observed:
-            return np.zeros((n, n)), np.ones((n, n))
-        hits = self.counts + 1
+            return Interval(key, self.matrix, np.zeros((n, n)), np.ones((n, n)))
+        hits, tail = self.counts + 1, (1 - level) / 2
         rest = self.counts.sum(axis=0) + n - hits
-        tail = (1 - level) / 2
-        return special.betaincinv(hits, rest, tail), special.betaincinv(hits, rest, 1 - tail)
+        return Interval(key, self.matrix, *(special.betaincinv(hits, rest, p) for p in (tail, 1 - tail)))
 
     def sections(self, states: tuple[str, ...]) -> dict[str, Any]:
         """What the detector file says of the chain, whose states have these names."""
@@ -72,13 +67,7 @@ class Transitions:
 
 
 def count_transitions(sequences: Sequence[Indices], states: int, interval_s: float | None = None) -> Transitions:
-    """The chain that sequences of states show.
-
-    Args:
-        sequences: Indices of states, one for each time step or interval, shapes (any,).
-        states: Number of states.
-        interval_s: Time between the entries of a sequence.
-    """
+    """The chain that sequences of so many states show, each of shape (any,), whose entries are an interval apart."""
     counts = np.zeros((states, states))
     for sequence in sequences:
         np.add.at(counts, (sequence[1:], sequence[:-1]), 1)

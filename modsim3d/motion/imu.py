@@ -27,19 +27,13 @@ class Imu:
     acceleration_bias_m_s2: float = 0.0
 
     def errors(self, streams: Streams, vessel: str, first: int, count: int) -> tuple[Array, Array]:
-        """Errors of the unit of a vessel at consecutive steps.
-
-        Args:
-            streams: Random numbers of the scene.
-            vessel: ID.
-            first: First step.
-            count: Number of steps n.
+        """Errors of the unit of a vessel at the n = `count` steps from `first` on.
 
         Returns:
             Errors of the angular rates in rad/s and of the specific force in m/s², each of shape (n, 3).
         """
-        sample = normals(streams.uniforms(Purpose.IMU_NOISE, vessel, first=first, count=count, width=6))
-        offset = normals(streams.uniforms(Purpose.IMU_BIAS, vessel, first=0, count=1, width=6))
+        sample = normals(streams.uniforms(Purpose.IMU_NOISE, vessel, first=first, count=count))
+        offset = normals(streams.uniforms(Purpose.IMU_BIAS, vessel, first=0, count=1))
         rates = self.rate_noise_rad_s * sample[:, :3] + self.rate_bias_rad_s * offset[:, :3]
         forces = self.acceleration_noise_m_s2 * sample[:, 3:] + self.acceleration_bias_m_s2 * offset[:, 3:]
         return rates, forces

@@ -44,13 +44,7 @@ class PosesInWaves:
     world_R_vessel: Array
 
     def of_camera(self, mount: Mount, carrier: int, composition: str) -> CameraPoses:
-        """Poses of a camera on board.
-
-        Args:
-            mount: Place of the camera on board.
-            carrier: Index of the vessel that carries it.
-            composition: How the camera's own angles and its vessel's combine: `rigid` or `additive`.
-        """
+        """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`."""
         positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]
         return poses_on_board(mount, positions_m, headings_rad, self.angles_rad[:, carrier], composition)
 
@@ -74,11 +68,7 @@ class VesselMotion:
     steps: int
 
     def at(self, steps: Indices) -> PosesInWaves:
-        """Poses at some steps.
-
-        Args:
-            steps: Ascending, shape (S,).
-        """
+        """Poses at ascending steps, shape (S,)."""
         if self.waves is None:
             first, stop = int(steps[0]), int(steps[-1]) + 1
             poses = self.source.poses(first, stop).rows(steps - first)
@@ -89,13 +79,9 @@ class VesselMotion:
         return PosesInWaves(poses, angles, rotations)
 
     def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
-        """First step, and the step after the last, of a range that holds the steps and their neighbours.
+        """First step and stop of a range that holds ascending steps, shape (S,), and `margin` neighbours on each side.
 
         A velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene.
-
-        Args:
-            steps: Ascending, shape (S,).
-            margin: Number of neighbours on each side.
         """
         first, stop = int(steps[0]), int(steps[-1]) + 1
         known = len(self.source.timestamps) if isinstance(self.source, LivePoses) else self.steps

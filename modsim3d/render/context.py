@@ -63,12 +63,10 @@ class GLContext:
     """A current OpenGL context.
 
     Attributes:
-        backend: `osmesa` or `egl`.
         gl: The module of OpenGL functions, `OpenGL.GL`.
-        description: Renderer and version, for run.json.
+        description: Backend, renderer and version, for run.json.
     """
 
-    backend: str
     gl: ModuleType
     description: str
 
@@ -109,7 +107,7 @@ def _make_context(backend: str, stack: ExitStack) -> GLContext:
 
     _use_reversed_depth(get_address)
     name, version = (GL.glGetString(key).decode() for key in (GL.GL_RENDERER, GL.GL_VERSION))
-    return GLContext(backend, GL, f"{backend}: {name}, OpenGL {version}")
+    return GLContext(GL, f"{backend}: {name}, OpenGL {version}")
 
 
 def prepare_environment(backend: str) -> None:
@@ -188,3 +186,30 @@ def _egl_context() -> Iterator[GetAddress]:
     finally:
         EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
         EGL.eglDestroyContext(display, context)
+
+
+def make_framebuffer(gl: Any, size: tuple[int, int], colour_format: int, what: str) -> tuple[Any, Any]:
+    """Make and bind a framebuffer of a width and height with a colour buffer and a float depth buffer.
+
+    Args:
+        gl: The module of OpenGL functions.
+        size: Width and height.
+        colour_format: OpenGL's number for the format of the colour buffer.
+        what: What is drawn into it, for the error.
+
+    Returns:
+        The framebuffer, and the storages of its colours and its depth.
+
+    Raises:
+        RendererError: The renderer cannot draw into such a buffer.
+    """
+    framebuffer, storages = gl.glGenFramebuffers(1), gl.glGenRenderbuffers(2)
+    gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
+    kinds = (colour_format, gl.GL_COLOR_ATTACHMENT0), (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT)
+    for storage, (kind, attachment) in zip(storages, kinds, strict=True):
+        gl.glBindRenderbuffer(gl.GL_RENDERBUFFER, storage)
+        gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, *size)
+        gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, attachment, gl.GL_RENDERBUFFER, storage)
+    if gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER) != gl.GL_FRAMEBUFFER_COMPLETE:
+        raise RendererError(f"the renderer cannot draw {what} of {size[0]} × {size[1]} px with float depth")
+    return framebuffer, storages

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array
 from modsim3d.errors import RendererError
-from modsim3d.render.context import GLContext
+from modsim3d.render.context import GLContext, make_framebuffer
 
 SUBPIXELS = 256
 VIEWPORT_PX = 16384
@@ -57,10 +57,10 @@ class Region:
 
     @classmethod
     def around(cls, box_px: Array, image_size_px: tuple[int, int], margin_px: int = 1) -> Region:
-        """The pixels of an image that a box touches, with a margin; empty if there are none.
+        """The pixels of an image that a box x_min, y_min, x_max, y_max, shape (4,), touches; empty if there are none.
 
         Args:
-            box_px: x_min, y_min, x_max, y_max, shape (4,).
+            box_px: Shape (4,).
             image_size_px: Width and height.
             margin_px: Added on each side, within the image.
         """
@@ -103,16 +103,13 @@ class IdRenderer:
         gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 4)
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
-        """The ID at each pixel of a region; zero where nothing is.
+        """The ID at each pixel of a region, shape (region.height, region.width); zero where nothing is.
 
         Args:
             corners_px: Columns and rows of triangles in image pixels, shape (T, 3, 2).
             inverse_depth: near / c3 of the corners, in (0, 1], shape (T, 3).
             ids: Positive ID of each triangle's solid, shape (T,).
             region: Part of the image to draw.
-
-        Returns:
-            IDs, shape (region.height, region.width).
 
         Raises:
             RendererError: The region is larger than a buffer may be.
@@ -160,23 +157,8 @@ class IdRenderer:
                 framebuffer, storages = self._buffers.pop(next(iter(self._buffers)))
                 gl.glDeleteFramebuffers(1, [framebuffer])
                 gl.glDeleteRenderbuffers(2, storages)
-            self._buffers[size] = self._make_buffer(size)
+            self._buffers[size] = make_framebuffer(gl, size, gl.GL_R32UI, "an integer buffer")
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._buffers[size][0])
-
-    def _make_buffer(self, size: tuple[int, int]) -> tuple[int, Any]:
-        gl = self.context.gl
-        framebuffer, storages = gl.glGenFramebuffers(1), gl.glGenRenderbuffers(2)
-        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
-        kinds = (gl.GL_R32UI, gl.GL_COLOR_ATTACHMENT0), (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT)
-        for storage, (kind, attachment) in zip(storages, kinds, strict=True):
-            gl.glBindRenderbuffer(gl.GL_RENDERBUFFER, storage)
-            gl.glRenderbufferStorage(gl.GL_RENDERBUFFER, kind, *size)
-            gl.glFramebufferRenderbuffer(gl.GL_FRAMEBUFFER, attachment, gl.GL_RENDERBUFFER, storage)
-        if gl.glCheckFramebufferStatus(gl.GL_FRAMEBUFFER) != gl.GL_FRAMEBUFFER_COMPLETE:
-            raise RendererError(
-                f"the renderer cannot draw an integer buffer of {size[0]} × {size[1]} px with float depth"
-            )
-        return framebuffer, storages
 
 
 def _buffer_side(pixels: int) -> int:

@@ -11,11 +11,11 @@ from modsim3d.arrays import Array
 from modsim3d.render.id_pass import Ids, Region
 
 
-class IdDrawer(Protocol):
-    """Something that draws ID buffers."""
+class AnyIdRenderer(Protocol):
+    """What renders ID buffers: `IdRenderer` by OpenGL, or `PlainIds` without it."""
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
-        """The ID at each pixel of a region; zero where nothing is. See `IdRenderer.draw`."""
+        """The ID at each pixel of a region, shape (height, width); zero where nothing is. See `IdRenderer.draw`."""
 
 
 class PlainIds:
@@ -25,7 +25,7 @@ class PlainIds:
     """
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
-        """The ID at each pixel of a region; zero where nothing is. See `IdRenderer.draw`."""
+        """The ID at each pixel of a region, shape (height, width); zero where nothing is. See `IdRenderer.draw`."""
         out = np.zeros((region.height, region.width), dtype=np.uint32)
         depth = np.zeros(out.shape)
         corners = corners_px - (region.x, region.y)

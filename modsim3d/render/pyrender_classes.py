@@ -14,18 +14,14 @@ from OpenGL import GL
 from pyrender.renderer import Renderer
 
 from modsim3d.arrays import Array
-from modsim3d.errors import RendererError
+from modsim3d.render.context import make_framebuffer
 
 
 class ProjectionCamera(pyrender.Camera):  # type: ignore[misc]
     """A camera that is nothing but its projection matrix."""
 
     def __init__(self, projection: Array) -> None:
-        """Keep the matrix.
-
-        Args:
-            projection: From camera to clip coordinates, shape (4, 4).
-        """
+        """Keep the matrix from camera to clip coordinates, shape (4, 4)."""
         super().__init__()
         self._projection = projection
 
@@ -45,18 +41,8 @@ class SharpRenderer(Renderer):  # type: ignore[misc]
         if self._main_fb_dims == size:  # type: ignore[has-type]
             return
         self._delete_main_framebuffer()
-        self._main_fb = self._main_fb_ms = GL.glGenFramebuffers(1)
-        self._main_cb, self._main_db = GL.glGenRenderbuffers(2)
-        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
-        for storage, kind, attachment in (
-            (self._main_cb, GL.GL_RGBA8, GL.GL_COLOR_ATTACHMENT0),
-            (self._main_db, GL.GL_DEPTH_COMPONENT32F, GL.GL_DEPTH_ATTACHMENT),
-        ):
-            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, storage)
-            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
-            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, storage)
-        if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
-            raise RendererError(f"the renderer cannot draw a picture of {size[0]} × {size[1]} px with float depth")
+        self._main_fb, storages = make_framebuffer(GL, size, GL.GL_RGBA8, "a picture")
+        self._main_fb_ms, (self._main_cb, self._main_db) = self._main_fb, storages
         self._main_fb_dims = size
 
     def _delete_main_framebuffer(self) -> None:

@@ -8,9 +8,11 @@ precision puts a pixel centre on the other side of an edge.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,30 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.errors import RendererError
-from modsim3d.render.context import GLContext
+from modsim3d.render.context import GLContext, choose_backend, prepare_environment
 from modsim3d.render.id_pass import MAX_REGION_PX
-from modsim3d.render.shaded import import_pyrender
 
 GAMMA = 2.2
 """Exponent from screen values to light, close enough to the curve of sRGB."""
+
+
+def import_pyrender() -> Any:
+    """The pyrender module for offscreen rendering, imported in the one way that works without a screen.
+
+    `import pyrender` also imports its window. The window needs pyglet, which needs libGL and an X library that servers
+    do not have. An empty module replaces the window.
+
+    Raises:
+        RendererError: There is no OpenGL library.
+    """
+    prepare_environment(choose_backend())
+    if "pyrender" not in sys.modules:
+        window = ModuleType("pyrender.viewer")
+        window.Viewer = object  # type: ignore[attr-defined]
+        sys.modules["pyrender.viewer"] = window
+    import pyrender
+
+    return pyrender
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +118,13 @@ class ShadedRenderer:
         lamps: Sequence[Lamp],
         ambient: tuple[float, float, float],
     ) -> Lit:
-        """Draw faces.
+        """Draw T faces.
 
         Args:
-            faces: T faces.
+            faces: None may be nearer than the near plane.
             pixels: From CCF to homogeneous columns and rows of the picture, shape (3, 3): K, scaled and shifted to the
                 window that the picture shows.
-            near_m: Depth of the near plane; no corner is nearer.
+            near_m: Depth of the near plane.
             size: Width and height of the picture.
             lamps: Directed light.
             ambient: Red, green and blue of the light from all directions, as shares of a face's colour.

@@ -1,4 +1,4 @@
-"""Consecutive steps as all cameras saw them: truth and detections, as columns and frame by frame."""
+"""Truth and detections of consecutive steps: as columns for each camera (blocks), and frame by frame."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class CameraBlock:
         camera: Index into the scene's cameras.
         steps: Steps at which it took a frame, ascending, shape (S,).
         sea_half_planes: (a, b, c) of each frame, with a·x + b·y + c >= 0 on the sea's side of the horizon, (S, 3).
-        truth: The camera's rows, in order of step and vessel.
+        truth: What it saw, in order of step and vessel.
         target_rows: Rows of `truth` that were annotated and given to the detector, shape (n,).
-        detections: Of all its frames. `frame` indexes `steps`; `target` indexes `target_rows`.
+        detections: What the detector made of it. `frame` indexes `steps`; `target` indexes `target_rows`.
     """
 
     camera: int
@@ -52,18 +52,17 @@ class CameraBlock:
     def detected(self) -> Mask:
         """Whether each truth row was detected, under whatever label, alone or merged with another, shape (n,)."""
         found = np.zeros(len(self.truth), dtype=bool)
-        drawn = self.detections
-        sources = np.concatenate([drawn.target[~drawn.false()], drawn.partner[drawn.partner >= 0]])
-        found[self.target_rows[sources]] = True
+        detections = self.detections
+        own, shared = detections.target[~detections.false()], detections.partner[detections.partner >= 0]
+        found[self.target_rows[np.concatenate([own, shared])]] = True
         return found
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Steps first to stop − 1 of a scene.
+    """Truth and detections of steps first to stop − 1 of a scene.
 
     Attributes:
-        first: First step.
         timestamps: The text of each step's time.
         cameras: One part for each camera, in the order of the scene's cameras.
     """
@@ -84,7 +83,7 @@ class FrameTruth:
 
     Attributes:
         vessels: IDs of the vessels.
-        labels: True classes.
+        labels: True classes of the vessels.
         full_boxes_px: Boxes of the whole silhouettes, cut at the image edge, shape (n, 4).
         visible_boxes_px: Boxes of the visible pixels; NaN if there are none, shape (n, 4).
         boxes_px: The boxes that the annotation mode takes: the full or the visible ones, shape (n, 4).
@@ -94,8 +93,8 @@ class FrameTruth:
         in_frame_fraction: Area in the image over area of the silhouette; NaN across the near plane, shape (n,).
         depth_m: Mean distance along the camera's axis, shape (n,).
         occluded_by: For each vessel, the names of its occluders and the number of pixels that each hides.
-        annotated: Whether it was given to the detector, shape (n,).
-        detected: Whether it was detected, under whatever label, shape (n,).
+        annotated: Whether each vessel was given to the detector, shape (n,).
+        detected: Whether each vessel was detected, under whatever label, shape (n,).
     """
 
     vessels: tuple[str, ...]
@@ -148,11 +147,9 @@ class Frame:
 
     Attributes:
         camera: Name of the camera.
-        step: Counted from zero.
+        step: Step, counted from zero.
         timestamp: The text of the step's time.
         state: Name of the detector's performance state.
-        truth: What the camera sees.
-        detections: The detector's output.
         image_size_px: Width and height.
         sea_half_plane: (a, b, c) with a·x + b·y + c >= 0 on the sea's side of the horizon, shape (3,).
         scene_vessels: IDs of all vessels of the scene, seen or not; their order gives the colours of pictures.
@@ -169,11 +166,11 @@ class Frame:
     scene_vessels: tuple[str, ...]
 
     def plot(self, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
-        """Draw sea, sky, truth and detections with matplotlib; a notebook shows what is returned.
+        """Draw sea, sky, truth and detections with matplotlib; a notebook shows the figure that is returned.
 
         Args:
             axes: Axes to draw into; a new figure if None.
-            zoom: Show only the part of the image in which there are vessels.
+            zoom: Show only the part of the image with vessels.
             labels: Write names, classes and confidences.
 
         Raises:
@@ -185,13 +182,7 @@ class Frame:
 
 
 def frames_of(block: Block, scene: Scene, steps: range | None = None) -> Iterator[Frame]:
-    """The frames of a block, in order of step and camera.
-
-    Args:
-        block: Truth and detections.
-        scene: The scene that the block belongs to.
-        steps: Only the frames of these steps; all if None.
-    """
+    """The frames of a block of a scene, or of some of its steps, in order of step and camera."""
     wanted = range(block.first, block.stop) if steps is None else steps
     taken = sorted(
         (step, place, index)

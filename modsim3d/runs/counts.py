@@ -18,10 +18,9 @@ WORTH_A_WARNING_PX = 1.0
 
 @dataclass(frozen=True)
 class Counts:
-    """What happened in a run, summed over cameras and steps.
+    """What happened in a run or in a block, summed over cameras and steps. The names are keys of `run.json`.
 
     Attributes:
-        frames: Frames that were taken.
         vessel_frames: Vessels whose silhouette was in a frame.
         seen: Vessels with a visible pixel.
         partly_hidden: Vessels with some visible pixels, but fewer than silhouette pixels.
@@ -34,7 +33,7 @@ class Counts:
         mislabelled: Detections of a vessel under another label.
         false_positives: Detections of nothing, and second boxes of a vessel.
         clipped: Detections of a vessel whose box was cut at the image edge.
-        redrawn: Detections of a vessel whose box error was resampled, as it left less than a pixel of the box.
+        redrawn: Detections of a vessel whose box error was resampled, because it shrank the box below one pixel.
         below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one. An evaluation that
             matches boxes counts such a detection as a miss and a false positive.
         off_by_curvature: Vessels on a flat sea whose box the Earth's curvature would move by more than a pixel.
@@ -60,9 +59,10 @@ class Counts:
     largest_curvature_px: float = 0.0
 
     def __add__(self, other: Counts) -> Counts:
-        """Both together."""
+        """The counts of both; of the curvature's shift the larger one."""
         sums = {field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)}
-        return Counts(**sums | {name: max(getattr(self, name), getattr(other, name)) for name in _LARGEST})
+        sums["largest_curvature_px"] = max(self.largest_curvature_px, other.largest_curvature_px)
+        return Counts(**sums)
 
     @classmethod
     def of(cls, block: Block, scene: Scene) -> Counts:
@@ -70,17 +70,13 @@ class Counts:
         return sum((_count(part, scene) for part in block.cameras), cls())
 
 
-_LARGEST = ("largest_curvature_px",)
-"""Counts that are not summed: the largest of all blocks is kept."""
-
-
 def _count(part: CameraBlock, scene: Scene) -> Counts:
-    truth, drawn = part.truth, part.detections
-    true = np.flatnonzero(~drawn.false())
+    truth, detections = part.truth, part.detections
+    true = np.flatnonzero(~detections.false())
     rows = part.truth_row[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
-    boxes, annotated = drawn.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
-    asked = sizes(annotated) + drawn.errors_px[true, 2:]
+    boxes, annotated = detections.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
+    unclipped = sizes(annotated) + detections.errors_px[true, 2:]
     detected = int(part.detected.sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
     curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
@@ -94,12 +90,12 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
         annotated=len(part.target_rows),
         detected=detected,
         missed=len(part.target_rows) - detected,
-        missed_by_gate=int(drawn.gated.sum()),
-        merged=int((drawn.partner >= 0).sum()),
-        mislabelled=int((drawn.label[true] != labels[truth.vessel[rows]]).sum()),
-        false_positives=len(drawn) - len(true),
-        clipped=int(np.any(sizes(boxes) < asked - 1e-6, axis=1).sum()),
-        redrawn=int(drawn.redrawn[true].sum()),
+        missed_by_gate=int(detections.gated.sum()),
+        merged=int((detections.partner >= 0).sum()),
+        mislabelled=int((detections.label[true] != labels[truth.vessel[rows]]).sum()),
+        false_positives=len(detections) - len(true),
+        clipped=int(np.any(sizes(boxes) < unclipped - 1e-6, axis=1).sum()),
+        redrawn=int(detections.redrawn[true].sum()),
         below_half_iou=int((iou(boxes, annotated) < 0.5).sum()),
         off_by_curvature=len(curvature_px),
         largest_curvature_px=float(curvature_px.max(initial=0.0)),

@@ -28,8 +28,8 @@ def detect_run(
     Args:
         run: A finished run.
         folder: The new run directory.
-        detector: A detector file; the run's own if None.
-        seed: Seed of the detector; the run's own if None.
+        detector: A detector file, in place of the run's.
+        seed: Seed of the detector, in place of the run's.
         overwrite: Replace a run that is there.
         workers: Number of processes; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
@@ -54,16 +54,10 @@ def detect_run(
 def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:
     """A run's scene with another detector file or another seed of the detector.
 
-    The seed replaces the seed of the scene if the truth does not depend on it; else only the seed of the detector, as
-    the truth must stay.
+    The seed of the scene changes too, unless the truth depends on it.
 
     Raises:
         InputError: The detector file is wrong, or does not know the label of a vessel.
     """
-    keep_seed = run.scene.truth_has_seed
-    return load_scene(
-        run.scene.path,
-        detector=detector,
-        seed=None if keep_seed else seed,
-        detector_seed=seed,
-    )
+    scene_seed = None if run.scene.truth_has_seed else seed
+    return load_scene(run.scene.path, detector=detector, seed=scene_seed, detector_seed=seed)

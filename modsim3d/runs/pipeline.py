@@ -18,7 +18,7 @@ from modsim3d.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.motion.poses import LivePoses
 from modsim3d.runs.blocks import Block, CameraBlock, Frame, frames_of
-from modsim3d.scene.places import place_problems
+from modsim3d.scene.checks import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.modes import Annotation, annotated_rows, annotation_boxes
@@ -55,13 +55,7 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
 
 
 def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
-    """What all cameras see in the frames that they take at steps first to stop − 1.
-
-    Args:
-        scene: The scene.
-        first: First step.
-        stop: The step after the last.
-        renderer: From `open_renderer`.
+    """What all cameras see in the frames that they take at steps first to stop − 1; `open_renderer` gives the renderer.
 
     Raises:
         ModsimError: The vessel that carries a camera is missing.
@@ -82,13 +76,7 @@ def _camera_truth(scene: Scene, index: int, camera: Camera, steps: Indices, rend
 def occlusion_by(
     outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
 ) -> Occlusion:
-    """Who hides how much of whom, by the source of truth that the annotation names.
-
-    Args:
-        outlines: The vessels in front of the camera.
-        intrinsics: The camera's.
-        annotation: Names the source.
-        renderer: The rendered source needs it.
+    """Who hides how much of whom in front of a camera, by the source of truth that the annotation names.
 
     Raises:
         ModsimError: The rendered source has no renderer.
@@ -108,14 +96,7 @@ def occlusion_by(
 
 @dataclass(frozen=True, eq=False)
 class DetectorInput:
-    """What the detector of one camera is given for a block.
-
-    Attributes:
-        truth: The camera's rows of the block.
-        rows: Rows of `truth` that are annotated, shape (n,).
-        frames: The frames that the camera takes.
-        targets: The annotated vessels, n of them.
-    """
+    """What one camera's detector is given for a block: `targets` are the annotated `rows` of `truth`, shape (n,)."""
 
     truth: Truth
     rows: Indices
@@ -153,11 +134,12 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
 
 
 def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetCensus:
-    """The census that a scene's detector needs, whatever its model.
+    """What the scene's detector must know of all its targets before it starts.
 
     Args:
         scene: The scene.
-        blocks: Truth of steps first to stop − 1, first and stop. They are not read if the detector needs no census.
+        blocks: For each block its truth, its first step, and the step after its last. They are not read if the
+            detector needs no census.
     """
     parts = (part for block in blocks for part in detector_inputs(scene, *block))
     return take_census(scene.detector, ((part.frames, part.targets) for part in parts))
@@ -166,15 +148,7 @@ def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> Targ
 def detected_block(
     scene: Scene, truth: Truth, first: int, stop: int, detections_of: Callable[[CameraFrames, Targets], Detections]
 ) -> Block:
-    """Truth and detections of steps first to stop − 1.
-
-    Args:
-        scene: The scene.
-        truth: What all cameras see at these steps.
-        first: First step.
-        stop: The step after the last.
-        detections_of: Gives the detections of one camera.
-    """
+    """Truth and detections of steps first to stop − 1; `detections_of` gives the detections of one camera."""
     parts = tuple(
         CameraBlock(
             camera=index,
@@ -190,15 +164,10 @@ def detected_block(
 
 
 class Simulation:
-    """A scene with its detector: takes blocks of truth, gives blocks of truth and detections."""
+    """A scene with its detector, which turns the truth of a block into truth and detections."""
 
     def __init__(self, scene: Scene, census: TargetCensus) -> None:
-        """Set up the detector from its seed.
-
-        Args:
-            scene: The scene.
-            census: Of all its targets, from `scene_census`.
-        """
+        """Set up the detector from its seed; `scene_census` gives the census."""
         self.scene = scene
         self._detector = Detector(scene.detector, scene.detector_seed, census, scene.times_s)
 
@@ -218,9 +187,7 @@ def block_ranges(steps: int, block_steps: int) -> list[Range]:
 
 
 def step_ranges(scene: Scene) -> Iterator[Range]:
-    """The blocks of a scene.
-
-    A live scene has a block for each step. The generator waits for a step when its block is asked for.
+    """The blocks of a scene; in a live scene one for each step, which is waited for when its block is asked for.
 
     Raises:
         InputError: The poses that came are wrong, or a camera has no place at the step.
@@ -240,14 +207,9 @@ def step_ranges(scene: Scene) -> Iterator[Range]:
 
 
 def simulate_frames(scene: Scene) -> Iterator[Frame]:
-    """Simulate a scene in memory, without writing anything.
+    """Simulate a scene in memory: the frames of all cameras, in order of step and camera.
 
-    Args:
-        scene: From `load_scene`.
-
-    Yields:
-        The frames of all cameras, in order of step and camera. A live scene gives the frames of a step before it waits
-        for the next step.
+    A live scene gives the frames of a step before it waits for the next step.
     """
     with open_renderer(scene) as renderer:
         blocks: Iterable[tuple[Truth, int, int]]

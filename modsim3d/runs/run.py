@@ -1,11 +1,11 @@
-"""Runs a scene and writes its run directory."""
+"""Runs a scene and writes its run directory: workers make the blocks, the directory takes them in order."""
 
 from __future__ import annotations
 
 import platform
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -13,12 +13,10 @@ from typing import Any
 
 from modsim3d.detector.census import TargetCensus
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.pose_lines import pose_lines
 from modsim3d.runs.files.run_directory import LOG_FILE, RunDirectory
 from modsim3d.runs.pipeline import Range, step_ranges
-from modsim3d.runs.workers import BlockMaker, BlockWorkers, FinishedBlock, backend_of, open_block_workers
+from modsim3d.runs.workers import BlockMaker, BlockWorkers, Tally, backend_of, open_block_workers
 from modsim3d.scene.scene import Scene
 
 FORMAT = 1
@@ -30,14 +28,11 @@ class RunResult:
     """A finished run.
 
     Attributes:
-        folder: The run directory.
-        counts: What happened.
-        steps: Number of time steps.
         seconds: Wall-clock time.
-        resumed_steps: Steps whose truth was taken from an interrupted run.
-        intersecting: Pairs of vessels whose boxes overlap in space: the analytic source cannot tell what is visible of
-            them.
-        truncation: What resampling of box errors does to them, by state, as in `run.json`.
+        resumed_steps: Number of steps whose truth was taken from an interrupted run.
+        intersecting: Pairs of vessels or obstacles that overlap in space: the analytic source cannot tell what is
+            visible of them.
+        truncation: How resampling shifts the box errors, by state, as in `run.json`.
     """
 
     folder: Path
@@ -91,16 +86,7 @@ def write_run(
     resume: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
-    """Write the run directory of a scene from the blocks that workers make.
-
-    Args:
-        scene: The scene.
-        folder: The run directory.
-        workers: From `open_block_workers`.
-        settings: Everything that decides the content of the files, see `settings_of`.
-        overwrite: Replace a run that is there.
-        resume: Continue an interrupted run that is there.
-        progress: Called with the number of steps done since its last call.
+    """Write the run directory of a scene from the blocks that workers make; see `run_scene` and `settings_of`.
 
     Raises:
         ModsimError: The scene cannot be run, or the folder cannot be used.
@@ -127,61 +113,38 @@ def write_run(
     return RunResult(folder, total.counts, total.steps, seconds, total.resumed_steps, intersecting, truncation)
 
 
-@dataclass
-class _Total:
-    """The blocks that are written so far: the attributes of `FinishedBlock`, summed."""
-
-    steps: int = 0
-    counts: Counts = field(default_factory=Counts)
-    boxes: BoxSample = field(default_factory=BoxSample)
-    resumed_steps: int = 0
-    intersecting: set[tuple[int, int]] = field(default_factory=set)
-
-    def add(self, block: FinishedBlock) -> None:
-        self.steps += block.steps
-        self.counts += block.counts
-        self.boxes += block.boxes
-        self.resumed_steps += block.resumed_steps
-        self.intersecting |= block.intersecting
-
-
 def _write_blocks(
     scene: Scene, directory: RunDirectory, workers: BlockWorkers, progress: Callable[[int], None]
-) -> _Total:
-    """Make all blocks and write them; the census needs all truth first."""
-    total, census, resumed = _Total(), TargetCensus(), None
+) -> Tally:
+    """Make all blocks and write them; a detector that needs a census needs all truth first."""
+    counted, census = Tally(), TargetCensus()
     if scene.detector.needs_census:
-        census, resumed = _take_census(scene, directory.work, workers, progress)
+        counted, census = _take_census(scene, directory.work, workers, progress)
+    total = Tally()
     make = partial(BlockMaker.make, folder=directory.work, census=census)
-    for block in workers.map(make, _with_steps_kept(scene, directory.work)):
-        directory.write(block.files)
-        if scene.live:
-            directory.write_poses(pose_lines(scene, total.steps, total.steps + block.steps))
-        total.add(block)
-        if resumed is None:
-            progress(block.steps)
-    return total if resumed is None else replace(total, resumed_steps=resumed)
+    for tally, files in workers.map(make, _with_steps_kept(scene, directory.work)):
+        directory.write(files)
+        directory.write_poses(total.steps, total.steps + tally.steps)
+        total += tally
+        if not counted.steps:
+            progress(tally.steps)
+    # After a census all truth is taken from what it kept, and only the census knows what was kept before.
+    return replace(total, resumed_steps=counted.resumed_steps) if counted.steps else total
 
 
 def _take_census(
     scene: Scene, folder: Path, workers: BlockWorkers, progress: Callable[[int], None]
-) -> tuple[TargetCensus, int]:
-    """Make and keep all truth; the census of it, and the number of steps that an interrupted run had kept."""
-    resumed = 0
-
-    def parts() -> Iterator[TargetCensus]:
-        nonlocal resumed
-        for block in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene)):
-            resumed += block.resumed_steps
-            progress(block.steps)
-            yield block.census
-
-    census = TargetCensus.total(parts())
-    return census, resumed
+) -> tuple[Tally, TargetCensus]:
+    """Make and keep all truth; a tally of its steps, and the census of its targets."""
+    total, census = Tally(), TargetCensus()
+    for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene)):
+        total, census = total + tally, census + part
+        progress(tally.steps)
+    return total, census
 
 
 def _with_steps_kept(scene: Scene, folder: Path) -> Iterator[Range]:
-    """The blocks of a scene; an error in what a stream brings also says where the steps before it are kept."""
+    """The blocks of a scene; an error in the input of a stream also says where the earlier steps are kept."""
     done = 0
     try:
         for first, stop in step_ranges(scene):
@@ -190,7 +153,7 @@ def _with_steps_kept(scene: Scene, folder: Path) -> Iterator[Range]:
     except InputError as error:
         if not scene.live or not done:
             raise
-        kept = f"what came before, {done} steps, is kept as complete lines in {folder}"
+        kept = f"the {done} steps before are kept as complete lines in {folder}"
         raise InputError(error.source, [*error.problems, kept]) from None
 
 

@@ -1,4 +1,4 @@
-"""All rows of a run as columns, with names as indices into its scene."""
+"""All rows of a run's tables in memory, with the names of frames, states and vessels as indices."""
 
 from __future__ import annotations
 
@@ -25,19 +25,18 @@ from modsim3d.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class RunRows:
-    """All rows of a run. A frame is one camera at one step; its number is step × cameras + camera.
+    """All rows of a run's tables. A frame is one camera at one step; its number is step × cameras + camera.
 
     Attributes:
-        scene: The scene of the run.
         steps: Number of steps that are there.
         frames: Numbers of the frames that were taken, ascending, shape (F,).
         frame_state: Index of the performance state in each frame, shape (F,).
         truth: The truth table, n rows.
         truth_frame: Number of the frame of each row, shape (n,).
         truth_vessel: Index of the vessel of each row, shape (n,).
-        drawn: The table of detections, m rows.
-        drawn_frame: Number of the frame of each detection, shape (m,).
-        drawn_vessel: Index of the vessel of each detection; `NOBODY` for a false positive, shape (m,).
+        detections: The table of detections, m rows.
+        detection_frame: Number of the frame of each detection, shape (m,).
+        detection_vessel: Index of the vessel of each detection; `NOBODY` for a false positive, shape (m,).
     """
 
     scene: Scene
@@ -47,31 +46,32 @@ class RunRows:
     truth: pa.Table
     truth_frame: Indices
     truth_vessel: Indices
-    drawn: pa.Table
-    drawn_frame: Indices
-    drawn_vessel: Indices
+    detections: pa.Table
+    detection_frame: Indices
+    detection_vessel: Indices
 
     @classmethod
     def of(cls, run: StoredRun) -> RunRows:
         """All rows of the steps that a run has."""
         tables, scene = run.tables(), run.scene
-        frames, truth, drawn = (tables[name].combine_chunks() for name in ("frames", "truth", "detections"))
+        frames, truth, detections = (tables[name].combine_chunks() for name in ("frames", "truth", "detections"))
         cameras = [camera.name for camera in scene.cameras]
 
-        def frame(table: pa.Table) -> Indices:
+        def frame_of(table: pa.Table) -> Indices:
+            """Number of the frame of each row, shape (rows,)."""
             return integers(table, "step") * len(cameras) + indices(table, "camera", cameras)
 
         return cls(
             scene=scene,
             steps=run.steps,
-            frames=frame(frames),
+            frames=frame_of(frames),
             frame_state=indices(frames, "state", [state.name for state in scene.detector.states]),
             truth=truth,
-            truth_frame=frame(truth),
+            truth_frame=frame_of(truth),
             truth_vessel=indices(truth, "vessel", scene.vessel_names),
-            drawn=drawn,
-            drawn_frame=frame(drawn),
-            drawn_vessel=indices(drawn, "vessel", scene.vessel_names),
+            detections=detections,
+            detection_frame=frame_of(detections),
+            detection_vessel=indices(detections, "vessel", scene.vessel_names),
         )
 
     def states_of(self, frames: Indices) -> Indices:
@@ -96,9 +96,9 @@ class RunRows:
         """The boxes `full` or `visible` of the truth as x_min, y_min, x_max, y_max, shape (n, 4)."""
         return truth_boxes_px(self.truth, prefix)
 
-    def drawn_boxes_px(self) -> Array:
+    def detection_boxes_px(self) -> Array:
         """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
-        return detection_boxes_px(self.drawn)
+        return detection_boxes_px(self.detections)
 
     @cached_property
     def annotated(self) -> Mask:
@@ -111,5 +111,5 @@ class RunRows:
         return flags(self.truth, "detected")
 
     def occluders(self) -> Occluders:
-        """Who hides whom, from the truth."""
+        """Who hides whom."""
         return Occluders.of(self.truth, self.scene.occluder_names)

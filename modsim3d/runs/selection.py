@@ -1,11 +1,11 @@
-"""Steps and cameras of a stored run that a user chose."""
+"""The steps and cameras of a stored run that a user chose, and what the cameras show at them."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,13 +20,7 @@ NEAR_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StepFrames:
-    """What cameras show at a step: each the last frame that it took.
-
-    Attributes:
-        step: The step.
-        timestamp: The text of its time.
-        frames: One for each camera; None before its first.
-    """
+    """What cameras show at a step: `frames` has the last frame that each camera took, None before its first."""
 
     step: int
     timestamp: str
@@ -38,7 +32,6 @@ class Selection:
     """Frames of a stored run.
 
     Attributes:
-        run: The run.
         cameras: Indices into the scene's cameras.
         steps: The n steps, ascending.
         durations_s: Time from each step to the next, shape (n,).
@@ -77,10 +70,10 @@ class Selection:
 
 
 def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
-    """Indices of the cameras with these names; of all cameras if there are no names.
+    """Indices of the cameras with these names; of all cameras if no name is given.
 
     Raises:
-        ModsimError: One has no such name.
+        ModsimError: The run has no camera of that name.
     """
     known = [camera.name for camera in run.scene.cameras]
     unknown = [name for name in names if name not in known]
@@ -102,9 +95,9 @@ def select(
 
     Args:
         run: The run.
-        cameras: Indices of the cameras.
-        from_s: First time, as in the run's timestamps; the first step if None.
-        to_s: Last time; the last step if None.
+        cameras: Indices into the scene's cameras.
+        from_s: First time in seconds, as in the run's timestamps; by default that of the first step.
+        to_s: Last time; by default that of the last step.
         every: Take every K-th of the steps between these times.
         only_with_vessels: Leave out steps at which no camera has a vessel in its image.
 
@@ -112,21 +105,19 @@ def select(
         ModsimError: No step is left.
     """
     times = times_of(run)
-    inside = (times >= _or(from_s, -math.inf) - NEAR_S) & (times <= _or(to_s, math.inf) + NEAR_S)
-    steps = np.flatnonzero(inside)[::every]
+    start_s, end_s = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
+    steps = np.flatnonzero((times >= start_s - NEAR_S) & (times <= end_s + NEAR_S))[::every]
     if not len(steps):
-        raise ModsimError(f"no frames between {_or(from_s, -math.inf):g} s and {_or(to_s, math.inf):g} s: {span(run)}")
+        raise ModsimError(f"no frames between {start_s:g} s and {end_s:g} s: {span(run)}")
     durations = _durations(times, steps, every)
     found = Selection(run, cameras, tuple(steps.tolist()), durations)
     if not only_with_vessels:
         return found
-    with_vessels = np.array(
-        [any(frame and len(frame.truth) for frame in latest.frames) for latest in found.step_frames()]
-    )
+    with_vessels = np.array([any(frame and len(frame.truth) for frame in at.frames) for at in found.step_frames()])
     if not with_vessels.any():
         names = ", ".join(found.camera_names)
         raise ModsimError(f"no vessel is in an image of {names} in {len(steps)} frames; {span(run)}")
-    return Selection(run, cameras, tuple(steps[with_vessels].tolist()), durations[with_vessels])
+    return replace(found, steps=tuple(steps[with_vessels].tolist()), durations_s=durations[with_vessels])
 
 
 def find_step(run: StoredRun, text: str) -> int:
@@ -152,10 +143,10 @@ def find_step(run: StoredRun, text: str) -> int:
 
 
 def times_of(run: StoredRun) -> Array:
-    """The times of the steps that are there, as in the run's timestamps, shape (steps,).
+    """The times of the steps that are there in seconds, as in the run's timestamps, shape (steps,).
 
     Raises:
-        ModsimError: None is there.
+        ModsimError: No step is there.
     """
     if not run.steps:
         raise ModsimError(
@@ -173,12 +164,8 @@ def span(run: StoredRun) -> str:
     return f"the run was interrupted; of {run.scene.steps} steps there are {there}"
 
 
-def _or(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else value
-
-
 def _durations(times: Array, steps: Indices, every: int) -> Array:
-    """Time from each chosen step to the next; for the last one, as long as before it; shape (n,)."""
+    """Seconds from each chosen step to the next, the last lasting as long as the one before, shape (n,)."""
     gaps = np.diff(times[steps])
     if len(gaps):
         return np.append(gaps, gaps[-1])

@@ -1,4 +1,4 @@
-"""A run directory, opened again: its scene, truth, detections and frames."""
+"""A run directory, opened for reading: its scene, truth, detections and frames."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.runs.blocks import Block, Frame, frames_of
 from modsim3d.runs.files.block_files import TABLES, finished_truth
 from modsim3d.runs.files.columns import read_rows
-from modsim3d.runs.files.detection_reader import read_detections
+from modsim3d.runs.files.reading import read_detections, read_truth
 from modsim3d.runs.files.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
-from modsim3d.runs.files.truth_reader import read_truth
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -28,14 +27,14 @@ from modsim3d.truth.truth_record import Truth
 class StoredRun:
     """A finished or an interrupted run.
 
-    An interrupted run has kept its truth. Its detections are drawn from that truth again: they are those that it would
-    have written. Only a detector that needs a census of the scene may draw others, as the census has only the steps
-    that were kept.
+    An interrupted run has kept its truth, and its detections are made from that truth again: the same that it would
+    have written. They may differ only if the detector needs a census of the scene, since the truth of the later steps
+    is not there.
 
     Attributes:
         folder: The run directory.
         settings: The content of `run.json`; of an interrupted run, without counts.
-        scene: The scene, from the copy in the folder.
+        scene: The scene, read from its copy in the folder.
         finished: Whether the run was finished.
         steps: Number of steps that are there; of an interrupted run, those whose truth was kept.
     """
@@ -66,7 +65,7 @@ class StoredRun:
         return next(frame for frame in self.frames(step, step + 1) if frame.camera == camera)
 
     def tables(self) -> dict[str, pa.Table]:
-        """All rows of `frames`, `truth` and `detections`: many times as fast as `frames()`, but all in memory."""
+        """All rows of `frames`, `truth` and `detections`: much faster than `frames()`, but all in memory."""
         if self.finished:
             return {name: read_rows(self.folder / f"{name}.parquet") for name in TABLES}
         blocks = (self._simulation.detect(truth, *steps) for truth, *steps in self._kept_blocks())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from modsim3d.processes import Workers, open_workers
 from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth
-from modsim3d.runs.files.truth_reader import read_truth
+from modsim3d.runs.files.reading import read_truth
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import Truth
@@ -25,91 +25,71 @@ IF_KILLED = "what was finished is kept: go on with --resume, perhaps with fewer 
 
 
 @dataclass(frozen=True, eq=False)
-class FinishedBlock:
-    """A block as it goes into the files.
+class Tally:
+    """What happened in one or more blocks; tallies can be added.
 
     Attributes:
-        steps: Number of steps.
-        files: Rows of the tables and lines of the JSON files.
-        counts: What happened.
-        boxes: Some of the boxes that were detected.
-        resumed_steps: Number of steps whose truth was taken from an interrupted run: all or none.
-        intersecting: Pairs of vessels whose boxes overlap in space: the analytic source cannot tell what is visible of
-            them.
+        resumed_steps: Number of steps whose truth was taken from an interrupted run.
+        boxes: A sample of the detected boxes.
+        intersecting: Pairs of vessels or obstacles that overlap in space, as indices: the analytic source cannot tell
+            what is visible of them.
     """
 
-    steps: int
-    files: BlockFiles
-    counts: Counts
-    boxes: BoxSample
-    resumed_steps: int
-    intersecting: frozenset[tuple[int, int]]
+    steps: int = 0
+    resumed_steps: int = 0
+    counts: Counts = field(default_factory=Counts)
+    boxes: BoxSample = field(default_factory=BoxSample)
+    intersecting: frozenset[tuple[int, int]] = frozenset()
 
-
-@dataclass(frozen=True, eq=False)
-class CensusBlock:
-    """A block whose truth is made and kept, and whose targets are counted.
-
-    Attributes:
-        steps: Number of steps.
-        census: Of its targets.
-        resumed_steps: Number of steps whose truth was taken from an interrupted run: all or none.
-    """
-
-    steps: int
-    census: TargetCensus
-    resumed_steps: int
+    def __add__(self, other: Tally) -> Tally:
+        """Both together."""
+        return Tally(
+            self.steps + other.steps,
+            self.resumed_steps + other.resumed_steps,
+            self.counts + other.counts,
+            self.boxes + other.boxes,
+            self.intersecting | other.intersecting,
+        )
 
 
 class BlockMaker:
-    """Makes the blocks of a scene, from truth to files."""
+    """Makes the blocks of a scene, from truth to the rows and lines of files."""
 
     def __init__(self, scene: Scene, renderer: IdRenderer | None, truth_run: Path | None = None) -> None:
-        """Take what all blocks share.
-
-        Args:
-            scene: The scene.
-            renderer: From `open_renderer`; None with a truth run.
-            truth_run: A finished run of the scene whose truth is used; truth is made if None.
-        """
+        """Take the renderer of the truth, or a finished run of the scene (`truth_run`) to take the truth from."""
         self._scene = scene
         self._renderer = renderer
         self._truth_run = truth_run
         self._simulation: Simulation | None = None
         self.backend = renderer.context.description if renderer else "none"
 
-    def count_targets(self, steps: Range, folder: Path) -> CensusBlock:
-        """Count the targets of a block.
-
-        Args:
-            steps: First step, and the step after the last.
-            folder: Where truth is kept.
-        """
+    def count_targets(self, steps: Range, folder: Path) -> tuple[Tally, TargetCensus]:
+        """The census of a block's targets, with a tally of its steps; its truth is kept in the folder."""
         first, stop = steps
         truth, resumed_steps = self._truth(folder, first, stop)
-        return CensusBlock(stop - first, scene_census(self._scene, [(truth, first, stop)]), resumed_steps)
+        return Tally(stop - first, resumed_steps), scene_census(self._scene, [(truth, first, stop)])
 
-    def make(self, steps: Range, folder: Path, census: TargetCensus) -> FinishedBlock:
-        """Make a block.
+    def make(self, steps: Range, folder: Path, census: TargetCensus) -> tuple[Tally, BlockFiles]:
+        """What happened in a block, and what it adds to the files.
 
         Args:
             steps: First step, and the step after the last.
             folder: Where truth is kept.
-            census: Of the whole scene, the same for all blocks.
+            census: The census of the whole scene, the same for all blocks.
         """
         first, stop = steps
         truth, resumed_steps = self._truth(folder, first, stop)
         if self._simulation is None:
             self._simulation = Simulation(self._scene, census)
         block = self._simulation.detect(truth, first, stop)
-        return FinishedBlock(
+        tally = Tally(
             steps=stop - first,
-            files=BlockFiles.of(block, self._scene),
+            resumed_steps=resumed_steps,
             counts=Counts.of(block, self._scene),
             boxes=BoxSample.of(block, self._scene),
-            resumed_steps=resumed_steps,
             intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
         )
+        return tally, BlockFiles.of(block, self._scene)
 
     def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, int]:
         """The truth of some steps, and the number of steps that an interrupted run had kept."""
@@ -128,13 +108,7 @@ BlockWorkers = Workers[BlockMaker]
 
 
 def open_block_workers(scene: Scene, count: int, truth_run: Path | None = None) -> AbstractContextManager[BlockWorkers]:
-    """One worker in this process, or several in processes of their own.
-
-    Args:
-        scene: The scene.
-        count: Number of workers.
-        truth_run: A finished run of the scene whose truth is used, so that no renderer is needed; truth is made if
-            None.
+    """One worker in this process, or several in processes of their own; see `BlockMaker`.
 
     Raises:
         ModsimError: This process cannot start others.
@@ -144,7 +118,7 @@ def open_block_workers(scene: Scene, count: int, truth_run: Path | None = None) 
 
 
 def backend_of(workers: BlockWorkers) -> str:
-    """What draws the ID images: `none`, or a description of the OpenGL context.
+    """A description of the OpenGL context that draws the ID images; `none` if nothing is rendered.
 
     Raises:
         RendererError: There is no OpenGL library.

@@ -1,12 +1,16 @@
-"""Checks of a scene as a whole, whose parts are valid by themselves."""
+"""Checks of a scene as a whole: its parts are valid by themselves, but may not go together."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
+from modsim3d.arrays import Indices
+from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera
-from modsim3d.scene.places import place_problems
 from modsim3d.scene.scene import Scene
+from modsim3d.vessels.obstacles import PREFIX
 
 CHECKED_STEPS = 1000
 """Steps whose camera positions are checked together; it bounds the memory."""
@@ -26,7 +30,7 @@ def scene_problems(scene: Scene) -> list[str]:
 
 
 def _live_problems(scene: Scene) -> list[str]:
-    """Parts that need steps which a live scene does not know yet."""
+    """Parts of a scene that need later steps, which a live scene does not know yet."""
     problems = []
     if scene.waves is not None and scene.waves.motion.needs_velocity:
         problems.append(
@@ -47,14 +51,11 @@ def _live_problems(scene: Scene) -> list[str]:
 
 
 def _frame_problem(scene: Scene, camera: Camera) -> str | None:
-    """Problem of a camera that asks for more frames than there are steps, or for none.
-
-    The median interval counts, since a log may have gaps.
-    """
+    """Problem of a camera that should take more frames than there are steps, or that takes none."""
     if camera.frame_rate_hz is None and not camera.start_offset_s:
         return None
     times_s = scene.times_s(0, scene.steps)
-    interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0  # a log may have gaps
     rate = camera.frame_rate_hz
     if rate is not None and rate * interval_s > 1 + 1e-6:
         return (
@@ -70,9 +71,41 @@ def _frame_problem(scene: Scene, camera: Camera) -> str | None:
 
 
 def _place_problems(scene: Scene) -> list[str]:
-    """Problems of the cameras' places at all steps."""
     found: dict[str, tuple[str, ...]] = {}
     for first in range(0, scene.steps, CHECKED_STEPS):
         steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
         found.update(place_problems(scene, steps, leave_out=found))
     return [problem for problems in found.values() for problem in problems]
+
+
+def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Problems of each camera's place at some ascending steps of shape (S,): it has no pose, or is inside a body.
+
+    Returns:
+        Name of the camera → its problems; only cameras that have one and are not left out.
+    """
+    found = {}
+    for camera in scene.cameras:
+        if camera.name not in leave_out:
+            try:
+                _check_place(scene, camera, steps)
+            except InputError as error:
+                found[camera.name] = error.problems
+    return found
+
+
+def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
+    sight = scene.sight(camera, steps)
+    inside = None if scene.annotation.allow_camera_inside else sight.body_around()
+    if inside is None:
+        return
+    frame, body = inside
+    when = scene.poses.timestamps[int(steps[frame])]
+    kind, name = ("vessel", scene.occluder_names[body])
+    if body >= len(scene.vessels):
+        kind, name = "obstacle", name.removeprefix(PREFIX)
+    problem = (
+        f"cameras.{camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
+        "annotation.allow_camera_inside: true"
+    )
+    raise InputError(f"scene {scene.path}", [problem])

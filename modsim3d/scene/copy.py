@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,9 @@ from typing import Any
 import orjson
 from pydantic import BaseModel
 
+from modsim3d.motion.poses import LivePoses
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
+from modsim3d.scene.parts import SceneParts
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +23,7 @@ class SceneCopy:
 
     Attributes:
         name: Name of the scene.
-        document: Content of the scene file with what the caller set, and with the paths of `files`.
+        document: Content of the scene file with what the caller set, and with the paths of the copy.
         files: Path in the copy → original file.
     """
 
@@ -30,11 +32,7 @@ class SceneCopy:
     files: Mapping[str, Path]
 
     def write(self, folder: Path) -> Path:
-        """Write the copy into a folder; create the folder.
-
-        Returns:
-            The scene file, which `load_scene` reads.
-        """
+        """Write the copy into a folder, and return its scene file, which `load_scene` reads."""
         folder.mkdir(parents=True, exist_ok=True)
         for name, source in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -55,46 +53,28 @@ class SceneCopy:
         return orjson.dumps(self.document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
 
 
-def copy_scene(
-    path: Path,
-    data: Mapping[str, Any],
-    keys: SceneKeys,
-    *,
-    vessels: Mapping[Any, Any],
-    obstacles: Mapping[Any, Any],
-    mesh_files: Mapping[str, Path],
-    pose_files: Sequence[str] | None,
-) -> SceneCopy:
-    """A copy with every file that the scene names beside it under a plain name; the copy of a copy is the same.
-
-    Args:
-        path: The scene file.
-        data: Its content with what the caller set.
-        keys: The same, validated.
-        vessels: Mapping of vessels with the mesh paths of `mesh_files`.
-        obstacles: Mapping of obstacles with the mesh paths of `mesh_files`.
-        mesh_files: Path in the copy → original file.
-        pose_files: Files of the pose source as the scene file names them; None for live poses.
-    """
-    folder = path.resolve().parent
+def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
+    """A copy in which each file that the scene names lies beside it under a plain name; a copy's copy is the same."""
     detector = f"detector{Path(keys.detector).suffix}"
-    files = {detector: folder / keys.detector, **mesh_files}
-    document = {**data, "vessels": vessels, "detector": detector}
-    if "obstacles" in data:
-        document["obstacles"] = obstacles
-    if pose_files is None:
+    vessels = parts.meshes.copied_all(parts.vessel_entries or {}, parts.vessels_at.folder)
+    document = {**parts.data, "vessels": vessels, "detector": detector}
+    if "obstacles" in document:
+        document["obstacles"] = parts.meshes.copied_all(document["obstacles"] or {}, parts.folder)
+    files = {detector: parts.folder / keys.detector, **parts.meshes.files}
+    if parts.source is None or isinstance(parts.poses, LivePoses):
         document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in
         document.pop("steps", None)
     else:
-        names = {file: _pose_file(number, file) for number, file in enumerate(dict.fromkeys(pose_files))}
-        files |= {name: folder / file for file, name in names.items()}
+        pose_files = dict.fromkeys(parts.source.keys.files)
+        names = {file: _pose_file(number, file) for number, file in enumerate(pose_files)}
+        files |= {name: parts.folder / file for file, name in names.items()}
         document["poses"] = _renamed(document["poses"], names)
     if document.get("detector_seed") == keys.seed:
         del document["detector_seed"]  # the default
     # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
     if isinstance(document.get("annotation"), dict):
         document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
-    return SceneCopy(path.stem, _ordered(document, SceneKeys), files)
+    return SceneCopy(parts.path.stem, _ordered(document, SceneKeys), files)
 
 
 def _pose_file(number: int, file: str) -> str:

@@ -30,7 +30,7 @@ TURN_RAD = 6.3
 
 
 def _radians(angle: float) -> float:
-    """Refuse angles of more than a turn, which are probably in degrees."""
+    """Refuse angles of more than a turn: they are probably in degrees."""
     if abs(angle) > TURN_RAD:
         raise ValueError(f"{angle:g} is more than a whole turn: angles are in radians (180° is 3.14159)")
     return angle

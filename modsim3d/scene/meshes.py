@@ -21,11 +21,11 @@ from modsim3d.vessels.shapes import find_shape
 from modsim3d.vessels.vessel import Solid
 
 MOST_FACES_OF_CONVEX = 64
-"""A convex mesh with more faces is treated as not convex, since ordering it by planes would take too many of them."""
+"""A convex mesh with more faces is treated as not convex, because sorting by its planes would take too long."""
 
 
 class SceneMeshes:
-    """Meshes by their entries. Equal entries of one folder share a solid, so that they are handled together."""
+    """The meshes that a scene names. Equal entries of one folder share a solid, so that they are handled together."""
 
     def __init__(self) -> None:
         """Start without meshes."""
@@ -33,7 +33,7 @@ class SceneMeshes:
         self.files: dict[str, Path] = {}
         """Path in a copy of the scene → original mesh file."""
         self.plugins: list[Plugin] = []
-        """Plug-ins that shapes came from."""
+        """Plug-ins that gave shapes."""
 
     def solid(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
         """The solid of an entry; see `load_mesh`.
@@ -59,7 +59,7 @@ class SceneMeshes:
         return replace(solid, convex=False, closed=is_closed(solid.faces))
 
     def copied(self, entry: object, folder: Path) -> object:
-        """The entry in a copy of the scene, where meshes lie in a folder of their own."""
+        """The entry as a copy of the scene has it, where meshes lie in a folder of their own."""
         file = entry.get("file") if isinstance(entry, dict) else entry
         if not isinstance(file, str):
             return entry
@@ -87,14 +87,7 @@ class SceneMeshes:
 
 
 def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, scene: Path, truth_source: str) -> Obstacle:
-    """An obstacle of a scene file.
-
-    Args:
-        name: ID.
-        keys: Entry in the scene file.
-        meshes: All meshes of the scene.
-        scene: The scene file.
-        truth_source: The annotation source.
+    """An obstacle of a scene file, whose mesh is added to those of the scene.
 
     Raises:
         InputError: The name is not printable, the mesh cannot be read, or the source cannot use meshes.

@@ -43,14 +43,9 @@ class OwnShips:
 
 
 def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
-    """The vessels that carry cameras at steps first to stop − 1.
+    """The vessels that carry cameras at steps first to stop − 1; at least one vessel must carry one.
 
-    The result does not depend on where a run is split.
-
-    Args:
-        scene: A scene with at least one such vessel.
-        first: First step.
-        stop: The step after the last.
+    The result does not depend on where a run is split into blocks.
     """
     begin, end = scene.motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
     own, times_s = list(scene.own_ships), scene.times_s(begin, end)
@@ -75,14 +70,11 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
 
 
 def specific_force(world_R_body: Array, accelerations_m_s2: Array) -> Array:
-    """Specific force that accelerometers measure, f = Rᵀ (a − g), with g pointing down.
+    """Specific force in body axes that accelerometers measure, f = Rᵀ (a − g) with g pointing down, shape (..., 3).
 
     Args:
         world_R_body: Rotations to WCF, shape (..., 3, 3).
         accelerations_m_s2: Accelerations in WCF, shape (..., 3).
-
-    Returns:
-        Metres per second squared in body axes, shape (..., 3).
     """
     against_gravity = accelerations_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
     force: Array = (np.swapaxes(world_R_body, -1, -2) @ against_gravity[..., None])[..., 0]

@@ -30,12 +30,12 @@ CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 @dataclass(frozen=True)
 class _Location:
-    """Where the mapping of vessels stands.
+    """Where the mapping of vessels is.
 
     Attributes:
-        source: The file with it, for errors.
+        source: The file that holds it, for errors.
         path: Keys that lead to it in that file.
-        folder: Folder that paths in it start from.
+        folder: Folder that paths in it are relative to.
     """
 
     source: str
@@ -51,16 +51,12 @@ class SceneParts:
     Attributes:
         path: The scene file.
         data: Content of the scene file, with what the caller set in place of it.
-        problems: One line each.
+        problems: Every problem, one line each.
         keys: The content, validated.
-        vessel_entries: The mapping of vessels as it stands in its file.
-        vessels: The vessels with their shapes.
-        detector: The detector.
+        vessel_entries: The mapping of vessels as in its file.
         source: The keys of the pose source.
-        poses: The pose source.
-        wave_level: Axes of the wave level that the scene names, and the plug-in that brought it.
-        obstacles: Those that could be read.
-        meshes: All meshes that the scene names.
+        wave_level: Axes of the wave level that the scene names, and the plug-in that has it.
+        obstacles: The obstacles that could be read.
     """
 
     def __init__(self, path: Path, data: dict[str, Any]) -> None:
@@ -94,7 +90,7 @@ class SceneParts:
         return tuple(plugin for plugin in (source, level, *self.meshes.plugins) if plugin)
 
     def _collect(self, read: Callable[[], T]) -> T | None:
-        """What `read` returns; or None, and its problems are kept."""
+        """What `read` returns; if that fails, its problems are kept and None is returned."""
         try:
             return read()
         except InputError as error:

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from modsim3d.errors import InputError
+from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.geometry.camera_poses import Mount
+from modsim3d.geometry.lens import Distortion
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.motion.imu import PERFECT_IMU, Imu
 from modsim3d.motion.poses import LivePoses
+from modsim3d.motion.vessel_motion import Waves
+from modsim3d.motion.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
+from modsim3d.motion.waves.levels import Axes
 from modsim3d.scene.checks import scene_problems
-from modsim3d.scene.copy import SceneCopy, copy_scene
-from modsim3d.scene.keys import MAX_STEPS, SceneKeys
+from modsim3d.scene.copy import copy_scene
+from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SceneParts
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.values import camera_of, waves_of
 from modsim3d.truth.modes import Annotation
+from modsim3d.vessels.vessel import Vessel
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -27,10 +34,10 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def find_scene(scene: str | Path) -> Path:
-    """The scene file that a path or the name of a shipped scene means.
+    """The scene file that a path or the name of a shipped scene stands for.
 
     Raises:
-        InputError: There is neither.
+        InputError: There is no such file and no such scene.
     """
     path, shipped = Path(scene), shipped_scenes()
     try:
@@ -41,10 +48,8 @@ def find_scene(scene: str | Path) -> Path:
         return path
     if str(scene) in shipped:
         return shipped[str(scene)]
-    raise InputError(
-        f"scene {scene}",
-        [f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"],
-    )
+    problem = f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"
+    raise InputError(f"scene {scene}", [problem])
 
 
 def load_scene(
@@ -63,7 +68,7 @@ def load_scene(
 
     Args:
         scene: A scene file, or the name of a shipped scene. Each of the following replaces what stands in the file.
-        seed: Seed of the scene.
+        seed: Seed of all random numbers but the detector's.
         steps: Number of time steps.
         mode: Annotation mode, 0 to 2.
         source: Annotation source: `rendered`, `analytic` or `rectangles`.
@@ -109,7 +114,7 @@ def _assembled(parts: SceneParts) -> Scene:
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
     if keys is None or vessels is None or detector is None or poses is None or parts.problems:
         raise InputError(parts.name, parts.problems)
-    copy, level, live = _copy(parts, keys), parts.wave_level, isinstance(poses, LivePoses)
+    copy, level, live = copy_scene(parts, keys), parts.wave_level, isinstance(poses, LivePoses)
     scene = Scene(
         name=parts.path.stem,
         path=parts.path,
@@ -120,35 +125,64 @@ def _assembled(parts: SceneParts) -> Scene:
         steps=keys.steps or (MAX_STEPS if live else len(poses.timestamps)),
         vessels=vessels,
         poses=poses,
-        cameras=tuple(camera_of(name, camera) for name, camera in keys.cameras.items()),
+        cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
         annotation=Annotation(**keys.annotation.model_dump()),
         detector=detector,
         copy=copy,
         sea=keys.sea,
         obstacles=parts.obstacles,
-        waves=waves_of(keys.waves, keys.seed, vessels, level[0] if level else None),
+        waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
         imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
         plugins=parts.plugins,
     )
-    if problems := _imu_problems(keys, scene) + scene_problems(scene):
+    problems = scene_problems(scene)
+    if keys.imu is not None and not scene.own_ships:
+        problems.insert(0, "imu: no camera is mounted on a vessel, so there is no own ship to measure")
+    if problems:
         raise InputError(parts.name, problems)
     return scene
 
 
-def _imu_problems(keys: SceneKeys, scene: Scene) -> list[str]:
-    if keys.imu is None or scene.own_ships:
-        return []
-    return ["imu: no camera is mounted on a vessel, so there is no own ship to measure"]
-
-
-def _copy(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
-    recorded = None if parts.source is None or isinstance(parts.poses, LivePoses) else parts.source
-    return copy_scene(
-        parts.path,
-        parts.data,
-        keys,
-        vessels=parts.meshes.copied_all(parts.vessel_entries or {}, parts.vessels_at.folder),
-        obstacles=parts.meshes.copied_all(parts.data.get("obstacles") or {}, parts.folder),
-        mesh_files=parts.meshes.files,
-        pose_files=None if recorded is None else recorded.keys.files,
+def _camera(name: str, keys: CameraKeys) -> Camera:
+    """The camera that a scene file describes."""
+    intrinsics = Intrinsics.from_lens(
+        keys.focal_length_m,
+        keys.pixel_size_m,
+        keys.principal_point_px,
+        keys.image_size_px,
+        keys.skew,
+        keys.near_clip_m,
+        _distortion(keys),
     )
+    place = keys.mount or keys.pose
+    values: Mapping[str, Any] = place.model_dump() if place is not None else {}
+    return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)
+
+
+def _distortion(keys: CameraKeys) -> Distortion | None:
+    """The lens distortion; None for a pinhole, whose coefficients are all zero."""
+    if keys.distortion is None or not any(keys.distortion.model_dump().values()):
+        return None
+    return Distortion(**keys.distortion.model_dump())
+
+
+def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:
+    """The waves that a scene file describes, by `level` if it names one; None for calm water."""
+    if keys is None or keys.level == "none":
+        return None
+    if keys.spectrum is not None:
+        sea = jonswap_sea(
+            keys.significant_height_m or 0.0,
+            keys.peak_period_s or 0.0,
+            keys.direction_rad or 0.0,
+            seed,
+            keys.peakedness or PEAKEDNESS,
+        )
+        hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
+        return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
+    axes = level
+    if axes is None:
+        given = [getattr(keys, name) for name in AXES]
+        roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
+        axes = (roll, pitch, yaw)
+    return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)

@@ -31,7 +31,6 @@ class Scene:
 
     Attributes:
         name: File name without its ending.
-        path: The scene file.
         sha256: Checksum of `copy`.
         seed: Seed of all random numbers but the detector's.
         detector_seed: Seed of the detector; the same unless the scene file says otherwise.
@@ -40,10 +39,9 @@ class Scene:
         vessels: Vessels in the order of the vessels file.
         poses: Source of the vessels' poses.
         cameras: Cameras in the order of the scene file.
-        annotation: Mode, source and filters.
         detector: Parameters of the statistical detector.
         copy: The files that the scene was read from.
-        waves: Waves; None for calm water.
+        waves: The waves; None for calm water.
         sea: `flat` or `curved`.
         obstacles: Obstacles in the order of the scene file.
         imu: Inertial unit on board each vessel that carries a camera.
@@ -107,11 +105,7 @@ class Scene:
         return VesselMotion(self.poses, self.vessel_names, self.waves, moved, self.steps)
 
     def sight(self, camera: Camera, steps: Indices) -> Sight:
-        """What a camera has in front of it at some steps, and from where it looks.
-
-        Args:
-            camera: One of the scene's cameras.
-            steps: Ascending, shape (S,).
+        """What a camera has in front of it at some ascending steps of shape (S,), and from where it looks.
 
         Raises:
             InputError: The vessel that carries the camera has no pose at a step.
@@ -136,14 +130,9 @@ class Scene:
         return Snapshot(self.vessels, vessel_poses, self.obstacles, self.cameras, camera_poses)
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
-        """The sea's side of the horizon in a camera's images; see `Intrinsics.sea_half_plane`.
+        """The sea's side of the horizon in a camera's images at ascending steps of shape (S,), shape (S, 3).
 
-        Args:
-            camera: One of the scene's cameras.
-            steps: Ascending, shape (S,).
-
-        Returns:
-            Coefficients (a, b, c), shape (S, 3).
+        See `Intrinsics.sea_half_plane`.
         """
         if not len(steps):
             return np.empty((0, 3))
@@ -166,12 +155,7 @@ class Scene:
     def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
         """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,).
 
-        The result does not depend on where a run is split.
-
-        Args:
-            camera: One of the scene's cameras.
-            first: First step.
-            stop: The step after the last.
+        The result does not depend on where a run is split into blocks.
         """
         if camera.frame_rate_hz is None and not camera.start_offset_s:
             return np.arange(first, stop)

@@ -1,4 +1,4 @@
-"""What a camera has in front of it, and from where it looks."""
+"""What a camera has in front of it, and from where it looks: bodies for the truth and for pictures."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from modsim3d.vessels.vessel import Vessel
 class Sight:
     """What a camera has in front of it at S steps, and from where it looks.
 
+    It makes `Bodies` of the vessels' and obstacles' solids, and of these the `Outlines` that the camera sees.
+
     Attributes:
-        camera: The camera.
-        steps: Shape (S,).
+        steps: The steps, shape (S,).
         vessels: All V vessels of the scene.
-        poses: Poses of all vessels as the camera sees them: where the sea is curved, the others lie lower.
+        poses: Poses of all vessels as the camera sees them: on a curved sea, the other vessels lie lower.
         world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
         others: Vessels that are present and do not carry the camera, shape (S, V).
         carriers: The vessel that carries the camera, shape (S, V).
-        camera_poses: Poses of the camera.
         obstacles: All obstacles of the scene.
         curved: Whether the sea is curved.
     """
@@ -50,8 +50,7 @@ class Sight:
     def outlines(self, *, as_shoeboxes: bool = False) -> Outlines:
         """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh.
 
-        Args:
-            as_shoeboxes: Whether shoeboxes stand for vessels with a mesh; then the camera's own hull is left out.
+        With `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out.
         """
         bodies = self._bodies(self.others, as_shoeboxes=as_shoeboxes)
         if not as_shoeboxes:
@@ -86,17 +85,7 @@ def line_of_sight(
     obstacles: tuple[Obstacle, ...],
     curved: bool,
 ) -> Sight:
-    """What a camera has in front of it.
-
-    Args:
-        camera: The camera.
-        camera_poses: Its poses at S steps.
-        steps: Ascending, shape (S,).
-        vessels: The V vessels of the scene.
-        vessel_poses: Their poses at these steps.
-        obstacles: The obstacles of the scene.
-        curved: Whether the sea is curved.
-    """
+    """What a camera with some poses at S ascending steps, shape (S,), has in front of it; see `Sight`."""
     carrier = np.array([vessel.name for vessel in vessels]) == camera.mount.vessel
     poses = vessel_poses.poses
     if curved:

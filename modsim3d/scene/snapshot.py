@@ -21,20 +21,12 @@ CV_TO_GL = np.diag([1.0, -1.0, -1.0])
 """From camera axes as in computer vision (c2 down, c3 forward) to those of OpenGL and glTF (y up, z backward)."""
 BASE_FRAME = "#world"
 CAMERA_PREFIX = "camera#"
-"""A vessel's ID never holds '#', so no vessel has the name of a camera's frame or of the base frame."""
+"""A vessel's ID never has a '#', so no vessel has the name of a camera's frame or of the base frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A scene at one step.
-
-    Attributes:
-        vessels: All V vessels of the scene.
-        vessel_poses: Their poses at the one step.
-        obstacles: All obstacles of the scene.
-        cameras: All cameras of the scene.
-        camera_poses: The pose of each camera at the one step.
-    """
+    """A scene at one step: all its vessels, obstacles and cameras; the poses are those of the one step."""
 
     vessels: tuple[Vessel, ...]
     vessel_poses: PosesInWaves

@@ -36,12 +36,7 @@ class VisibleRegions:
 
 
 def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
-    """What is visible of each silhouette: the silhouette minus those of the solids that can hide it.
-
-    Args:
-        outlines: Convex solids in front of the camera, n rows.
-        intrinsics: Intrinsics of the camera.
-    """
+    """What is visible of each convex solid: its silhouette minus those of the solids that can hide it."""
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
     hiding = Hiding.of(
@@ -52,12 +47,7 @@ def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegion
 
 
 def analytic_occlusion(outlines: Outlines, intrinsics: Intrinsics) -> Occlusion:
-    """Full and visible boxes, areas and occluders of every outline.
-
-    Args:
-        outlines: Convex solids in front of the camera.
-        intrinsics: Intrinsics of the camera.
-    """
+    """Full and visible boxes, areas and occluders of convex solids."""
     return occlusion_of_regions(outlines, visible_regions(outlines, intrinsics))
 
 

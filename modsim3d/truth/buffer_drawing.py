@@ -34,14 +34,7 @@ def tiles_of(region: Region) -> list[Region]:
 
 @dataclass(frozen=True, eq=False)
 class BufferDrawing:
-    """Outlines, what draws them, and their triangles, which are made when they are first needed.
-
-    Attributes:
-        outlines: What is in front of the camera, n rows.
-        intrinsics: Intrinsics of the camera.
-        renderer: Draws the ID buffers.
-        supersample: Buffer pixels per image pixel and axis.
-    """
+    """Outlines, what draws them at `supersample` buffer pixels per image pixel and axis, and their triangles."""
 
     outlines: Outlines
     intrinsics: Intrinsics
@@ -68,14 +61,7 @@ class BufferDrawing:
         return every.take(~every.of_whole | (facing(every.corners_px * self.supersample) > 0))
 
     def triangles_of_rows(self, rows: Indices) -> tuple[Indices, Indices]:
-        """Indices of the triangles of k rows, one row after another, and the place in `rows` that each belongs to.
-
-        Args:
-            rows: Shape (k,).
-
-        Returns:
-            Two arrays of shape (t,).
-        """
+        """Indices of the triangles of rows (k,), one row after another, and each one's place in `rows`, shapes (t,)."""
         first, stop = (np.searchsorted(self.triangles.row, rows, side=side) for side in ("left", "right"))
         return ranges(first, stop - first), np.repeat(np.arange(len(rows)), stop - first)
 
@@ -84,8 +70,8 @@ class BufferDrawing:
 
         Args:
             triangles: Indices of what to draw, shape (t,).
-            shift_px: Whole pixels by which each triangle is moved, shape (t, 2), or (2,) for all.
-            region: What to draw, in buffer pixels.
+            shift_px: Whole buffer pixels by which each triangle is moved, shape (t, 2), or (2,) for all.
+            region: In buffer pixels.
         """
         chosen = self.triangles
         corners = chosen.corners_px[triangles] * self.supersample + shift_px[..., None, :]

@@ -18,7 +18,7 @@ def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, 
 
     Args:
         cameras_m: Positions of the camera in WCF at S steps, shape (S, 3).
-        bodies: All bodies at the same steps.
+        bodies: At the same steps.
 
     Returns:
         Frame and index into the scene's occluder names; None if the camera is always outside.
@@ -38,17 +38,10 @@ def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, 
 
 
 def solid_angle(point: Array, triangles: Array) -> float:
-    """The solid angle that oriented triangles subtend at a point.
+    """Steradians that oriented triangles, shape (T, 3, 3), subtend at a point, shape (3,).
 
-    A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE Transactions on Biomedical
-    Engineering 30 (1983).
-
-    Args:
-        point: Position, shape (3,).
-        triangles: Their corners, shape (T, 3, 3).
-
-    Returns:
-        Steradians; ±4π inside a closed mesh, 0 outside.
+    They are ±4π inside a closed mesh and 0 outside. A. van Oosterom and J. Strackee, "The solid angle of a plane
+    triangle", IEEE Transactions on Biomedical Engineering 30 (1983).
     """
     a, b, c = np.moveaxis(triangles - point, 1, 0)
     la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))

@@ -43,13 +43,7 @@ class Visibility:
 
 
 def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> Visibility:
-    """Draw a batch with a depth buffer, and cut the silhouettes of its vessels where something else is in front.
-
-    Args:
-        drawing: The outlines and what draws them.
-        silhouettes: Spans of all silhouettes.
-        batch: The clusters to draw.
-    """
+    """Draw a batch with a depth buffer, and cut the silhouettes of its vessels where something else is in front."""
     rows = np.concatenate([cluster.rows for cluster in batch.clusters])
     cluster = np.repeat(np.arange(len(batch.clusters)), [len(each.rows) for each in batch.clusters])
     to_buffer = batch.places - batch.corners
@@ -82,7 +76,7 @@ def _split_at_regions(spans: Spans, cluster: Indices, batch: Batch) -> tuple[tup
     Args:
         spans: m spans, in image coordinates.
         cluster: Index of the cluster of each, shape (m,).
-        batch: Says what of the image is drawn of each cluster.
+        batch: Has the regions of the clusters.
 
     Returns:
         The parts left and right of the regions; the parts inside; and which spans have a part inside, shape (m,).
@@ -101,10 +95,7 @@ def _split_at_regions(spans: Spans, cluster: Indices, batch: Batch) -> tuple[tup
 def _cut_at_runs(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices, Indices], Indices, Indices]:
     """Cut stretches of a flattened ID image into pieces at the borders of its runs.
 
-    Args:
-        ids: Row + 1, shape (h, w).
-        start: First place of each stretch in the flattened image, shape (m,).
-        stop: The place after its last, shape (m,).
+    A stretch of the m runs from a place `start` to the place before `stop`.
 
     Returns:
         Begin and end of the k pieces; the row that is seen in each, −1 if nothing is; the stretch of each. All (k,).

@@ -57,11 +57,9 @@ class Batch:
 
 
 def clusters_of(outlines: Outlines, boxes: Array) -> list[Cluster]:
-    """Connected groups of vessels whose pixel boxes overlap, each with the obstacles that overlap one of them.
+    """Connected groups of vessels whose pixel boxes (n, 4) overlap, each with the obstacles that overlap one of them.
 
-    Args:
-        outlines: What is in front of the camera, n rows.
-        boxes: Boxes of whole pixels around the silhouettes, shape (n, 4).
+    `boxes` are of whole pixels; their shape is that of `outlines.boxes_px`.
     """
     boxed = outlines.boxed
     first, second = overlapping_pairs(outlines.frame, boxes, boxed)

@@ -24,15 +24,9 @@ from modsim3d.truth.triangles import Triangles, triangles_of
 def full_frame_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """Draw every frame and count the pixels of vessels.
+    """Draw every frame and count the pixels of vessels; see `rendered_occlusion`.
 
     A silhouette that contains no pixel centre has no pixels; its full box is then the projected one.
-
-    Args:
-        outlines: What is in front of the camera.
-        intrinsics: Intrinsics of the camera.
-        renderer: Draws the ID buffers.
-        supersample: Buffer pixels per image pixel and axis. Results are in image pixels.
     """
     drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
     silhouettes, visible = _Counts.none(len(outlines)), _Counts.none(len(outlines))
@@ -54,15 +48,7 @@ def full_frame_occlusion(
 def pixel_masks(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, row: int, supersample: int = 1
 ) -> PixelMasks:
-    """Draw the pixels of one vessel once more.
-
-    Args:
-        outlines: What is in front of the camera.
-        intrinsics: Intrinsics of the camera.
-        renderer: Draws the ID buffers.
-        row: Row of the outlines.
-        supersample: Buffer pixels per image pixel and axis.
-    """
+    """Draw the pixels of one vessel, a row of the outlines, once more."""
     drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
     frame = slice(*np.searchsorted(outlines.frame, (outlines.frame[row], outlines.frame[row] + 1)))
     region = drawing.region(row)
@@ -83,7 +69,7 @@ class _Counts:
         return cls(np.zeros(count), np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1)))
 
     def add(self, row: int, mask: Mask, region: Region) -> None:
-        """Count the pixels of a mask that lies at a region."""
+        """Count the pixels of a mask, shape (region.height, region.width)."""
         if pixels := np.count_nonzero(mask):
             self.px[row] += pixels
             box, counted = mask_box(mask, region), self.boxes[row]

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
-from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.outlines import Outlines, new_numbers
 from modsim3d.truth.truth_record import Truth
 
 
@@ -28,12 +28,9 @@ class HiddenPixels:
 
     @classmethod
     def of(cls, row: Indices, occluder: Indices, px: Array) -> HiddenPixels:
-        """Sort entries, and add up those of the same row and occluder: an obstacle may consist of several solids.
+        """Sort entries, all of shape (m,), and add up those of the same row and occluder.
 
-        Args:
-            row: Shape (m,).
-            occluder: Shape (m,).
-            px: Shape (m,).
+        There are such entries because an obstacle may consist of several solids.
         """
         order = np.lexsort((occluder, row))
         row, occluder, px = row[order], occluder[order], px[order]
@@ -41,17 +38,6 @@ class HiddenPixels:
         if len(first) < len(row):
             row, occluder, px = row[first], occluder[first], np.add.reduceat(px, first)
         return cls(row, occluder, px)
-
-    def of_rows(self, rows: Indices, count: int) -> HiddenPixels:
-        """The entries of chosen rows, renumbered 0, 1, ….
-
-        Args:
-            rows: The chosen rows, ascending.
-            count: Number of rows that there are.
-        """
-        place = _new_numbers(rows, count)
-        kept = place[self.row] >= 0
-        return HiddenPixels(place[self.row][kept], self.occluder[kept], self.px[kept])
 
     def offsets(self, count: int) -> Indices:
         """Index of the first entry of each of `count` rows, and the number of entries last, shape (count + 1,)."""
@@ -86,31 +72,32 @@ class Occlusion:
         return tuple(tuple(entries[first:stop]) for first, stop in pairwise(offsets))
 
     def take(self, rows: Indices) -> Occlusion:
-        """The chosen rows, which ascend, and the intersecting pairs of which both rows are chosen."""
-        count = len(self.silhouette_px)
-        pairs = _new_numbers(rows, count)[self.intersecting]
+        """The chosen rows, shape (k,), which ascend, and the intersecting pairs of which both rows are chosen."""
+        place = new_numbers(rows, len(self.silhouette_px))
+        pairs, hidden_row = place[self.intersecting], place[self.hidden.row]
+        kept = hidden_row >= 0
         return Occlusion(
             full_boxes_px=self.full_boxes_px[rows],
             visible_boxes_px=self.visible_boxes_px[rows],
             silhouette_px=self.silhouette_px[rows],
             visible_px=self.visible_px[rows],
-            hidden=self.hidden.of_rows(rows, count),
+            hidden=HiddenPixels(hidden_row[kept], self.hidden.occluder[kept], self.hidden.px[kept]),
             intersecting=pairs[(pairs >= 0).all(axis=1)],
         )
 
     def among(self, rows: Indices, count: int) -> Occlusion:
-        """The inverse of `take`: these rows as `rows` of `count`. The others are NaN, and nothing hides them."""
+        """The inverse of `take`: these rows as `rows`, shape (k,), of `count`; the others are NaN, and not hidden."""
 
-        def spread(column: Array) -> Array:
+        def _spread(column: Array) -> Array:
             wide = np.full((count, *column.shape[1:]), np.nan)
             wide[rows] = column
             return wide
 
         return Occlusion(
-            full_boxes_px=spread(self.full_boxes_px),
-            visible_boxes_px=spread(self.visible_boxes_px),
-            silhouette_px=spread(self.silhouette_px),
-            visible_px=spread(self.visible_px),
+            full_boxes_px=_spread(self.full_boxes_px),
+            visible_boxes_px=_spread(self.visible_boxes_px),
+            silhouette_px=_spread(self.silhouette_px),
+            visible_px=_spread(self.visible_px),
             hidden=HiddenPixels(rows[self.hidden.row], self.hidden.occluder, self.hidden.px),
             intersecting=rows[self.intersecting],
         )
@@ -148,10 +135,3 @@ class Occlusion:
             intersections=np.column_stack([pair_step, pair_camera, outlines.occluder[self.intersecting]]),
         )
         return truth.take(outlines.boxed)
-
-
-def _new_numbers(rows: Indices, count: int) -> Indices:
-    """0, 1, … for the chosen rows and −1 for the others, shape (count,)."""
-    place = np.full(count, -1)
-    place[rows] = np.arange(len(rows))
-    return place

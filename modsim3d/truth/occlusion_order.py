@@ -17,7 +17,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.overlaps import overlapping_pairs
-from modsim3d.truth.separating_axes import axis_count, candidate_axes, directions_of, extents_along
+from modsim3d.truth.separating_axes import axis_count, candidate_axes, extents_along
 from modsim3d.vessels.vessel import Solid
 
 TOUCHING_M = 1e-7
@@ -50,22 +50,14 @@ class Order:
 def order_of(outlines: Outlines) -> Order:
     """The order of every two solids whose boxes overlap in the image and that matter to a vessel.
 
-    Solids that overlap no vessel in the image are left out: of a long coast, all but a few pieces.
-
-    Args:
-        outlines: Convex solids only.
+    All of them must be convex. Solids that overlap no vessel in the image are left out: of a long coast, all but a few
+    pieces.
     """
     return order_of_pairs(outlines, *_pairs_that_matter(outlines))
 
 
 def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order:
-    """The order of given pairs of rows.
-
-    Args:
-        outlines: Convex solids only.
-        first: Rows, shape (P,).
-        second: Rows of the same frames, shape (P,).
-    """
+    """The order of P pairs of convex solids: rows `first` and rows `second` of the same frames, both of shape (P,)."""
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
     part_of, member_of = _places(outlines)
@@ -75,8 +67,7 @@ def order_of_pairs(outlines: Outlines, first: Indices, second: Indices) -> Order
         for chosen in _in_turns(np.flatnonzero(kinds == kind), a.solid, b.solid):
             vertices_a = a.vertices_camera[member_of[first[chosen]]]
             vertices_b = b.vertices_camera[member_of[second[chosen]]]
-            directions_a, directions_b = directions_of(vertices_a, a.solid), directions_of(vertices_b, b.solid)
-            axes = candidate_axes(directions_a, directions_b)
+            axes = candidate_axes(vertices_a, a.solid, vertices_b, b.solid)
             can_hide[chosen], separated[chosen] = _who_can_hide(vertices_a, vertices_b, axes)
     return Order(first, second, can_hide[:, 0], can_hide[:, 1], intersecting=~separated)
 
@@ -109,12 +100,7 @@ def _places(outlines: Outlines) -> tuple[Indices, Indices]:
 
 
 def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array) -> tuple[Mask, Mask]:
-    """Try the planes across all axes.
-
-    Args:
-        vertices_a: The first solids in camera coordinates, shape (P, K, 3).
-        vertices_b: The second solids, shape (P, L, 3).
-        axes: From `candidate_axes`, shape (P, A, 3).
+    """Try the planes across all axes (P, A, 3) between solids in camera coordinates, shapes (P, K, 3) and (P, L, 3).
 
     Returns:
         Whether the first can hide the second and the second the first, shape (P, 2); whether any plane separates them,

@@ -1,7 +1,8 @@
-"""Bodies in front of a camera: their solids in camera coordinates, projected, clipped, and their boxes.
+"""Outlines: what a camera sees of each body by itself, as if nothing else were there.
 
-This is corner projection. It is exact and needs no renderer. The analytic and the rendered source both start from it;
-only the rendered source then counts pixels.
+A vessel or obstacle has a `Solid`, its shape. `Bodies` are solids with their size and place in the world at each step.
+`outline` moves their vertices into camera coordinates, projects them, and keeps those that are in the image, with their
+boxes. That is exact and needs no renderer. Every source of truth starts from it, and then says what hides what.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
-from modsim3d.truth.silhouettes import cut_near, in_image, share_in_image, silhouette_polygons
+from modsim3d.truth.silhouettes import cut_near, doubled_areas, in_image, share_in_image, silhouette_polygons
 from modsim3d.vessels.bodies import Bodies
 from modsim3d.vessels.vessel import Solid
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The rows of `Outlines` whose solids have the same faces.
+    """The m rows of `Outlines` whose solids have the same faces, and therefore vertices that form one array.
 
     Attributes:
         solid: The faces that the vertices span.
@@ -40,7 +41,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """n bodies whose silhouettes overlap the image, in order of frame and occluder.
+    """What is in a camera's image: n rows, one for each frame and body there, in order of frame and occluder.
 
     Attributes:
         frame: Index into the run of frames, shape (n,).
@@ -77,9 +78,8 @@ class Outlines:
         return convex
 
     def take(self, rows: Indices) -> Outlines:
-        """The chosen rows, which ascend."""
-        place = np.full(len(self), -1)
-        place[rows] = np.arange(len(rows))
+        """The chosen rows, shape (k,), which ascend."""
+        place = new_numbers(rows, len(self))
         parts = []
         for part in self.parts:
             kept = place[part.rows] >= 0
@@ -91,19 +91,19 @@ class Outlines:
 _COLUMNS = ("frame", "occluder", "boxed", "boxes_px", "areas_px", "in_frame_fraction", "depth_m", "crosses_near")
 
 
-def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies]) -> Outlines:
-    """Project all bodies at S steps and keep those whose silhouette overlaps the image.
+def new_numbers(rows: Indices, count: int) -> Indices:
+    """0, 1, … for the chosen rows, shape (k,), and −1 for the others, shape (count,)."""
+    place = np.full(count, -1)
+    place[rows] = np.arange(len(rows))
+    return place
 
-    Args:
-        intrinsics: Intrinsics of the camera.
-        camera_poses: Poses of the camera at S steps.
-        bodies: All bodies at the same steps.
-    """
+
+def outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies]) -> Outlines:
+    """Project all bodies at the steps of the camera's poses and keep those whose silhouettes overlap the image."""
     found = [_outline(intrinsics, camera_poses, some) for some in bodies]
     columns = {name: np.concatenate([_NOTHING[name], *(columns[name] for columns, _ in found)]) for name in _COLUMNS}
     order = np.lexsort((columns["occluder"], columns["frame"]))
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
+    place = new_numbers(order, len(order))
     parts, first = [], 0
     for _, part in found:
         rows = place[first : first + len(part.rows)]
@@ -168,10 +168,7 @@ def _outline(intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Bodies) 
 
 
 def _box_in_image(triangles_camera: Array, intrinsics: Intrinsics) -> Array:
-    """A box around what triangles (T, 3, 3) in front of the near plane show in the image, shape (4,).
-
-    If they show nothing, the box is (inf, inf, −inf, −inf).
-    """
+    """A box (4,) around what triangles (T, 3, 3) beyond the near plane show; (inf, inf, −inf, −inf) for nothing."""
     pinhole = intrinsics.pinhole
     seen = clip_triangles(triangles_camera, guard_planes(pinhole, 0.0)).reshape(-1, 3)
     if not len(seen):
@@ -189,17 +186,11 @@ def _least(pixels: Array) -> Array:
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:
-    """Area of each silhouette: half that of its faces, as a ray through a convex solid meets two of them.
+    """Areas of silhouettes from projected vertices, shape (n, K, 2) to (n,), in square pixels.
 
-    Args:
-        pixels: Projected vertices, shape (n, K, 2).
-        solid: Has the faces that the vertices span.
-
-    Returns:
-        Square pixels, shape (n,).
+    It is half the area of the projected faces, as a ray through a convex solid meets two of them.
     """
-    a, b, c = np.moveaxis(pixels[:, solid.faces], 2, 0)
-    doubled = (b - a)[..., 0] * (c - a)[..., 1] - (b - a)[..., 1] * (c - a)[..., 0]
+    doubled = doubled_areas(pixels[:, solid.faces])
     # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
     areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas

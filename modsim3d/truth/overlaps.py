@@ -10,11 +10,7 @@ from modsim3d.arrays import Array, Indices, Mask
 
 
 def frame_slices(frame: Indices) -> list[slice]:
-    """The rows of each frame that has any.
-
-    Args:
-        frame: Frame of each row, non-decreasing, shape (n,).
-    """
+    """The rows of each frame that has any; `frame` is that of each row, non-decreasing, shape (n,)."""
     edges = [*np.flatnonzero(np.diff(frame, prepend=-1)).tolist(), len(frame)]
     return [slice(first, stop) for first, stop in pairwise(edges)]
 

@@ -31,14 +31,9 @@ class PixelMasks:
 
 
 def mask_box(mask: Mask, region: Region) -> Array:
-    """Half-open box of the true pixels of a region: [min column, max column + 1), in pixels.
+    """Box x_min, y_min, x_max, y_max, shape (4,), around the true pixels of a mask that lies at a region.
 
-    Args:
-        mask: Shape (region.height, region.width), with at least one true pixel.
-        region: Where the mask lies.
-
-    Returns:
-        x_min, y_min, x_max, y_max, shape (4,).
+    It is half-open: x_max is the column after the last. At least one pixel of the mask must be true.
     """
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     left, top = columns[0] + region.x, rows[0] + region.y
@@ -47,16 +42,10 @@ def mask_box(mask: Mask, region: Region) -> Array:
 
 
 def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, supersample: int) -> bool:
-    """Whether a box and a count are those of a mask.
+    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), at a region of the buffer.
 
-    A difference is not explained by pixels that are right if the truth was counted from other pixels.
-
-    Args:
-        mask: Shape (h, w), in buffer pixels.
-        region: Where the mask lies.
-        box_px: x_min, y_min, x_max, y_max in image pixels, shape (4,); any if the mask is empty.
-        count_px: Number of pixels, in image pixels.
-        supersample: Buffer pixels per image pixel and axis.
+    A difference is not explained by pixels that are right if the truth was counted from other pixels. The box is x_min,
+    y_min, x_max, y_max, shape (4,), and any if the mask is empty.
     """
     count = np.count_nonzero(mask)
     if count != round(count_px * supersample**2):
@@ -70,7 +59,7 @@ def mask_fits(mask: Mask, region: Region, silhouette: shapely.Geometry, covers: 
     Pixels in a band along the boundary may be set or not. The band is as wide as the rounding of corners.
 
     Args:
-        mask: Shape (h, w), in buffer pixels.
+        mask: Pixels of the buffer, shape (h, w).
         region: Where the mask lies.
         silhouette: The exact silhouette, in image pixels.
         covers: The exact silhouettes of what may hide it, in image pixels, shape (k,).

@@ -33,7 +33,7 @@ class Spans:
         return cls(empty, empty, empty, empty)
 
     def take(self, chosen: Mask | Indices) -> Spans:
-        """The chosen spans."""
+        """The chosen spans, given by a mask, shape (m,), or by indices, shape (k,)."""
         return Spans(self.row[chosen], self.y[chosen], self.start[chosen], self.stop[chosen])
 
     def moved(self, dx: Indices | int, dy: Indices | int) -> Spans:
@@ -42,15 +42,10 @@ class Spans:
 
 
 def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
-    """Number of pixels and bounding box of each silhouette.
+    """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes.
 
-    Args:
-        spans: Ordered by silhouette.
-        count: Number of silhouettes n.
-
-    Returns:
-        Numbers of pixels, shape (n,), and half-open boxes [x_min, x_max) × [y_min, y_max), shape (n, 4); the box of a
-        silhouette without a pixel is (inf, inf, −inf, −inf).
+    The spans must be ordered by silhouette. Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a
+    silhouette without a pixel is (inf, inf, −inf, −inf).
     """
     pixels: Array = np.bincount(spans.row, spans.stop - spans.start, minlength=count).astype(np.float64)
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (count, 1))
@@ -71,13 +66,9 @@ def concatenate_spans(parts: list[Spans]) -> Spans:
 
 
 def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
-    """Runs of equal IDs in an ID image that is read row by row; each pixel row begins a new run.
+    """Where each run of equal IDs begins in an ID image (h, w) read row by row, and its ID; both of shape (k,).
 
-    Args:
-        ids: Shape (h, w).
-
-    Returns:
-        Where each run begins in the flattened image, and its ID; both of shape (k,).
+    Each pixel row begins a new run.
     """
     flat = ids.reshape(-1)
     begins = np.empty(flat.shape, dtype=bool)
@@ -90,8 +81,7 @@ def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
 def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
     """The spans of the silhouettes in an ID image in which none hides another; ordered by scan line.
 
-    Args:
-        ids: Index of the silhouette + 1, zero where there is none, shape (h, w).
+    An ID is the index of the silhouette + 1, zero where there is none, shape (h, w).
     """
     starts, values = runs_of_ids(ids)
     stops = np.append(starts[1:], ids.size)

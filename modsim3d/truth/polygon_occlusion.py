@@ -41,15 +41,10 @@ class Hiding:
 
 
 def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
-    """Polygons minus all that covers them. Each round subtracts one cover from every polygon that still has one.
+    """Polygons, shape (n,), minus all that covers them, shape (n,).
 
-    Args:
-        polygons: Polygons, shape (n,).
-        rows: Index of the polygon that each cover is subtracted from, non-decreasing, shape (m,).
-        covers: Covering polygons, shape (m,).
-
-    Returns:
-        What is left of each polygon, shape (n,).
+    Cover k of the m `covers` is subtracted from polygon rows[k]; `rows`, shape (m,), do not decrease. Each round
+    subtracts one cover from every polygon that still has one.
     """
     left = polygons.copy()
     turn = np.arange(len(rows)) - np.searchsorted(rows, rows)
@@ -65,12 +60,9 @@ def visible_of(silhouettes: Polygons, hiding: Hiding) -> Polygons:
 
 
 def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Array) -> tuple[Array, Array]:
-    """Bounding boxes (NaN where nothing is) and areas of visible regions, shapes (n, 4) and (n,).
+    """Bounding boxes (NaN where nothing is) and areas of visible regions (n,), shapes (n, 4) and (n,).
 
-    Args:
-        visible: Visible regions, shape (n,).
-        full_boxes_px: Boxes of the whole silhouettes, which are returned where nothing is hidden, shape (n, 4).
-        full_areas_px: Areas of the whole silhouettes, shape (n,).
+    Where nothing is hidden, they are the boxes and areas given for the whole silhouettes.
     """
     areas: Array = shapely.area(visible)
     seen, whole = areas > NOTHING_PX2, areas >= full_areas_px - NOTHING_PX2
@@ -113,12 +105,6 @@ def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties:
 
 
 def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixels:
-    """Who hides how much of which row, without rounding errors.
-
-    Args:
-        hiding: The m pairs of hidden row and hider.
-        areas_px: How much each hider hides, shape (m,).
-        occluder: As in `hidden_areas`, shape (n,).
-    """
+    """Who hides how much of which row, from the m areas of `hidden_areas`, shape (m,), without rounding errors."""
     real = areas_px > NOTHING_PX2
     return HiddenPixels.of(hiding.hidden[real], occluder[hiding.hiders[real]], areas_px[real])

@@ -17,11 +17,7 @@ from modsim3d.truth.polygon_occlusion import Hiding, boxes_and_areas, hidden_are
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:
-    """Occlusion of boxes by boxes; the pixel counts of silhouettes and visible parts are areas of rectangles.
-
-    Args:
-        outlines: What is in front of the camera. The rule looks at vessels only.
-    """
+    """Occlusion of vessels' boxes by vessels' boxes; pixel counts are areas of rectangles."""
     rectangles = shapely.box(*outlines.boxes_px.T)
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     known = outlines.boxed[first] & outlines.boxed[second]

@@ -17,7 +17,6 @@ the result with drawn buffers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -25,57 +24,37 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.truth.pixel_spans import Spans
+from modsim3d.truth.silhouettes import doubled_areas
 from modsim3d.vessels.vessel import Solid
 
 HALF = SUBPIXELS // 2
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
-    """Undirected edges of a closed mesh whose faces all have the same orientation, and the two faces at each edge.
-
-    Attributes:
-        start: Index of a vertex, shape (E,).
-        end: Index of the other vertex, shape (E,).
-        left: Index of the face that runs from start to end, shape (E,).
-        right: Index of the face that runs from end to start, shape (E,).
-    """
-
-    start: Indices
-    end: Indices
-    left: Indices
-    right: Indices
-
-
 @cache
-def edges_of(solid: Solid) -> Edges:
-    """The edges of a closed solid."""
+def _edges_of(solid: Solid) -> Indices:
+    """Start, end, left and right of each edge of a closed solid, shape (4, E).
+
+    The face on the left is the one that runs from start to end; the face on the right runs from end to start.
+    """
     faces = {
         (a, b): face
         for face, corners in enumerate(solid.faces.tolist())
         for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
     }
     pairs = [(a, b, face, faces[b, a]) for (a, b), face in faces.items() if a < b]
-    return Edges(*np.array(pairs, dtype=np.int64).T)
+    return np.array(pairs, dtype=np.int64).T
 
 
 def facing(corners_px: Array) -> Indices:
     """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area.
 
-    Args:
-        corners_px: In buffer pixels, in an order that is counter-clockwise seen from outside, shape (..., 3, 2).
-
-    Returns:
-        Twice the signed area in units of (1/256 px)², shape (...).
+    They are in buffer pixels, counter-clockwise seen from outside. Shape (..., 3, 2) to (...).
     """
-    grid = _on_grid(corners_px)
-    (ax, ay), (bx, by) = (np.moveaxis(grid[..., i, :] - grid[..., 0, :], -1, 0) for i in (1, 2))
-    area: Indices = ay * bx - ax * by  # pixel rows run downwards, which turns the sign
-    return area
+    return doubled_areas(_on_grid(corners_px))
 
 
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
-    """The spans of convex solids inside an image.
+    """The spans of n convex solids inside an image.
 
     Args:
         vertices_px: Projected vertices, all in front of the near plane, in buffer pixels, shape (n, K, 2).
@@ -83,8 +62,8 @@ def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int
         image_size_px: Width and height of the buffer.
 
     Returns:
-        The spans; and the silhouettes that have to be drawn instead, because their rounded corners make no convex
-        outline.
+        The spans; and the silhouettes, shape (k,), that have to be drawn instead, because their rounded corners make no
+        convex outline.
     """
     width, height = image_size_px
     row, upper, lower, is_start = _outline_edges(vertices_px, solid)
@@ -106,18 +85,18 @@ def _on_grid(points_px: Array) -> Indices:
 
 
 def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[Indices, Indices, Indices, Mask]:
-    """The edges between a face turned to the camera and one turned away: silhouette, upper and lower end, side.
+    """The edges between a face turned to the camera and one turned away.
 
     Returns:
         Silhouette of each edge, shape (e,); its upper and lower end on the grid, both of shape (e, 2); whether it
         bounds the silhouette on the left, shape (e,).
     """
-    edges, grid = edges_of(solid), _on_grid(vertices_px)
+    (start_vertex, end_vertex, left, right), grid = _edges_of(solid), _on_grid(vertices_px)
     # A face seen edge-on is taken to be turned away: the outline then runs around it.
     towards = facing(vertices_px[:, solid.faces]) > 0
-    turn = towards[:, edges.left].astype(np.int8) - towards[:, edges.right]
+    turn = towards[:, left].astype(np.int8) - towards[:, right]
     row, edge = np.nonzero(turn)
-    start, end = grid[row, edges.start[edge]], grid[row, edges.end[edge]]
+    start, end = grid[row, start_vertex[edge]], grid[row, end_vertex[edge]]
     # Walked with the face that is turned to the camera on the left, an edge that runs down is a left edge.
     forward = turn[row, edge, None] > 0
     tail, head = np.where(forward, start, end), np.where(forward, end, start)
@@ -126,7 +105,7 @@ def _outline_edges(vertices_px: Array, solid: Solid) -> tuple[Indices, Indices, 
 
 
 def _join(row: Indices, y: Indices, column: Indices, is_start: Mask, height: int) -> tuple[Spans, Indices]:
-    """Join the one start and the one end of each silhouette in each scan line; silhouettes with others are odd."""
+    """Spans from the one start to the one end in each scan line of a silhouette; and silhouettes with other counts."""
     line = row * height + y
     starts, ends = np.flatnonzero(is_start), np.flatnonzero(~is_start)
     starts, ends = starts[np.argsort(line[starts])], ends[np.argsort(line[ends])]

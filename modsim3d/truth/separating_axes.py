@@ -7,7 +7,6 @@ hierarchical structure for rapid interference detection", for boxes). Two shoebo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -19,29 +18,36 @@ PARALLEL = 1 - 1e-9
 """Unit vectors with a greater dot product count as parallel."""
 
 
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Unit vectors of n convex solids with the same faces.
-
-    Attributes:
-        normals: Normals of faces that are not parallel, shape (n, N, 3).
-        edges: Directions of edges that are not parallel, shape (n, E, 3).
-    """
-
-    normals: Array
-    edges: Array
-
-
-def directions_of(vertices: Array, solid: Solid) -> Directions:
-    """Face normals and edge directions of convex solids.
+def candidate_axes(vertices_a: Array, a: Solid, vertices_b: Array, b: Solid) -> Array:
+    """Directions across which convex solids may be apart: face normals of each, cross products of their edges.
 
     Args:
-        vertices: Vertices of n solids, shape (n, K, 3).
-        solid: Has their faces.
+        vertices_a: Vertices of P solids with the faces of `a`, shape (P, K, 3).
+        a: Has these faces.
+        vertices_b: Vertices of the P solids with the faces of `b` that they are compared with, shape (P, L, 3).
+        b: Has these faces.
+
+    Returns:
+        Unit vectors, shape (P, A, 3); zero where two edges are parallel.
     """
-    faces, ends = distinct_directions(solid)
+    (normals_a, edges_a), (normals_b, edges_b) = _directions(vertices_a, a), _directions(vertices_b, b)
+    crosses = np.cross(edges_a[:, :, None, :], edges_b[:, None, :, :]).reshape(len(edges_a), -1, 3)
+    length = np.linalg.norm(crosses, axis=-1, keepdims=True)
+    crosses = np.where(length > 1e-6, crosses / np.where(length > 1e-6, length, 1.0), 0.0)
+    return np.concatenate([normals_a, normals_b, crosses], axis=1)
+
+
+def axis_count(a: Solid, b: Solid) -> int:
+    """Number A of candidate axes of two solids."""
+    (normals_a, edges_a), (normals_b, edges_b) = _distinct_directions(a), _distinct_directions(b)
+    return len(normals_a) + len(normals_b) + len(edges_a) * len(edges_b)
+
+
+def _directions(vertices: Array, solid: Solid) -> tuple[Array, Array]:
+    """Distinct normals (n, N, 3) and edge directions (n, E, 3) of n solids with vertices (n, K, 3)."""
+    faces, ends = _distinct_directions(solid)
     a, b, c = np.moveaxis(vertices[:, faces], 2, 0)
-    return Directions(_unit(np.cross(b - a, c - a)), _unit(vertices[:, ends[:, 1]] - vertices[:, ends[:, 0]]))
+    return _unit(np.cross(b - a, c - a)), _unit(vertices[:, ends[:, 1]] - vertices[:, ends[:, 0]])
 
 
 def _unit(vectors: Array) -> Array:
@@ -50,13 +56,10 @@ def _unit(vectors: Array) -> Array:
 
 
 @cache
-def distinct_directions(solid: Solid) -> tuple[Indices, Indices]:
-    """Faces and edges of a solid of which no two are parallel, without edges between triangles of one flat side.
+def _distinct_directions(solid: Solid) -> tuple[Indices, Indices]:
+    """Faces (N, 3) and edges (E, 2) of which no two are parallel, without edges between triangles of one flat side.
 
     Stretching and turning a solid keeps parallel lines parallel, so the solid's own vertices decide for all copies.
-
-    Returns:
-        Vertex indices of N faces, shape (N, 3), and of E edges, shape (E, 2).
     """
     corners = solid.vertices[solid.faces]
     normals = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
@@ -81,37 +84,10 @@ def _not_parallel(unit: Array) -> list[int]:
     return chosen
 
 
-def candidate_axes(a: Directions, b: Directions) -> Array:
-    """Directions across which two convex solids may be apart: face normals of each, cross products of their edges.
-
-    Args:
-        a: Directions of P solids.
-        b: Directions of the P solids that each of them is compared with.
-
-    Returns:
-        Unit vectors, shape (P, A, 3); zero where two edges are parallel.
-    """
-    crosses = np.cross(a.edges[:, :, None, :], b.edges[:, None, :, :]).reshape(len(a.edges), -1, 3)
-    length = np.linalg.norm(crosses, axis=-1, keepdims=True)
-    crosses = np.where(length > 1e-6, crosses / np.where(length > 1e-6, length, 1.0), 0.0)
-    return np.concatenate([a.normals, b.normals, crosses], axis=1)
-
-
-def axis_count(a: Solid, b: Solid) -> int:
-    """Number A of candidate axes of two solids."""
-    (normals_a, edges_a), (normals_b, edges_b) = distinct_directions(a), distinct_directions(b)
-    return len(normals_a) + len(normals_b) + len(edges_a) * len(edges_b)
-
-
 def extents_along(vertices: Array, axes: Array) -> tuple[Array, Array]:
-    """Least and greatest coordinate of vertices along axes.
+    """Least and greatest coordinates of vertices (P, K, 3) along axes (P, A, 3), two arrays of shape (P, A).
 
-    Args:
-        vertices: Shape (P, K, 3).
-        axes: Unit vectors or zero vectors, shape (P, A, 3).
-
-    Returns:
-        Two arrays of shape (P, A). An axis of zero length gives (−1, 1) for every solid, so it separates none.
+    An axis of zero length gives −1 and 1 for every solid, so it separates none.
     """
     along = axes @ np.swapaxes(vertices, 1, 2)
     none = ~axes.any(axis=-1)

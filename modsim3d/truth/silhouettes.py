@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -13,56 +15,51 @@ from modsim3d.vessels.vessel import Solid
 
 NO_AREA_PX2 = 1e-9
 """A face with a smaller area is seen edge-on. It adds nothing to a silhouette, and its polygon would be invalid."""
+Number = TypeVar("Number", np.float64, np.int64)
 
 
 def silhouette_polygons(
     intrinsics: Intrinsics, vertices: Array, pixels: Array, crosses: Mask, solid: Solid
 ) -> NDArray[np.object_]:
-    """Whole silhouettes as polygons, cut at the near plane.
+    """Whole silhouettes of n solids as polygons, cut at the near plane, shape (n,).
 
     Args:
         intrinsics: Intrinsics of the camera.
-        vertices: Vertices of n solids in CCF, shape (n, K, 3).
+        vertices: In CCF, shape (n, K, 3).
         pixels: The same vertices projected, shape (n, K, 2).
         crosses: Whether the near plane cuts each solid, shape (n,).
         solid: Has the faces that the vertices span.
-
-    Returns:
-        Polygons, shape (n,).
     """
     polygons = np.empty(len(pixels), dtype=object)
-    if not solid.convex:
-        for row in range(len(pixels)):
-            if crosses[row]:
-                faces = cut_near(vertices[row][solid.faces], intrinsics, solid)
-                polygons[row] = union_of(intrinsics.project(faces))
-            else:
-                polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
-        return polygons
-    polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
+    if solid.convex:
+        polygons[~crosses] = shapely.convex_hull(shapely.multipoints(pixels[~crosses]))
+    else:
+        for row in np.flatnonzero(~crosses).tolist():
+            polygons[row] = union_of(pixels[row][solid.faces], both_sides=not solid.closed)
     for row in np.flatnonzero(crosses).tolist():
-        clipped = cut_near(vertices[row][solid.faces], intrinsics, solid)
-        polygons[row] = shapely.convex_hull(shapely.multipoints(intrinsics.project(clipped.reshape(-1, 3))))
+        clipped = intrinsics.project(cut_near(vertices[row][solid.faces], intrinsics, solid))
+        if solid.convex:
+            polygons[row] = shapely.convex_hull(shapely.multipoints(clipped.reshape(-1, 2)))
+        else:
+            polygons[row] = union_of(clipped)
     return polygons
 
 
 def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArray[np.object_]:
-    """The parts of silhouettes that are in the image, seen through the lens if it distorts, shape (n,).
+    """The parts of silhouettes, polygons in the pinhole's image, that are in the image, both of shape (n,).
 
-    Args:
-        silhouettes: Polygons in the image of the camera's pinhole, shape (n,).
-        intrinsics: Intrinsics of the camera.
+    They are seen through the lens if it distorts.
     """
     seen: NDArray[np.object_] = shapely.intersection(silhouettes, _image(intrinsics.pinhole))
     if intrinsics.distortion is None:
         return seen
 
-    def bend(points_px: Array) -> Array:
+    def _bend(points_px: Array) -> Array:
         # Each distinct point is computed once: the first and the last of a ring must stay exactly equal.
         points, which = np.unique(points_px, axis=0, return_inverse=True)
         return intrinsics.through_lens(points)[which.reshape(-1)]
 
-    bent = shapely.transform(shapely.segmentize(seen, intrinsics.chord_px), bend)
+    bent = shapely.transform(shapely.segmentize(seen, intrinsics.chord_px), _bend)
     return np.asarray(shapely.intersection(shapely.make_valid(bent), _image(intrinsics)))
 
 
@@ -81,16 +78,22 @@ def _image(intrinsics: Intrinsics) -> shapely.Polygon:
     return shapely.box(0, 0, *map(float, intrinsics.image_size_px))
 
 
-def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
-    """The region that triangles cover together.
+def doubled_areas(triangles_px: NDArray[Number]) -> NDArray[Number]:
+    """Twice the signed areas of projected triangles, shape (..., 3, 2) to (...), in square units of the corners.
 
-    Args:
-        triangles_px: Projected triangles, shape (T, 3, 2).
-        both_sides: Whether triangles turned away from the camera count. Those of a closed solid add nothing.
+    They are positive if a triangle is turned to the camera, so that its corners run counter-clockwise seen from there.
     """
-    a, b, c = np.moveaxis(triangles_px, 1, 0)
-    # Rows run downwards: the area of a face turned to the camera is positive this way round.
-    doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
+    (ax, ay), (bx, by) = (np.moveaxis(triangles_px[..., i, :] - triangles_px[..., 0, :], -1, 0) for i in (1, 2))
+    areas: NDArray[Number] = ay * bx - ax * by  # pixel rows run downwards, which turns the sign
+    return areas
+
+
+def union_of(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
+    """The region that projected triangles, shape (T, 3, 2), cover together.
+
+    Without `both_sides`, triangles turned away from the camera are left out; those of a closed solid add nothing.
+    """
+    doubled = doubled_areas(triangles_px)
     return shapely.union_all(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))
 
 
@@ -98,14 +101,7 @@ def cut_near(triangles_camera: Array, intrinsics: Intrinsics, solid: Solid) -> A
     """The triangles of a solid beyond the near plane, and the section that closes it there if it was closed.
 
     Without the section the camera would look into the solid, and see the faces of what touches it from behind.
-
-    Args:
-        triangles_camera: Faces of the solid in CCF, shape (T, 3, 3).
-        intrinsics: Intrinsics of the camera.
-        solid: Says whether it is closed and convex.
-
-    Returns:
-        Triangles in CCF, shape (T', 3, 3).
+    Triangles are in CCF, shapes (T, 3, 3) and (T', 3, 3).
     """
     near = intrinsics.near_clip_m
     clipped = clip_triangles(triangles_camera, near_plane(intrinsics))

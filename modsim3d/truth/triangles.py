@@ -11,7 +11,6 @@ from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.clipping import clip_triangles, guard_planes
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.silhouettes import cut_near
-from modsim3d.truth.subdivision import subdivided
 
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
@@ -38,21 +37,15 @@ class Triangles:
     of_whole: Mask
 
     def take(self, chosen: Mask) -> Triangles:
-        """The chosen triangles."""
+        """The triangles that are chosen by a mask, shape (T,)."""
         return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 
 def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX) -> Mask:
     """Whether each row can be drawn without clipping, shape (n,).
 
-    It can if its vertices are in front of the near plane and not far outside the image, and the lens keeps straight
-    edges straight.
-
-    Args:
-        outlines: Bodies in front of the camera, n rows.
-        intrinsics: Intrinsics of the camera.
-        supersample: Buffer pixels per image pixel and axis.
-        guard_px: How far outside the image vertices may be, in buffer pixels.
+    It can if its vertices are in front of the near plane and at most `guard_px` buffer pixels outside the image, and
+    the lens keeps straight edges straight.
     """
     guard, size = guard_px / supersample, np.array(intrinsics.image_size_px)
     inside = np.zeros(len(outlines), dtype=bool)
@@ -69,11 +62,7 @@ def triangles_of(
 ) -> Triangles:
     """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
 
-    Args:
-        outlines: Bodies in front of the camera.
-        intrinsics: Intrinsics of the camera.
-        supersample: Buffer pixels per image pixel and axis.
-        guard_px: How far outside the image triangles may reach, in buffer pixels; `LENS_GUARD_PX` if the lens distorts.
+    They reach at most `guard_px` buffer pixels outside it, and `LENS_GUARD_PX` if the lens distorts.
     """
     inside = within_guard(outlines, intrinsics, supersample, guard_px)
     bent = intrinsics.distortion is not None
@@ -104,3 +93,47 @@ def triangles_of(
         intrinsics.near_clip_m / ordered[..., 2],
         np.concatenate(whole)[order],
     )
+
+
+def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> Array:
+    """The same surface as triangles whose edges are short in the image.
+
+    Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore cut alike, and no
+    gap opens between them.
+
+    Args:
+        triangles_camera: Triangles in front of the near plane, in CCF, shape (T, 3, 3).
+        intrinsics: Those of a pinhole camera.
+        longest_px: Greatest length of an edge in its image.
+
+    Returns:
+        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3).
+    """
+    waiting, done = triangles_camera, [triangles_camera[:0]]
+    while len(waiting):
+        pixels = intrinsics.project(np.maximum(waiting, (-np.inf, -np.inf, intrinsics.near_clip_m)))
+        # Edge i runs from corner i to corner i + 1.
+        long = np.linalg.norm(np.roll(pixels, -1, axis=1) - pixels, axis=-1) > longest_px
+        count = long.sum(axis=1)
+        done.append(waiting[count == 0])
+        waiting = np.concatenate([_cut(waiting[count == k], long[count == k], k) for k in (1, 2, 3)])
+    return np.concatenate(done)
+
+
+def _cut(triangles: Array, long: Array, count: int) -> Array:
+    """Triangles with `count` long edges each, cut at the middles of these edges."""
+    # Turn each so that its edge 0 is the one long edge, or its edge 2 the one short edge.
+    first = np.zeros(len(long), dtype=np.int64)
+    if count == 1:
+        first = long.argmax(axis=1)
+    elif count == 2:
+        first = (long.argmin(axis=1) + 1) % 3
+    turn = (first[:, None] + np.arange(3)) % 3
+    a, b, c = np.moveaxis(np.take_along_axis(triangles, turn[:, :, None], axis=1), 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = {
+        1: ((a, ab, c), (ab, b, c)),
+        2: ((ab, b, bc), (a, ab, bc), (a, bc, c)),
+        3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
+    }[count]
+    return np.concatenate([np.stack(corners, axis=1) for corners in parts])

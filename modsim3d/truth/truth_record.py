@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ class Truth:
         return len(self.step)
 
     def take(self, rows: Indices | Mask | slice) -> Truth:
-        """The chosen rows, in the order given."""
+        """The chosen rows, given by indices, shape (k,), a mask, shape (n,), or a slice, in the order given."""
         chosen = np.arange(len(self))[rows]
         counts = np.diff(self.occluder_offsets)[chosen]
         entries = ranges(self.occluder_offsets[chosen], counts)
@@ -89,24 +90,15 @@ ROW_COLUMNS = tuple(
 
 def no_truth() -> Truth:
     """A record without rows."""
-    integers, numbers, boxes = np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 4))
-    return Truth(
-        step=integers,
-        camera=integers,
-        vessel=integers,
-        full_boxes_px=boxes,
-        visible_boxes_px=boxes,
-        silhouette_px=numbers,
-        visible_px=numbers,
-        visible_fraction=numbers,
-        in_frame_fraction=numbers,
-        depth_m=numbers,
-        occluder_offsets=np.zeros(1, dtype=np.int64),
-        occluder=integers,
-        occluder_px=numbers,
-        annotated=np.empty(0, dtype=bool),
-        intersections=np.empty((0, 4), dtype=np.int64),
-    )
+    columns: dict[str, Any] = {
+        **dict.fromkeys(COLUMNS, np.empty(0)),
+        **dict.fromkeys(("step", "camera", "vessel", "occluder"), np.empty(0, dtype=np.int64)),
+        **dict.fromkeys(("full_boxes_px", "visible_boxes_px"), np.empty((0, 4))),
+        "occluder_offsets": np.zeros(1, dtype=np.int64),
+        "annotated": np.empty(0, dtype=bool),
+        "intersections": np.empty((0, 4), dtype=np.int64),
+    }
+    return Truth(**columns)
 
 
 def concatenate(parts: Sequence[Truth]) -> Truth:

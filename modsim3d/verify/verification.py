@@ -10,7 +10,7 @@ from pathlib import Path
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, Part, used_models
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.detection_reader import read_detections
+from modsim3d.runs.files.reading import read_detections
 from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.reading import load_scene

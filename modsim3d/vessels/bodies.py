@@ -1,4 +1,4 @@
-"""Bodies that a camera may see: solids that move, grouped by the mesh that they share."""
+"""Bodies: vessels' and obstacles' solids with their size and their places in the world."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from modsim3d.vessels.vessel import Solid, Vessel, shoebox
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """B bodies with the same faces, at S steps.
+    """B solids with the same faces in the world, at S steps.
+
+    They are the step between a `Solid`, which has neither size nor place, and `Outlines`, which are what a camera sees
+    of bodies. Bodies with the same faces form arrays, which are placed and projected together.
 
     Attributes:
-        solid: The faces; its vertices are not used.
+        solid: The faces that the bodies share; its vertices are not used.
         occluder: Index into the scene's occluder names, shape (B,).
         boxed: Whether the bodies get a box: vessels do, obstacles and own ship do not.
         vertices_m: Vertices in the frame of each body, shape (B, K, 3).
@@ -59,21 +62,18 @@ def vessel_bodies(
     """The vessels that are present at any of S steps, grouped by mesh.
 
     Args:
-        vessels: The V vessels of the scene.
-        present: Which vessels to take at each step, shape (S, V).
+        vessels: V vessels.
+        present: Which of them to take at each step, shape (S, V).
         positions_m: Origins of the vessels in WCF, shape (S, V, 3).
         world_R_vessel: Rotations VCF to WCF, shape (S, V, 3, 3).
         as_shoeboxes: Whether shoeboxes stand for meshes.
-        boxed: Whether the bodies get a box.
+        boxed: As in `Bodies`.
     """
-    there: Mask = np.any(present, axis=0)
-    solids: dict[int, tuple[Solid, list[int]]] = {}
-    for index, vessel in enumerate(vessels):
-        if there[index]:
-            solid = shoebox() if as_shoeboxes else vessel.solid
-            solids.setdefault(id(solid), (solid, []))[1].append(index)
+    members_of: dict[Solid, list[int]] = {}
+    for index in np.flatnonzero(present.any(axis=0)).tolist():
+        members_of.setdefault(shoebox() if as_shoeboxes else vessels[index].solid, []).append(index)
     bodies = []
-    for solid, members in solids.values():
+    for solid, members in members_of.items():
         extents = np.array([vessels[index].extents_m for index in members])
         bodies.append(
             Bodies(

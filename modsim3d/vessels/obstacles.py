@@ -24,11 +24,9 @@ PREFIX = "obstacle:"
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """An obstacle as the scene describes it.
+    """An obstacle as the scene describes it; the truth writes its name after `PREFIX`.
 
-    Attributes:
-        name: ID; the truth writes it after `PREFIX`.
-        solids: Its parts, each with vertices in WCF in metres, shape (K, 3).
+    `solids` are the faces of its parts, each with its own vertices in WCF in metres, shape (K, 3).
     """
 
     name: str
@@ -52,13 +50,8 @@ class Obstacle:
 def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
     """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex.
 
-    Args:
-        polygon_m: Corners on the sea in WCF, in either direction, shape (k, 2).
-        base_m: Height of the lower face above the sea.
-        height_m: Distance between the lower and the upper face.
-
-    Returns:
-        Solids, each with vertices in WCF in metres, shape (K, 3).
+    The polygon's corners are on the sea in WCF, in either direction, shape (k, 2). The lower face lies at `base_m`
+    above the sea. Each solid comes with its vertices in WCF in metres, shape (K, 3).
     """
     outline = shapely.Polygon(polygon_m)
     hull = shapely.convex_hull(outline)
@@ -70,16 +63,10 @@ def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[So
 
 
 def placed(solid: Solid, size_m: Array, position_m: Array, heading_rad: float) -> tuple[Solid, Array]:
-    """A mesh in WCF.
+    """A mesh scaled to length, beam and height, shape (3,), with the centre of its bottom at a place, shape (3,).
 
-    Args:
-        solid: The mesh in the unit box.
-        size_m: Length, beam and height to scale it to, shape (3,).
-        position_m: Centre of its bottom in WCF, shape (3,).
-        heading_rad: Counter-clockwise from w1.
-
-    Returns:
-        The solid, and its vertices in WCF in metres, shape (K, 3).
+    The place is in WCF, the heading counter-clockwise from w1. The result is the mesh, and its vertices in WCF in
+    metres, shape (K, 3).
     """
     return solid, (solid.vertices * size_m) @ world_R_vehicle(heading_rad).T + position_m
 
@@ -99,10 +86,9 @@ def _triangular_prism() -> Solid:
 
 def _prism_faces(sides: int) -> Indices:
     """Triangles of a prism whose vertices are the lower corners, counter-clockwise from above, then the upper ones."""
-    walls = []
-    for low in range(sides):
-        after = (low + 1) % sides
-        walls += [(low, after, after + sides), (low, after + sides, low + sides)]
+    low = np.arange(sides)
+    after = np.roll(low, -1)
+    walls = np.stack([low, after, after + sides, low, after + sides, low + sides], axis=1).reshape(-1, 3)
     fan = [(0, i, i + 1) for i in range(1, sides - 1)]
     bottom, top = [(a, c, b) for a, b, c in fan], [(a + sides, b + sides, c + sides) for a, b, c in fan]
     return np.array([*walls, *bottom, *top], dtype=np.int64)
@@ -111,32 +97,26 @@ def _prism_faces(sides: int) -> Indices:
 def obstacle_bodies(
     obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
 ) -> list[Bodies]:
-    """The obstacles at S steps, grouped by their faces.
+    """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's occluder index.
 
-    Args:
-        obstacles: All obstacles, in the order of the scene's occluder names.
-        first_occluder: Index of the first obstacle in the occluder names.
-        steps: Number of steps S.
-        cameras_m: Camera centres in WCF on a curved sea, shape (S, 3); each obstacle is lowered by the drop at its
-            centre. None for a flat sea.
+    On a curved sea `cameras_m` are the camera centres in WCF, shape (S, 3), and each obstacle is lowered by the drop at
+    its centre. On a flat sea it is None.
     """
-    solids: dict[int, tuple[Solid, list[int], list[Array]]] = {}
+    members_of: dict[Solid, list[tuple[int, Array]]] = {}
     for index, obstacle in enumerate(obstacles):
         for solid, vertices in obstacle.solids:
-            _, occluders, members = solids.setdefault(id(solid), (solid, [], []))
-            occluders.append(first_occluder + index)
-            members.append(vertices)
+            members_of.setdefault(solid, []).append((index, vertices))
     bodies = []
-    for solid, occluders, members in solids.values():
-        vertices, count = np.stack(members), len(occluders)
+    for solid, members in members_of.items():
+        vertices, count = np.stack([vertices for _, vertices in members]), len(members)
         positions = np.zeros((steps, count, 3))
         if cameras_m is not None:
-            centres = np.array([obstacles[occluder - first_occluder].centre_m for occluder in occluders])
+            centres = np.array([obstacles[index].centre_m for index, _ in members])
             positions[..., 2] -= drop_m(centres, cameras_m[:, None])
         bodies.append(
             Bodies(
                 solid=solid,
-                occluder=np.array(occluders),
+                occluder=np.array([first_occluder + index for index, _ in members]),
                 boxed=False,
                 vertices_m=vertices,
                 centres_m=(vertices.min(axis=1) + vertices.max(axis=1)) / 2,

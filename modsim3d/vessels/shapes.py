@@ -7,6 +7,7 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs.plugins import SHAPES, Plugin, failed, load_plugin
+from modsim3d.vessels.meshes.shape import is_closed, signed_volume
 from modsim3d.vessels.vessel import Solid
 
 LOW, HIGH = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 1.0])
@@ -21,10 +22,7 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
     closed triangle mesh: v1 forward and v2 to port from −1/2 to 1/2, v3 up from 0 to 1, in units of length, beam and
     air draft; faces are counter-clockwise seen from outside.
 
-    Args:
-        name: Name in the vessels file.
-        path: Path of the key with this name, for errors.
-        built_in: Names of shapes that need no plug-in, for the hint at an unknown name.
+    Errors name the path of the key; `built_in` are names that need no plug-in, for the hint at an unknown name.
 
     Raises:
         InputError: There is no such plug-in, it fails, or it returns something else.
@@ -46,14 +44,9 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
 
 
 def shape_problem(vertices: Array, faces: np.ndarray) -> str | None:
-    """Reason why a mesh cannot be a vessel's shape; None if it can.
+    """Reason why vertices (K, 3) and faces (F, 3) cannot be a vessel's shape; None if they can.
 
-    The triangles of a closed surface traverse each edge equally often in both directions. If they face outward, the
-    enclosed volume, Σ a · (b × c) / 6, is positive.
-
-    Args:
-        vertices: In units of length, beam and air draft, shape (K, 3).
-        faces: Vertex indices, shape (F, 3).
+    The vertices are in units of length, beam and air draft.
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices) or not np.isfinite(vertices).all():
         return f"vertices must be finite, of shape (K, 3) (got {vertices.shape})"
@@ -65,13 +58,9 @@ def shape_problem(vertices: Array, faces: np.ndarray) -> str | None:
     low, high = used.min(axis=0), used.max(axis=0)
     if np.abs(low - LOW).max() > SLACK or np.abs(high - HIGH).max() > SLACK:
         return f"it must fill the box from {LOW.tolist()} to {HIGH.tolist()}, not {low.tolist()} to {high.tolist()}"
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    there, back = (
-        np.sort(ends[:, 0].astype(np.int64) * len(vertices) + ends[:, 1]) for ends in (edges, edges[:, ::-1])
-    )
-    if not np.array_equal(there, back):
+    faces = faces.astype(np.int64)
+    if not is_closed(faces):
         return "its surface is not closed: each edge must belong to two faces, once in each direction"
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    if np.einsum("ij,ij->", a, np.cross(b, c)) <= 0:
+    if signed_volume(vertices, faces) <= 0:
         return "its faces point inwards: they must be counter-clockwise seen from outside"
     return None

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A triangle mesh in VCF units of length, beam and air draft.
+    """The shape of something, without place or size: a triangle mesh.
+
+    A vessel's solid fills the unit box of VCF, in units of its length, beam and air draft, so that vessels of all sizes
+    share one. `Bodies` give solids their size and place in the world.
 
     Attributes:
         vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
@@ -53,16 +56,7 @@ def shoebox() -> Solid:
 
 @dataclass(frozen=True)
 class Vessel:
-    """A vessel as the scene describes it.
-
-    Attributes:
-        name: ID.
-        label: True class.
-        length_m: Extent along v1.
-        beam_m: Extent along v2.
-        air_draft_m: Height above the waterline, along v3.
-        solid: Shape in units of these three.
-    """
+    """A vessel as the scene describes it: its ID, its true class, its extents along v1, v2 and v3, and its shape."""
 
     name: str
     label: str
@@ -118,27 +112,24 @@ def name_problem(name: str) -> str | None:
         return f"a vessel's ID must be printable text (got {name!r})"
     if "#" in name:
         return "a vessel's ID must not hold '#', which marks a second box of a vessel"
-    if name.startswith("false_positive_"):
-        return "a vessel's ID must not begin with 'false_positive_', which marks false positives"
-    if name.startswith("obstacle:"):
-        return "a vessel's ID must not begin with 'obstacle:', which marks obstacles"
+    for prefix, marked in (("false_positive_", "false positives"), ("obstacle:", "obstacles")):
+        if name.startswith(prefix):
+            return f"a vessel's ID must not begin with '{prefix}', which marks {marked}"
     return None
 
 
 def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, ...]:
     """Vessels from the mapping of Figure 7.2: ID → length, beam, air draft, label.
 
-    Args:
-        data: The mapping.
-        source: Name of the file in errors.
-        *prefix: Keys that lead to the mapping in the file.
+    `source` is the name of the file in errors, and `prefix` the keys that lead to the mapping in it.
 
     Raises:
         InputError: With every problem found.
     """
+    where = join_path(*prefix) or "top level"
     if not isinstance(data, dict):
-        raise InputError(source, [f"{join_path(*prefix) or 'top level'}: {MAPPING_NEEDED} (got {shown(data)})"])
-    problems = [] if data else [f"{join_path(*prefix) or 'top level'}: no vessels; a scene needs at least one"]
+        raise InputError(source, [f"{where}: {MAPPING_NEEDED} (got {shown(data)})"])
+    problems = [] if data else [f"{where}: no vessels; a scene needs at least one"]
     vessels = []
     for name, raw in data.items():
         if problem := name_problem(str(name)):

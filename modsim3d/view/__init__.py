@@ -1,1 +1,1 @@
-"""Pictures for people."""
+"""Pictures, films, maps and pages of runs, for people."""

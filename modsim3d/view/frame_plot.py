@@ -10,7 +10,8 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.blocks import Frame
 from modsim3d.view import palette
-from modsim3d.view.plain import below_horizon
+from modsim3d.view.palette import unit_rgb
+from modsim3d.view.pictures.plain import below_horizon
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,7 @@ WIDTH_IN, FURNITURE_IN = 9.0, 0.9
 FARTHEST_ROWS = 5
 """How many rows of text a label may move away from its box."""
 MARGIN = 0.35
-"""Of the boxes' width and height, around them when zoomed in."""
+"""Margin around the boxes when zoomed in, as a share of their width and height."""
 LEAST_VIEW_PX = 240.0
 
 
@@ -31,9 +32,9 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
     """Draw sea, sky, truth, detections, misses and false positives of a frame.
 
     Args:
-        frame: What to draw.
-        axes: Where; a figure of its own if None.
-        zoom: Show only the part of the image in which there are vessels.
+        frame: The frame to draw.
+        axes: Axes to draw on; those of a new figure if None.
+        zoom: Show only the part of the image in which vessels are.
         labels: Write names, classes and confidences.
 
     Raises:
@@ -43,14 +44,15 @@ def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, la
         from matplotlib.figure import Figure
     except ImportError:
         raise ModsimError("frame.plot() needs matplotlib: pip install 'modsim3d[view]'") from None
-    left, top, right, bottom = view = _view(frame, zoom)
+    left, top, right, bottom = _view(frame, zoom)
     if axes is None:
         height_in = WIDTH_IN * (bottom - top) / (right - left) + FURNITURE_IN
         axes = Figure(figsize=(WIDTH_IN, height_in), layout="constrained").add_subplot()
     figure = axes.figure.figure  # the whole one, where the axes are in a part of it
     _background(axes, frame)
     notes = _truth(axes, frame, labels) + _detections(axes, frame, labels)
-    _show(axes, view)
+    # Rows run downwards, as in an image.
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xlabel="column [px]", ylabel="row [px]")
     axes.set_title(f"{frame.camera}, {frame.timestamp} s, detector {frame.state}")
     figure.draw_without_rendering()
     _keep_apart(notes, axes.get_window_extent().x1, figure.dpi / 72)
@@ -62,20 +64,19 @@ def _background(axes: Axes, frame: Frame) -> None:
 
     width, height = frame.image_size_px
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
-    axes.add_patch(Polygon(corners, facecolor=_unit(palette.SKY), zorder=0))
+    axes.add_patch(Polygon(corners, facecolor=unit_rgb(palette.SKY), zorder=0))
     sea = below_horizon(corners, corners, frame.sea_half_plane)
     if len(sea):
-        axes.add_patch(Polygon(sea, facecolor=_unit(palette.SEA), zorder=0))
+        axes.add_patch(Polygon(sea, facecolor=unit_rgb(palette.SEA), zorder=0))
 
 
 def _truth(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:
     truth, notes = frame.truth, []
     for i, name in enumerate(truth.vessels):
         _box(axes, truth.full_boxes_px[i], palette.TRUTH, 1.0, dashed=True)
-        missed = truth.annotated[i] and not truth.detected[i]
         if not np.isnan(truth.visible_boxes_px[i]).any():
             _box(axes, truth.visible_boxes_px[i], palette.TRUTH, 1.0)
-        if missed:
+        if truth.annotated[i] and not truth.detected[i]:
             _box(axes, truth.boxes_px[i], palette.ALARM, 1.8)
             if labels:
                 notes.append(_label(axes, truth.boxes_px[i], f"{name} missed", palette.ALARM, below=True))
@@ -106,16 +107,6 @@ def _view(frame: Frame, zoom: bool) -> tuple[float, float, float, float]:
     return max(left, 0.0), max(top, 0.0), min(right, width), min(bottom, height)
 
 
-def _show(axes: Axes, view: tuple[float, float, float, float]) -> None:
-    """Pixels as in an image: rows downwards, equal in both directions."""
-    left, top, right, bottom = view
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
-    axes.set_aspect("equal")
-    axes.set_xlabel("column [px]")
-    axes.set_ylabel("row [px]")
-
-
 def _keep_apart(notes: list[Annotation], right_px: float, point_px: float) -> None:
     """Move labels left into the image, and away from their boxes until none lies on another; or leave one out."""
     taken: list[Bbox] = []
@@ -138,7 +129,7 @@ def _box(axes: Axes, box_px: Array, colour: palette.Colour, width: float, *, das
 
     x0, y0, x1, y1 = box_px
     line: Any = "--" if dashed else "-"
-    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=_unit(colour), lw=width, ls=line))
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=unit_rgb(colour), lw=width, ls=line))
 
 
 def _label(axes: Axes, box_px: Array, text: str, colour: palette.Colour, below: bool = False) -> Annotation:
@@ -150,14 +141,9 @@ def _label(axes: Axes, box_px: Array, text: str, colour: palette.Colour, below: 
         textcoords="offset points",
         va="top" if below else "bottom",
         fontsize=7,
-        color=_unit(palette.INK),
+        color=unit_rgb(palette.INK),
         parse_math=False,
-        bbox={"boxstyle": "square,pad=0.15", "facecolor": _unit(colour), "edgecolor": "none"},
+        bbox={"boxstyle": "square,pad=0.15", "facecolor": unit_rgb(colour), "edgecolor": "none"},
         annotation_clip=True,
         clip_on=True,
     )
-
-
-def _unit(colour: palette.Colour) -> tuple[float, float, float]:
-    r, g, b = (channel / 255 for channel in colour)
-    return r, g, b

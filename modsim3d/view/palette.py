@@ -56,6 +56,12 @@ def darker(colour: Colour, factor: float = 0.62) -> Colour:
     return mixed(colour, BLACK, 1 - factor)
 
 
+def unit_rgb(colour: Colour) -> tuple[float, float, float]:
+    """A colour with channels from 0 to 1, for matplotlib."""
+    r, g, b = (channel / 255 for channel in colour)
+    return r, g, b
+
+
 def ink_on(colour: Colour) -> Colour:
     """The colour of text on a plate: dark on light, light on dark."""
     luma = 0.299 * colour[0] + 0.587 * colour[1] + 0.114 * colour[2]

@@ -25,13 +25,9 @@ SIGHT_STEPS = 250
 def write_recording(
     run: StoredRun, out: Path, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> None:
-    """Write a run as an `.rrd` file with the time lines `step` and `time`.
+    """Write every K-th step of a run as an `.rrd` file with the time lines `step` and `time`.
 
-    Args:
-        run: A finished or an interrupted one.
-        out: The file.
-        every: Only every K-th step.
-        progress: Called with the number of steps done since its last call.
+    `progress` is called with the number of steps that were written since its last call.
 
     Raises:
         ModsimError: The Rerun SDK is not installed, or the run has no steps.
@@ -49,7 +45,7 @@ def write_recording(
         raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
     name = f"{run.scene.name}-{run.scene.sha256[:12]}"
     stream = rerun.RecordingStream("modsim3d", recording_id=name, send_properties=False)
-    stream.set_log_time_enabled(False)  # when it was written is nothing that the run knows
+    stream.set_log_time_enabled(False)  # the time of writing does not belong to the run
     stream.save(out)
     recorder = _Recorder(rerun, stream, run.scene)
     recorder.fixed()
@@ -65,26 +61,18 @@ def write_recording(
 
 @dataclass
 class _Recorder:
-    """Puts parts of a run into a recording.
-
-    Attributes:
-        sdk: The module `rerun`.
-        stream: The recording.
-        scene: The scene of the run.
-        there: Which vessels were present at the last step, shape (V,).
-        states: Performance state of each camera at the last step.
-    """
+    """Puts parts of a run into a recording, with the module `rerun` as its SDK."""
 
     sdk: Any
     stream: Any
     scene: Scene
 
     def __post_init__(self) -> None:
-        self.there = np.zeros(len(self.scene.vessels), dtype=bool)
-        self.states: dict[str, int] = {}
+        self._present = np.zeros(len(self.scene.vessels), dtype=bool)
+        self._states: dict[str, int] = {}
 
     def fixed(self) -> None:
-        """What never changes: axes, lenses and obstacles."""
+        """Log what never changes: axes, lenses and obstacles."""
         self.stream.log("world", self.sdk.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for camera in self.scene.cameras:
             lens = camera.intrinsics
@@ -100,7 +88,7 @@ class _Recorder:
             self.stream.log(["world", "obstacles", obstacle.name], mesh, static=True)
 
     def space(self, steps: Indices) -> None:
-        """Where cameras and vessels are at some steps."""
+        """Log where cameras and vessels are at some steps, shape (n,)."""
         sea = self.scene.motion.at(steps)
         sights = [self.scene.sight(camera, steps) for camera in self.scene.cameras]
         for camera, sight in zip(self.scene.cameras, sights, strict=True):
@@ -114,11 +102,11 @@ class _Recorder:
         vessel, present = self.scene.vessels[index], sea.poses.present[:, index]
         path = ["world", "vessels", vessel.name]
         self._move(path, steps[present], sea.poses.positions_m[present, index], sea.world_R_vessel[present, index])
-        before = np.concatenate([self.there[index : index + 1], present[:-1]])
+        before = np.concatenate([self._present[index : index + 1], present[:-1]])
         for i in np.flatnonzero(before != present):
             self._at(int(steps[i]))
             self.stream.log(path, self._box(index) if present[i] else self.sdk.Clear(recursive=False))
-        self.there[index] = present[-1]
+        self._present[index] = present[-1]
 
     def _box(self, index: int) -> Any:
         vessel = self.scene.vessels[index]
@@ -136,11 +124,11 @@ class _Recorder:
             self.stream.send_columns(self.sdk.new_entity_path(path), indexes=self._times(steps), columns=columns)
 
     def images(self, rows: RunRows, steps: Indices) -> None:
-        """Boxes and counts of each camera at some steps."""
-        full, drawn_px = rows.boxes_px("full"), rows.drawn_boxes_px()
+        """Log the boxes and counts of each camera at some steps, shape (n,)."""
+        full, drawn_px = rows.boxes_px("full"), rows.detection_boxes_px()
         missed = rows.annotated & ~rows.detected
-        labels = indices(rows.drawn, "label", self.scene.detector.labels)
-        confidence = numbers(rows.drawn, "confidence")
+        labels = indices(rows.detections, "label", self.scene.detector.labels)
+        confidence = numbers(rows.detections, "confidence")
         names = self.scene.vessel_names
         for step, camera, truth, drawn in _frames(rows, steps):
             self._at(step)
@@ -151,7 +139,7 @@ class _Recorder:
             colours = [palette.ALARM if lost else palette.TRUTH for lost in missed[truth]]
             tags = [f"{names[v]} missed" if lost else names[v] for v, lost in zip(vessels, missed[truth], strict=True)]
             self._boxes([*path, "truth"], full[truth], colours, tags)
-            sources = rows.drawn_vessel[drawn]
+            sources = rows.detection_vessel[drawn]
             colours = [palette.ALARM if source == NOBODY else palette.vessel_colour(int(source)) for source in sources]
             what = zip(labels[drawn], confidence[drawn], strict=True)
             tags = [f"{self.scene.detector.labels[label]} {sure:.2f}" for label, sure in what]
@@ -164,11 +152,11 @@ class _Recorder:
         self.stream.log(path, boxes)
 
     def _state(self, camera: int, state: int) -> None:
-        """Say it when the performance state changes."""
+        """Log the performance state where it changes."""
         name = self.scene.cameras[camera].name
-        if self.states.get(name) != state:
+        if self._states.get(name) != state:
             self.stream.log(["detector", name], self.sdk.TextLog(self.scene.detector.states[state].name))
-            self.states[name] = state
+            self._states[name] = state
 
     def _at(self, step: int) -> None:
         self.stream.set_time("step", sequence=step)
@@ -180,9 +168,9 @@ class _Recorder:
 
 
 def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, slice]]:
-    """Step and camera of each frame taken at some steps, and its rows of the truth and of the detections."""
+    """Step and camera of each frame that was taken at some steps, and its rows of truth and detections."""
     cameras = len(rows.scene.cameras)
     for number in rows.frames[np.isin(rows.frames // cameras, steps)].tolist():
         frame = (number, number + 1)
-        truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.drawn_frame))
+        truth, drawn = (np.searchsorted(column, frame) for column in (rows.truth_frame, rows.detection_frame))
         yield number // cameras, number % cameras, slice(*truth), slice(*drawn)

@@ -10,13 +10,20 @@ from typing import Any
 import pytest
 
 from modsim3d import cli
-from modsim3d.ais.conversion import read_traffic
 from modsim3d.ais.options import Options
-from modsim3d.ais.traffic import Traffic
+from modsim3d.ais.traffic import Traffic, read_traffic
 from modsim3d.ais.vessel_track import VesselTrack
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "ais"
-SAMPLE_NAMES = ("danish.csv", "marinecadastre.csv", "marinecadastre_2025.csv", "receiver.nmea")
+FORMATS = {
+    "danish.csv": "Danish Maritime Authority",
+    "marinecadastre.csv": "MarineCadastre",
+    "marinecadastre_2025.csv": "MarineCadastre 2025",
+    "receiver.nmea": None,
+}
+"""Each sample and the layout of modsim3d/ais/layouts.yaml that it has, None for sentences."""
+SAMPLE_NAMES = tuple(FORMATS)
+TABLES = tuple(name for name, layout in FORMATS.items() if layout)
 OLD_HEADER = (
     "MMSI,BaseDateTime,LAT,LON,SOG,COG,Heading,VesselName,IMO,CallSign,VesselType,Status,Length,Width,Draft,Cargo,"
     "TransceiverClass"

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from tests.ais.ais_builders import SAMPLE_NAMES, SAMPLES, command, old_file, read_json, row
+from tests.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, command, old_file, read_json, row
 
 DANISH = SAMPLES / "danish.csv"
 
@@ -49,7 +49,7 @@ def test_folder_with_something_in_it_is_left_alone(monkeypatch, tmp_path, capsys
     assert command(monkeypatch, "ais", DANISH, "--out", other, "--overwrite") == 2
     assert "left alone" in capsys.readouterr().err
     assert command(monkeypatch, "ais", DANISH, "--out", other / "precious", "--overwrite") == 2
-    assert "is no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
 
 
 def problem(monkeypatch, tmp_path, capsys, *arguments: object) -> str:
@@ -64,7 +64,6 @@ def problem(monkeypatch, tmp_path, capsys, *arguments: object) -> str:
 
 
 COORDINATES = {"latitude", "longitude", "lat", "lon"}
-TABLES = [name for name in SAMPLE_NAMES if name.endswith(".csv")]
 REGION = ("--region", "55.9,12.5,56.2,12.8")
 
 
@@ -225,7 +224,7 @@ def test_same_files_give_the_same_bytes(monkeypatch, tmp_path, name):
 def test_readers_are_imported_only_where_they_are_used():
     script = (
         "import sys, modsim3d, modsim3d.cli\n"
-        "assert not {'pyais', 'pymap3d', 'modsim3d.ais.conversion'} & set(sys.modules)\n"
+        "assert not {'pyais', 'pymap3d', 'modsim3d.ais.traffic'} & set(sys.modules)\n"
         "sys.argv = ['modsim3d', 'ais', '--help']\n"
         "try:\n    modsim3d.cli.main()\n"
         "except SystemExit:\n    pass\n"

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.ais.layouts import DANISH, MARINECADASTRE, MARINECADASTRE_2025
-from modsim3d.ais.read_csv import read_csv
+from modsim3d.ais.layouts import NEEDED, layouts
+from modsim3d.ais.read_csv import MOTION, PARTICULARS, read_csv
 from modsim3d.ais.read_nmea import read_nmea
 from modsim3d.ais.recognise import recognise
 from modsim3d.errors import InputError
-from tests.ais.ais_builders import SAMPLE_NAMES, SAMPLES, old_file, row, traffic_of
+from tests.ais.ais_builders import FORMATS, SAMPLES, TABLES, old_file, row, traffic_of
 
 # "AIVDM/AIVDO protocol decoding" (E. S. Raymond, gpsd) and gpsd's test/sample.aivdm, where the decoded values stand
 # beside the sentences, checked there with two other decoders.
@@ -94,13 +94,10 @@ def test_broken_sentences_are_counted_and_named(tmp_path):
     assert len(chunk.positions) == 1
     assert dict(chunk.dropped) == {"checksum": 2, "no_time": 1, "incomplete": 1}
     assert chunk.messages == 5
-    assert "line 2: does not fit its checksum" in chunk.problems
+    assert "line 2: does not match its checksum" in chunk.problems
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    list(zip(SAMPLE_NAMES, [DANISH, MARINECADASTRE, MARINECADASTRE_2025, None], strict=True)),
-)
+@pytest.mark.parametrize(("name", "expected"), FORMATS.items())
 def test_format_is_recognised_by_content(tmp_path, name, expected):
     path = tmp_path / "data"
     for content in ((SAMPLES / name).read_bytes(), gzip.compress((SAMPLES / name).read_bytes())):
@@ -109,7 +106,14 @@ def test_format_is_recognised_by_content(tmp_path, name, expected):
         assert (layout and layout.name) == expected
 
 
-@pytest.mark.parametrize("name", SAMPLE_NAMES[:3])
+def test_every_layout_has_a_sample_and_names_only_columns_that_are_read():
+    assert {layout.name for layout in layouts()} == set(FORMATS.values()) - {None}
+    for layout in layouts():
+        assert set(NEEDED) <= set(layout.columns) <= {*NEEDED, *MOTION, *PARTICULARS, "station"}
+        assert ("station" in layout.columns) == bool(layout.ships)
+
+
+@pytest.mark.parametrize("name", TABLES)
 def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
     lines = [line.split(",") for line in (SAMPLES / name).read_text().splitlines()]
     order = list(range(len(lines[0])))
@@ -153,7 +157,7 @@ def test_unreadable_cells_are_named_by_row_and_column(tmp_path):
     assert "row 5: LAT is not a number (got 'north')" in said
     assert "row 9: BaseDateTime is not a time like 2024-12-31 23:59:59" in said
     assert "row 11: MMSI is not a number (got '21900000A')" in said
-    assert "row 13: has not the 17 cells of the header" in said
+    assert "row 13: does not have the 17 cells of the header" in said
     assert 13 not in chunk.positions.row
     assert {12, 14, 41} <= set(chunk.positions.row.tolist())
 
@@ -162,7 +166,7 @@ def test_blank_lines_count_as_rows(tmp_path):
     path = old_file(tmp_path, row(0), "", "", row(10), "too,few", "", row(20), row(30, speed="fast"))
     (chunk,) = read_csv(path, recognise(path))
     assert chunk.positions.row.tolist() == [2, 5, 8]
-    assert chunk.problems[0].startswith("row 6: has not the 17 cells")
+    assert chunk.problems[0].startswith("row 6: does not have the 17 cells")
     assert chunk.problems[1].startswith("row 9: SOG is not a number")
 
 
@@ -215,6 +219,17 @@ def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, says):
     assert done.returncode == 2, done.stderr
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 2
+
+
+def test_a_log_is_counted_the_same_in_chunks_of_any_size(monkeypatch, tmp_path):
+    sentences = [tagged(f"c:{1423133048 + k}", TYPE_1, checksum=0 if k % 3 else None) for k in range(12)]
+    path = log(tmp_path, *sentences)
+    (whole,) = read_nmea(path)
+    monkeypatch.setattr("modsim3d.ais.read_nmea.CHUNK_MESSAGES", 2)
+    chunks = list(read_nmea(path))
+    assert len(chunks) > 2
+    assert sum(chunk.messages for chunk in chunks) == whole.messages == 12
+    assert sum(chunk.dropped.get("checksum", 0) for chunk in chunks) == whole.dropped["checksum"] == 8
 
 
 def test_garbage_between_sentences_is_passed_over_quickly(tmp_path):

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.ais.detector_file import detector_text
+from modsim3d.ais.geography import Region, local_metres
+from modsim3d.ais.headings import heading_rad
 from modsim3d.ais.hulls import hulls
-from modsim3d.ais.projection import heading_rad, local_metres
+from modsim3d.ais.messages import Particulars
 from modsim3d.ais.report import REASONS, messages_read, messages_used, report, summary_rows
-from modsim3d.ais.reports import Particulars
-from modsim3d.ais.scene_folder import write_scene
+from modsim3d.ais.scene_folder import detector_text, write_scene
 from modsim3d.ais.ship_types import TABLE, group_of, ship_types
 from modsim3d.ais.viewpoint import CLEARANCE_M, viewpoint
 from modsim3d.detector.file.reading import load_detector
@@ -250,8 +250,6 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
 
 def test_region_leaves_out_the_rest(tmp_path):
     rows = steady() + [text.replace("219000001", "219000002").replace(",56.0,", ",57.0,") for text in steady()]
-    from modsim3d.ais.region import Region
-
     traffic = traffic_of(old_file(tmp_path, *rows), region=Region.between(55.5, 11, 56.5, 13))
     assert [vessel.mmsi for vessel in traffic.vessels] == [219000001]
     assert traffic.dropped["outside_region"] == 30

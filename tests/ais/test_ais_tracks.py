@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.ais.headings import HeadingSource, fill_headings
+from modsim3d.ais.cleaning import reachable
+from modsim3d.ais.geography import Region, local_metres, median_place
+from modsim3d.ais.headings import HeadingSource, fill_headings, heading_rad
 from modsim3d.ais.hulls import antenna_offset
-from modsim3d.ais.jumps import reachable
-from modsim3d.ais.projection import heading_rad, local_metres, median_place
-from modsim3d.ais.region import Region
 from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
 from modsim3d.geometry.rotations import world_R_vehicle
 
@@ -58,7 +57,7 @@ def test_region_holds_what_is_between_its_corners_in_any_order(corners, inside):
 def test_antenna_offset_has_the_signs_of_the_standard():
     # A = 30 before the antenna, B = 10 behind: the middle is ahead. C = 6 to port, D = 2: the middle is to port.
     assert antenna_offset(30, 10, 6, 2) == (10, 2)
-    assert antenna_offset(0, 40, 0, 8) == (0, 0)  # only the size is known
+    assert antenna_offset(0, 40, 0, 8) is None  # only the size is known
     assert antenna_offset(0, 40, 4, 4) == (-20, 0)  # an antenna on the bow
 
 
@@ -208,7 +207,7 @@ def test_one_wrong_position_is_dropped_wherever_it_stands(wrong, far, bearing):
     places = np.stack([times * 5, np.zeros(20)], axis=1)
     # Further than anything reached in half the track at 10 m/s.
     places[wrong] += (far + 1500) * np.array([math.cos(bearing), math.sin(bearing)])
-    assert np.flatnonzero(~reachable(times, places, 10.0, 1.0)).tolist() == [wrong]
+    assert np.flatnonzero(~reachable(times, places, 10.0)).tolist() == [wrong]
 
 
 def brute_force(times, places, fastest, slack):
@@ -233,7 +232,7 @@ def brute_force(times, places, fastest, slack):
 def test_reachable_keeps_as_many_as_any_choice_of_pieces(steps):
     times = np.cumsum([float(step) for step, _ in steps])
     places = np.array([[float(place), 0.0] for _, place in steps])
-    kept = reachable(times, places, 5.0, 1.0)
+    kept = reachable(times, places, 5.0)
     assert kept.sum() == brute_force(times, places, 5.0, 1.0)
     chain = np.flatnonzero(kept)
     gaps = np.abs(np.diff(places[chain, 0])) <= 5.0 * (np.diff(times[chain]) + 1.0)

@@ -1,4 +1,4 @@
-"""Every model of every part is registered once, and `verify` checks it or says that it does not."""
+"""Every model of every part is registered once; `verify` and `learn` treat it or say that they do not."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from modsim3d.arrays import Array
 from modsim3d.detector import Detector, TargetCensus, parse_detector
 from modsim3d.detector.clutter_models import CLUTTER_MODELS, ClutterRates, FrameCounts, PerImage
 from modsim3d.detector.parts import MODELS, Part, model_name, used_models
+from modsim3d.learn.parts import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
 from modsim3d.verify.verification import CHECKED, unchecked, verify
@@ -27,16 +28,23 @@ DRAWING = {
 }
 
 
-def test_every_part_has_models_and_checks() -> None:
-    assert set(MODELS) == set(CHECKED) == set(Part)
+WITHOUT_CHECKS: set[tuple[Part, str]] = set()
+WITHOUT_LEARNER = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}
+
+
+def test_every_part_has_models_checks_and_learners() -> None:
+    assert set(MODELS) == set(CHECKED) == set(LEARNERS) == set(Part)
     assert all(MODELS.values())
 
 
 @pytest.mark.parametrize(("part", "name"), [(part, name) for part, models in MODELS.items() for name in models])
-def test_every_registered_model_draws_and_has_checks(part: Part, name: str) -> None:
+def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here(part: Part, name: str) -> None:
     names = DRAWING[part]
     assert any(hasattr(MODELS[part][name], method) for method in ([names] if isinstance(names, str) else names))
-    assert name in CHECKED[part]
+    assert (name in CHECKED[part]) != ((part, name) in WITHOUT_CHECKS)
+    assert (name in LEARNERS[part]) != ((part, name) in WITHOUT_LEARNER)
+    (learner,) = [each for *model, each in models_and_learners() if model == [part, name]]
+    assert (learner is None) == ((part, name) in WITHOUT_LEARNER)
 
 
 @pytest.mark.parametrize("name", CHANGES)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import joined
-from modsim3d.formats.reading.pair import ReadOptions, read_pair
+from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.formats.reading.pair import read_pair
 from tests.formats.labelled_sets import random_set
 
 TRUTH = {

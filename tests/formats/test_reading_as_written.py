@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 
 from modsim3d.errors import InputError
+from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.image_sizes import image_size_px
-from modsim3d.formats.reading.pair import ReadOptions, read_pair
+from modsim3d.formats.reading.pair import read_pair
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 

@@ -17,7 +17,7 @@ from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.silhouettes import silhouette_polygons
-from modsim3d.truth.subdivision import subdivided
+from modsim3d.truth.triangles import subdivided
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel, write_scene
 

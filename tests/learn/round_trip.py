@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from modsim3d.learn.error_moments import PAIRS
+from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import data_folder, load_scene
 
@@ -56,8 +56,10 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
             f"states.{name}.false_discovery_rate": state["false_discovery_rate"],
             f"states.{name}.box_error_mean": state["box_error"]["mean"],
             f"states.{name}.box_error_std": std,
-            f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in PAIRS],
+            f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS],
         }
+        if "degrees_of_freedom" in state["box_error"]:
+            asked[f"states.{name}.box_error_degrees_of_freedom"] = state["box_error"]["degrees_of_freedom"]
         for kind, scores in state["confidence"].items():
             for key, value in scores.items():
                 asked[f"states.{name}.confidence.{str(kind).lower()}.{key}"] = value

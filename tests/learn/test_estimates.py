@@ -14,7 +14,7 @@ from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed import ErrorSource, Observed
-from modsim3d.learn.persistence_fit import Consecutive, correlation_time, relative_error
+from modsim3d.learn.persistence_fit import Consecutive
 from modsim3d.learn.resampling import Column, from_scale, resample, to_scale
 from modsim3d.learn.states import transitions_of
 from modsim3d.learn.transitions import Transitions, count_transitions
@@ -74,7 +74,7 @@ def test_columns_of_confusion_sum_to_one_and_rates_complete_each_other(seed):
     for one, other in ((rates.precision, rates.false_discovery_rate), (rates.recall, rates.false_negative_rate)):
         both = one.values + other.values
         assert np.all(np.isclose(both, 1) | np.isnan(both))
-    for column in got.average_precision.columns:
+    for column in got.average_precision:
         values = column.values
         assert np.all(np.isnan(values) | ((values >= 0) & (values <= 1 + 1e-12)))
 
@@ -191,9 +191,9 @@ def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
     place, gaps = np.repeat(np.arange(runs), pairs), np.full(runs * pairs, 0.2)
     products = np.tile(rng.normal(0.7, 1, pairs), runs) * np.linspace(0.99, 1.01, runs).repeat(pairs)
     resampling = resample(images(runs), 400, 0)
-    plain = correlation_time(resampling, place, products, np.ones(len(place)), gaps)
-    column = Consecutive(products, np.ones(len(place)), gaps, place).column(resampling)
-    least = relative_error(products, np.ones(len(place)), gaps, plain[0])
+    consecutive = Consecutive(products, np.ones(len(place)), gaps, place)
+    plain, column = consecutive.times_s(resampling), consecutive.column(resampling)
+    least = consecutive.relative_error(plain[0])
     assert column.values[0] == pytest.approx(plain[0])
     assert np.log(plain[1:]).std() < 0.1 * least
     assert np.log(column.values[1:]).std() == pytest.approx(least, rel=0.01)
@@ -212,10 +212,10 @@ def test_a_correlation_time_comes_back(even):
     products = value[1:] * value[:-1]
     place = np.zeros(n, dtype=np.int64)
     once = resample(images(1), 0, 0)
-    time = correlation_time(once, place, products, np.ones(n), gaps)
+    time = Consecutive(products, np.ones(n), gaps, place).times_s(once)
     assert time[0] == pytest.approx(0.8, rel=0.09)  # four standard errors
     # Bartlett (1946): the variance of a correlation of neighbours is (1 − ρ²) / n.
-    error = relative_error(products, value[:-1] ** 2, gaps, 0.8)
+    error = Consecutive(products, value[:-1] ** 2, gaps, place).relative_error(0.8)
     theory = np.sqrt((1 - kept**2).mean() / n) / kept.mean() * 0.8 / np.median(gaps)
     assert error == pytest.approx(theory, rel=0.05 if even else 0.25)
 
@@ -265,7 +265,7 @@ def test_error_shares_name_each_kind():
     gains = {each.kind.value: each.gain_points for each in shares.shares}
     assert shares.average_precision == pytest.approx(1 / 6)
     assert gains["classification"] == pytest.approx(100 / 6)
-    # mended, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
+    # corrected, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
     assert gains["localisation"] == pytest.approx(100 / 6)
     assert gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
     assert gains["duplicate"] == gains["background"] == gains["both"] == 0

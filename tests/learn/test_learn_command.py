@@ -112,7 +112,7 @@ def test_the_command_writes_a_file_and_a_page(exported, tmp_path):
     assert text.startswith("# Learned by modsim3d learn. 700 images, ")
     assert "Corrected once for the bias of the matching." in text
     for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
-                  "points gained if mended", "Bias of the matching", "Left simple", "Never learned"):  # fmt: skip
+                  "points gained if corrected", "Bias of the matching", "Left simple", "Never learned"):  # fmt: skip
         assert title in result.output
     page = out.with_suffix(".html").read_text()
     assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
@@ -223,7 +223,7 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
     empty.write_text(json.dumps({"images": [], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}))
     nothing = tmp_path / "nothing.json"
     nothing.write_text("[]")
-    with pytest.raises(ModsimError, match="there is no truth"):
+    with pytest.raises(ModsimError, match="no annotation is there"):
         command("--truth", empty, "--detections", nothing, *out)
 
 

@@ -2,35 +2,50 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
 
-from modsim3d.detector.clutter import CLUTTER_MODELS
+from modsim3d.detector.clutter_models import CLUTTER_MODELS, PerImage
 from modsim3d.detector.file.schema_models import DropoutSection
+from modsim3d.detector.parts import MODELS, Part
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import Settings
-from modsim3d.learn.parts import BOX_ERROR, CLASS, CONFIDENCE, FALSE_POSITIVES, LEARNERS, STATE
+from modsim3d.learn.parts import LEARNERS
 from modsim3d.learn.report import tables
 from tests.formats.labelled_sets import found, images, truth
 
-
-def test_every_model_that_a_detector_file_may_name_is_registered():
-    assert LEARNERS[FALSE_POSITIVES].keys() == CLUTTER_MODELS.keys()
-    assert LEARNERS[CLASS].keys() == set(get_args(DropoutSection.model_fields["model"].annotation))
-    assert list(LEARNERS) == [STATE, CLASS, BOX_ERROR, FALSE_POSITIVES, CONFIDENCE]
+NOT_LEARNED = {(Part.CLASS, "table"), (Part.FALSE_POSITIVES, "thesis")}
 
 
-@pytest.mark.parametrize("part", LEARNERS)
-def test_the_report_says_which_models_are_learned(part):
+def estimates() -> dict[tuple[str, str], str]:
+    """What the report says of each part and model."""
     image = np.arange(30)
     boxes = np.tile([100.0, 100, 160, 160], (30, 1))
     labelled = LabelledSet(("boat",), ("day",), images(30), truth(image, 0 * image, boxes),
                            found(image, 0 * image, boxes, np.full(30, 0.9)))  # fmt: skip
     report = learn_detector(labelled, Settings(replicates=20), LearnOptions())
     (table,) = (each for each in tables(report) if each.title == "Models that are learned")
-    rows = {(row[0], row[1]): row[2] for row in table.rows}
-    for name, learner in LEARNERS[part].items():
-        assert rows[part, name] == ("not learned" if learner is None else "learned")
+    return {(row[0], row[1]): row[2] for row in table.rows}
+
+
+def test_every_model_that_is_learned_is_one_that_a_detector_has() -> None:
+    assert set(LEARNERS) == set(Part)
+    assert all(set(learners) <= set(MODELS[part]) for part, learners in LEARNERS.items())
+    assert set(get_args(DropoutSection.model_fields["model"].annotation)) == set(MODELS[Part.CLASS])
+
+
+def test_the_report_says_of_every_registered_model_whether_it_is_learned() -> None:
+    expected = {
+        (part, name): "not learned" if (part, name) in NOT_LEARNED else "learned"
+        for part, models in MODELS.items()
+        for name in models
+    }
+    assert estimates() == expected
+
+
+def test_a_model_that_nothing_learns_is_listed_as_not_learned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cast(dict[str, Any], CLUTTER_MODELS), "fourth", PerImage())
+    assert estimates()[Part.FALSE_POSITIVES, "fourth"] == "not learned"

@@ -13,7 +13,7 @@ import pytest
 import shapely
 
 from modsim3d.errors import InputError
-from modsim3d.motion.poses.agents import Basin, drive_agents
+from modsim3d.motion.poses.agents import AgentsKeys, drive_agents
 from modsim3d.scene.reading import data_folder, load_scene
 from modsim3d.verify.sources.compare import compare_sources
 from modsim3d.vessels.vessel import Vessel
@@ -59,14 +59,14 @@ def test_vessels_drive_and_turn(scene):
 
 def test_agents_are_repeatable_and_the_seed_decides():
     boats = [Vessel(f"v{i}", "Vessel", 8, 4, 1) for i in range(3)]
-    paths = [drive_agents(boats, 30, 0.1, Basin((80, 50)), seed).recorded.positions_m for seed in (1, 1, 2)]
+    paths = [drive_agents(boats, 30, 0.1, AgentsKeys(size_m=(80, 50)), seed).recorded.positions_m for seed in (1, 1, 2)]
     np.testing.assert_array_equal(paths[0], paths[1])
     assert (paths[0] != paths[2]).any()
 
 
 def test_crowded_agents_never_touch():
     boats = [Vessel(f"v{i}", "Vessel", 8, 4, 1) for i in range(7)]
-    poses = drive_agents(boats, 150, 0.1, Basin((60, 40)), 4).recorded
+    poses = drive_agents(boats, 150, 0.1, AgentsKeys(size_m=(60, 40)), 4).recorded
     hulls = footprints(poses)
     for i in range(7):
         for j in range(i):
@@ -76,7 +76,7 @@ def test_crowded_agents_never_touch():
 def test_vessels_that_do_not_fit_are_an_error():
     boats = [Vessel(f"v{i}", "Vessel", 8, 4, 1) for i in range(30)]
     with pytest.raises(InputError, match="no free place for vessel"):
-        drive_agents(boats, 1, 0.1, Basin((20, 20)), 0)
+        drive_agents(boats, 1, 0.1, AgentsKeys(size_m=(20, 20)), 0)
 
 
 def test_first_steps_of_the_shipped_file_are_what_the_agents_drive(scene):

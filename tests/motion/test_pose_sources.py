@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modsim3d.errors import InputError
-from modsim3d.motion.poses.agents import AgentsKeys, Basin, drive_agents
+from modsim3d.motion.poses.agents import AgentsKeys, drive_agents
 from modsim3d.motion.poses.registry import SOURCES
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
@@ -27,14 +27,10 @@ def scene_of(folder, poses: dict[str, Any], **keys: Any):
 
 def test_agents_of_a_scene_are_those_of_python(tmp_path):
     scene = load_scene(scene_of(tmp_path, {"agents": {"size_m": [80, 50], "speed_m_s": [1, 2]}}))
-    driven = drive_agents(scene.vessels, 20, 0.1, Basin((80, 50), speed_m_s=(1, 2)), 3)
+    driven = drive_agents(scene.vessels, 20, 0.1, AgentsKeys(size_m=(80, 50), speed_m_s=(1, 2)), 3)
     assert tuple(scene.poses.timestamps) == driven.timestamps
     np.testing.assert_array_equal(scene.poses.poses(0, 20).positions_m, driven.recorded.positions_m)
     np.testing.assert_array_equal(scene.poses.poses(0, 20).headings_rad, driven.recorded.headings_rad)
-
-
-def test_agents_keys_are_those_of_the_basin():
-    assert AgentsKeys(size_m=(30.0, 20.0)).model_dump() == vars(Basin((30.0, 20.0)))
 
 
 def test_agents_that_do_not_fit_are_told_with_their_path(tmp_path):

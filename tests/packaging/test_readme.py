@@ -29,3 +29,19 @@ def test_readme_names_files_that_exist():
     text = README.read_text(encoding="utf-8")
     for path in re.findall(r"\]\(([^)#:]+)\)", text):
         assert (README.parent / path).exists(), path
+
+
+def test_contributing_names_files_and_rooms_that_are_there() -> None:
+    """The rooms that are still to come are named as such."""
+    text = (README.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    to_come = {"tracking/", "campaign/"}
+    named = set(re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.(?:py|md))?|[a-z_]+\.py)`", text)) - to_come
+    missing = [name for name in named if not any((README.parent / top / name).exists() for top in ("", "modsim3d"))]
+    assert len(named) > 30 and not missing
+
+
+def test_every_room_of_the_package_is_in_the_readme() -> None:
+    package = README.parent / "modsim3d"
+    rooms = {path.parent.name for path in package.glob("*/__init__.py")} - {"old_paths"}
+    table = README.read_text(encoding="utf-8").split("## How it is built")[1]
+    assert {name for name in rooms if f"`{name}/`" not in table} == set()

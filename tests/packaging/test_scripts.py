@@ -1,4 +1,4 @@
-"""The scripts that set the checkout up and check it."""
+"""The scripts for the checkout: they set it up, check it, and run what takes long."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ import pytest
 from tests.view.report import browser
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-SCRIPTS = ["script/setup", "script/demo", "script/test", ".ci/run"]
+CHECKS = ("ruff", "mypy", "lint-imports", "pytest")
+IN_BASH = [path for path in (*(REPOSITORY / "script").iterdir(), REPOSITORY / ".ci" / "run") if path.is_file()]
+IN_BASH = [path for path in IN_BASH if path.read_text().startswith("#!/usr/bin/env bash\n")]
 
 
 def copy_of_setup(folder: Path) -> Path:
@@ -24,16 +26,40 @@ def copy_of_setup(folder: Path) -> Path:
     return Path(shutil.copy(REPOSITORY / "script" / "setup", folder / "script"))
 
 
-@pytest.mark.parametrize("script", SCRIPTS)
-def test_script_is_executable_and_parses(script: str) -> None:
-    path = REPOSITORY / script
+@pytest.mark.parametrize("path", IN_BASH, ids=lambda path: path.name)
+def test_script_is_executable_parses_and_stops_at_the_first_error(path: Path) -> None:
     assert os.access(path, os.X_OK)
     subprocess.run(["bash", "-n", path], check=True)
+    assert "set -euo pipefail" in path.read_text().splitlines()
 
 
-@pytest.mark.parametrize("script", SCRIPTS)
-def test_script_stops_at_the_first_error(script: str) -> None:
-    assert "set -euo pipefail" in (REPOSITORY / script).read_text().splitlines()
+def test_test_runs_all_checks_and_lists_at_the_end_which_passed(tmp_path: Path) -> None:
+    (tmp_path / "script").mkdir()
+    script = Path(shutil.copy(REPOSITORY / "script" / "test", tmp_path / "script"))
+    commands = tmp_path / ".venv" / "bin"
+    commands.mkdir(parents=True)
+    for command in (tmp_path / "script" / "setup", *(commands / name for name in CHECKS)):
+        command.write_text(f"#!/bin/sh\n[ {command.name} != mypy ]\n")
+        command.chmod(0o755)
+    finished = subprocess.run([script], capture_output=True, text=True)
+    assert finished.returncode == 1
+    said = finished.stdout.splitlines()[-5:]
+    assert said == [
+        "passed  ruff check",
+        "passed  ruff format",
+        "FAILED  mypy",
+        "passed  import-linter",
+        "passed  pytest",
+    ]
+
+
+def test_campaign_lists_the_campaigns_and_refuses_any_other() -> None:
+    command = REPOSITORY / "script" / "campaign"
+    listed = subprocess.run([command], capture_output=True, text=True, check=True).stdout
+    names = [line.split(":")[0].strip() for line in listed.splitlines()[1:]]
+    assert names == sorted(path.stem for path in (REPOSITORY / "benchmarks" / "campaigns").glob("*.py"))
+    finished = subprocess.run([command, "nothing"], capture_output=True, text=True)
+    assert (finished.returncode, finished.stderr) == (2, listed)
 
 
 def test_setup_refuses_an_unknown_purpose(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The drawer without OpenGL against the renderer."""
+"""ID buffers without OpenGL against those of the renderer."""
 
 import numpy as np
 import pytest

@@ -82,7 +82,7 @@ def seg_image(pyrender, trimesh, boxes, mount):
 
 def write_seg_images(file):
     """Draw all scenes with pyrender, in a process that has no other OpenGL context."""
-    from modsim3d.render.shaded import import_pyrender
+    from modsim3d.render.shaded_pass import import_pyrender
 
     pyrender = import_pyrender()
     import trimesh

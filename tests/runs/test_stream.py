@@ -299,7 +299,7 @@ def test_a_bad_line_is_told_with_its_number_and_what_is_finished_is_kept(tmp_pat
         cli.main()
     assert ended.value.code == 2
     said = capsys.readouterr().err
-    for part in (*parts, "what came before, 2 steps, is kept as complete lines in"):
+    for part in (*parts, "the 2 steps before are kept as complete lines in"):
         assert part in said
     assert "Traceback" not in said
     for name in ("detections_C0", "annotations_shore", "poses"):

@@ -16,13 +16,16 @@ from modsim3d.errors import InputError
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import detector_inputs, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.selection import select
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.frame_timing import takes_frame
 from modsim3d.scene.reading import data_folder, load_scene
 from modsim3d.view.films.plan import FilmPlan
-from modsim3d.view.films.renderer import FilmRenderer, open_drawer
-from modsim3d.view.report.report import write_report
+from modsim3d.view.films.renderer import FilmRenderer
+from modsim3d.view.pictures.solids import open_id_renderer
+from modsim3d.view.report.count_tables import CountTables
+from modsim3d.view.report.player_recording import recording
 from tests.scenes import CAMERA_HEIGHT_M, write_scene
 
 STEP_S, STEPS = 0.1, 60
@@ -178,9 +181,9 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
             assert (slow and slow.step) == (before[-1] if before else None)
     selection = select(run, (0, 1), to_s=1.0)
     plan = FilmPlan(("detections",), (0, 1), 640)
-    with open_drawer(run.scene) as drawer:
+    with open_id_renderer(run.scene) as id_renderer:
         pictures = {
-            shown.step: np.asarray(FilmRenderer(run.scene, plan, drawer).draw(shown))
+            shown.step: np.asarray(FilmRenderer(run.scene, plan, id_renderer).draw(shown))
             for shown in selection.step_frames()
         }
     right = {step: picture[60:200, 330:] for step, picture in pictures.items()}  # the slow camera's, below its title
@@ -189,14 +192,9 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
     assert np.ptp(right[7].reshape(-1, 3), axis=0).max() == 0  # nothing yet
 
 
-def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path, monkeypatch):
-    from modsim3d.view.report import report as run_report
-
-    kept = []
-    monkeypatch.setattr(run_report, "report_page", lambda page: kept.append(page) or "")
-    for every in (1, 3):
-        write_report(open_run(finished), tmp_path / "page.html", every)
-    whole, thinned = (page.recording.columns for page in kept)
+def test_report_has_each_frame_once_and_says_which_is_shown(finished):
+    rows = RunRows.of(open_run(finished))
+    whole, thinned = (recording(rows, every, lambda steps: None).columns for every in (1, 3))
     taken = whole["taken"].reshape(STEPS, 2)
     assert taken[:, 0].tolist() == list(range(STEPS))
     assert taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
@@ -209,7 +207,7 @@ def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path, 
     for step, camera in ((9, 8), (30, 30)):
         assert count[frame[step, 1]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
     assert thinned["taken"].reshape(-1, 2)[3:5].tolist() == [[9, 8], [12, 10]]
-    assert {name: text for name, text, _ in kept[0].overall}["Frames"] == str(STEPS + len(SLOW))
+    assert {name: text for name, text, _ in CountTables(rows).overall()}["Frames"] == str(STEPS + len(SLOW))
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,15 @@ import shapely
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources import report
 from modsim3d.view import palette
-from modsim3d.view.comparison_picture import BOTH, KEY_PX, PIXELS, comparison_picture, differing_pixels
-from modsim3d.view.solids import Solids
+from modsim3d.view.pictures.comparison_picture import (
+    BOTH,
+    KEY_PX,
+    PIXELS,
+    SourceBoxes,
+    comparison_picture,
+    differing_pixels,
+)
+from modsim3d.view.pictures.solids import Solids
 from tests.scenes import crossing
 
 
@@ -40,8 +47,7 @@ def test_the_picture_shows_the_pixels_of_each_source(renderer, tmp_path):
     vessel = int(solids.occluders[0])
     box = solids.outlines.boxes_px[0]
     shifted = shapely.box(*(box + np.array([3.0, 0.0, 3.0, 0.0])))
-    names = ("rendered full", "analytic full", "rendered visible", "analytic visible", "rectangles visible")
-    picture = comparison_picture({name: box.tolist() for name in names}, vessel, solids, shifted, renderer)
+    picture = comparison_picture(SourceBoxes(*[tuple(box.tolist())] * 5), vessel, solids, shifted, renderer)
     pixels = np.asarray(picture)[KEY_PX:]
     for colour in (BOTH, *(colour for _, colour in PIXELS[2:])):
         assert (pixels == colour).all(axis=-1).sum() > 50

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ from modsim3d.vessels.meshes import MAX_FACES, MAX_VERTICES, load_mesh, shipped_
 from modsim3d.vessels.meshes.glb import read_glb
 from modsim3d.vessels.meshes.headers import read_obj
 from modsim3d.vessels.meshes.limits import Refused, leads_outside
-from modsim3d.vessels.meshes.shape import AXES, axis, is_closed, signed_volume, vehicle_R_file
+from modsim3d.vessels.meshes.reading import Axis
+from modsim3d.vessels.meshes.shape import axis, is_closed, signed_volume, vehicle_R_file
 from modsim3d.vessels.vessel import Solid, shoebox
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -163,8 +165,8 @@ def test_the_shape_is_the_same_through_every_format(tmp_path: Path) -> None:
 
 
 def test_axes_map_the_file_to_forward_port_up() -> None:
-    for forward in AXES:
-        for up in AXES:
+    for forward in get_args(Axis):
+        for up in get_args(Axis):
             if forward[1] != up[1]:
                 rotation = vehicle_R_file(forward, up)
                 assert np.allclose(rotation @ axis(forward), [1, 0, 0])

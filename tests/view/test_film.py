@@ -13,8 +13,9 @@ from PIL import Image
 from modsim3d import cli
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from modsim3d.view import ids_picture, palette
+from modsim3d.view import palette
 from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view.pictures import ids_picture
 from tests.scenes import crossing
 
 STEPS = 12

@@ -12,14 +12,14 @@ from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.frame_picture import CameraView, frame_picture
-from modsim3d.view.hatching import silhouette_mask
-from modsim3d.view.ids_picture import ids_picture
-from modsim3d.view.layers import DETECTIONS, SCENE, Layers
-from modsim3d.view.legend import id_entries, letters
-from modsim3d.view.plain import background
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.hatching import silhouette_mask
+from modsim3d.view.pictures.ids_picture import ids_picture
+from modsim3d.view.pictures.layers import DETECTIONS, SCENE, Layers
+from modsim3d.view.pictures.legend import id_entries, letters
+from modsim3d.view.pictures.plain import background
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
 from tests.scenes import crossing
 
 SIZES = (320, 1280, 3600)

@@ -15,7 +15,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.plain import below_horizon
+from modsim3d.view.pictures.plain import below_horizon
 
 
 @pytest.fixture(scope="module")

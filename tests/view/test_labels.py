@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from modsim3d.boxes import intersections
-from modsim3d.view.canvas import Canvas
-from modsim3d.view.labels import Label, draw_labels
+from modsim3d.view.pictures.canvas import Canvas
+from modsim3d.view.pictures.labels import Label, draw_labels
 
 
 def drawn_plates(boxes, width, height, monkeypatch_plates):

@@ -18,8 +18,8 @@ from modsim3d.geometry.camera_poses import Mount
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
-from modsim3d.view.birds_eye import BirdsEye, footprint, hull_m, ring_step, view_of
-from modsim3d.view.map_picture import RINGS, map_figure, map_height_px, map_picture
+from modsim3d.view.maps.birds_eye import BirdsEye, footprint, hull_m, ring_step, view_of
+from modsim3d.view.maps.map_picture import RINGS, map_figure, map_height_px, map_picture
 from tests.scenes import INTRINSICS, crossing
 from tests.view.test_film import view
 

@@ -14,13 +14,14 @@ from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.pixel_masks import ROUNDING_PX
-from modsim3d.view import palette, shaded_picture
-from modsim3d.view.navigation_lights import GREEN, RED, WHITE, lights
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.sea_and_sky import DAY, fogged
-from modsim3d.view.shaded_picture import ShadedPictureRenderer
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
+from modsim3d.view import palette
+from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded import shaded_picture
+from modsim3d.view.shaded.navigation_lights import GREEN, RED, WHITE, lights
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.sea_and_sky import DAY, Rays, fogged
+from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
 from tests.scenes import crossing
 
 DAYLIGHT = RenderStyle(shaded=True)
@@ -195,7 +196,7 @@ def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shade
     scene = scene_with(tmp_path, {**CAMERAS["lens"], "pose": {"position_m": [0, 0, 20], "pitch_rad": -0.1}})
     solids = Solids.at(scene, scene.cameras[0], 0)
     window = Window.whole((800, 600), 800)
-    rays = ShadedPictureRenderer(shaded, DAYLIGHT)._rays_of(solids.intrinsics, window).camera
+    rays = Rays.of(solids.intrinsics, window).camera
     exact = solids.intrinsics.unproject(np.array([[20.5, 30.5], [400.5, 300.5], [780.5, 580.5]]), np.ones(3))
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     np.testing.assert_allclose(rays[[30, 300, 580], [20, 400, 780]], exact, atol=2e-5)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import NOBODY, Annotations, Images, LabelledSet, Results
 
@@ -18,15 +19,33 @@ MOST_PX = 1e7
 """A larger coordinate is no place in an image, and its square would leave no digits."""
 
 
-@dataclass
-class Problems:
-    """What is wrong with the entries of a file.
+@dataclass(frozen=True)
+class ReadOptions:
+    """What files do not say themselves.
 
     Attributes:
-        source: The file, as messages name it.
-        skip: Whether wrong entries are left out and counted; if not, they are an error.
-        lines: One for each wrong entry.
-        hint: A remedy for many of them at once.
+        labels: Names of the classes from number 1 in MOT and 0 in YOLO.
+        image_size_px: Width and height, for MOT without `seqinfo.ini` and for YOLO without its images.
+        skip_bad: Leave out wrong entries and count them.
+        frame_rate_hz: For MOT, and for COCO whose images have a `frame_id` alone.
+        category_offset: Number to add to the category IDs of COCO results.
+    """
+
+    labels: tuple[str, ...] = ()
+    image_size_px: tuple[float, float] | None = None
+    skip_bad: bool = False
+    frame_rate_hz: float | None = None
+    category_offset: int = 0
+
+
+NO_OPTIONS = ReadOptions()
+
+
+@dataclass
+class Problems:
+    """What is wrong with the entries of a file: a line for each, and a hint that may help with many of them at once.
+
+    With `skip`, wrong entries are left out and counted; without it, they are an error.
     """
 
     source: str
@@ -76,20 +95,9 @@ def valid_box(values: Any, where: str, problems: Problems) -> bool:
     return False
 
 
-def from_top_left(boxes_px: Array) -> Array:
-    """x_min, y_min, x_max, y_max from the top-left corner, width and height, shapes (n, 4)."""
-    return np.concatenate([boxes_px[:, :2], boxes_px[:, :2] + boxes_px[:, 2:]], axis=1)
-
-
 @dataclass(frozen=True)
 class Place:
-    """What annotations and results have in common.
-
-    Attributes:
-        image: Row of the image.
-        label: Index into the labels.
-        box_px: Four numbers in the form of the file.
-    """
+    """Row of the image, index of the label and box, four numbers in the form of the file, of an entry."""
 
     image: int
     label: int
@@ -98,12 +106,7 @@ class Place:
 
 @dataclass
 class _Rows:
-    """Rows as they are read.
-
-    Attributes:
-        to_corners: Turns the file's form of boxes into x_min, y_min, x_max, y_max, shapes (n, 4).
-        places: One for each row.
-    """
+    """Rows as they are read; `to_corners` makes boxes as x_min, y_min, x_max, y_max of the file's, shapes (n, 4)."""
 
     to_corners: Callable[[Array], Array] = from_top_left
     places: list[Place] = field(default_factory=list)
@@ -119,11 +122,7 @@ class _Rows:
 class AnnotationRows(_Rows):
     """Annotations as they are read; see the columns of `Annotations`."""
 
-    ignored: list[bool] = field(default_factory=list)
-    crowd: list[bool] = field(default_factory=list)
-    identity: list[Any] = field(default_factory=list)
-    visible_fraction: list[float] = field(default_factory=list)
-    depth_m: list[float] = field(default_factory=list)
+    attributes: list[tuple[bool, bool, Any, float, float]] = field(default_factory=list)
     _seen: set[tuple[int, Any]] = field(default_factory=set)
 
     def has(self, image: int, identity: Any) -> bool:
@@ -142,25 +141,20 @@ class AnnotationRows(_Rows):
         """Append a row; an unknown identity is None, other unknown values are NaN."""
         self._seen.add((place.image, identity))
         self.places.append(place)
-        self.ignored.append(ignored)
-        self.crowd.append(crowd)
-        self.identity.append(identity)
-        self.visible_fraction.append(visible_fraction)
-        self.depth_m.append(depth_m)
+        self.attributes.append((ignored, crowd, identity, visible_fraction, depth_m))
 
     def annotations(self) -> Annotations:
         """The rows as columns, ordered by image; identities are numbered in the order in which they appear."""
-        numbers = {name: k for k, name in enumerate(dict.fromkeys(each for each in self.identity if each is not None))}
-        image, label, boxes_px = self._columns()
+        nothing = ((),) * 5
+        ignored, crowd, identity, visible_fraction, depth_m = tuple(zip(*self.attributes, strict=True)) or nothing
+        numbers = {name: k for k, name in enumerate(dict.fromkeys(each for each in identity if each is not None))}
         return Annotations(
-            image=image,
-            label=label,
-            boxes_px=boxes_px,
-            ignored=np.array(self.ignored, dtype=bool),
-            crowd=np.array(self.crowd, dtype=bool),
-            identity=np.array([NOBODY if each is None else numbers[each] for each in self.identity], dtype=np.int64),
-            visible_fraction=np.array(self.visible_fraction, dtype=np.float64),
-            depth_m=np.array(self.depth_m, dtype=np.float64),
+            *self._columns(),
+            ignored=np.array(ignored, dtype=bool),
+            crowd=np.array(crowd, dtype=bool),
+            identity=np.array([NOBODY if each is None else numbers[each] for each in identity], dtype=np.int64),
+            visible_fraction=np.array(visible_fraction, dtype=np.float64),
+            depth_m=np.array(depth_m, dtype=np.float64),
         ).by_image()
 
 
@@ -189,11 +183,7 @@ class ResultRows(_Rows):
 
 @dataclass
 class ImageRows:
-    """Images as they are read; see the columns of `Images`.
-
-    Attributes:
-        condition: Name of the condition of each image that names its own; None for the others.
-    """
+    """Images as they are read; see the columns of `Images`. An image that names no condition has None."""
 
     names: list[str] = field(default_factory=list)
     sizes_px: list[Sequence[float]] = field(default_factory=list)
@@ -202,19 +192,14 @@ class ImageRows:
     condition: list[str | None] = field(default_factory=list)
 
     def add(
-        self,
-        name: str,
-        size_px: Sequence[float],
-        sequence: int = 0,
-        time_s: float = math.nan,
-        condition: str | None = None,
+        self, name: str, size_px: Sequence[float], sequence: int = 0, time_s: float = math.nan, own: str | None = None
     ) -> None:
-        """Append an image."""
+        """Append an image, which may name a condition of its own."""
         self.names.append(name)
         self.sizes_px.append(size_px)
         self.sequence.append(sequence)
         self.time_s.append(time_s)
-        self.condition.append(condition)
+        self.condition.append(own)
 
 
 def labelled_set(

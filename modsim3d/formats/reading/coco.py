@@ -11,6 +11,7 @@ ultralytics, write the name of the image's file without its ending as `image_id`
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -23,10 +24,12 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import (
     MOST_PROBLEMS,
     MOST_PX,
+    NO_OPTIONS,
     AnnotationRows,
     ImageRows,
     Place,
     Problems,
+    ReadOptions,
     ResultRows,
     labelled_set,
     valid_box,
@@ -37,28 +40,13 @@ from modsim3d.inputs.validation import nearest
 ID = int | str
 
 
-def read_coco(
-    condition: str,
-    truth: Path,
-    detections: Path,
-    skip_bad: bool = False,
-    category_offset: int = 0,
-    frame_rate_hz: float | None = None,
-) -> LabelledSet:
-    """Read one condition.
-
-    Args:
-        condition: Its name.
-        truth: A COCO ground truth.
-        detections: COCO results.
-        skip_bad: Leave out wrong entries and count them.
-        category_offset: Number to add to the category IDs of the results.
-        frame_rate_hz: Turns `frame_id` into times.
+def read_coco(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read COCO's ground truth and results of one condition.
 
     Raises:
         InputError: The files are wrong; each problem names the index of its entry.
     """
-    problems = Problems(f"ground truth {truth}", skip_bad)
+    problems, frame_rate_hz = Problems(f"ground truth {truth}", options.skip_bad), options.frame_rate_hz
     content = _object(truth, "ground truth", problems.source)
     categories = _categories(content, problems)
     rows_of, images = _images(content, frame_rate_hz, problems)
@@ -67,31 +55,22 @@ def read_coco(
     for index, entry in enumerate(_list(content, "annotations", problems)):
         _annotation(entry, f"annotations[{index}]", known, annotations, problems)
     notes = problems.settle()
-    wrong = Problems(f"detections {detections}", skip_bad)
+    wrong = Problems(f"detections {detections}", options.skip_bad)
     entries = _results(detections)
-    known, doubt = _known_to_results(entries, known, images.names, category_offset, wrong)
+    known, doubt = _known_to_results(entries, known, images.names, options.category_offset, wrong)
     for index, entry in enumerate(entries):
         _result(entry, f"[{index}]", known, results, wrong)
     notes += doubt + wrong.settle()
-    if frame_rate_hz is None and any(map(math.isnan, images.time_s)) and _numbered(content):
+    numbered = any(isinstance(entry, dict) and "frame_id" in entry for entry in content["images"])
+    if numbered and frame_rate_hz is None and any(map(math.isnan, images.time_s)):
         notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
     labels = [name for name, _ in sorted(categories.values(), key=lambda pair: pair[1])]
     return labelled_set(condition, labels, images, annotations, results, notes)
 
 
-def _numbered(content: Mapping[str, Any]) -> bool:
-    return any(isinstance(entry, dict) and "frame_id" in entry for entry in content["images"])
-
-
 @dataclass(frozen=True)
 class _Known:
-    """What an entry may name.
-
-    Attributes:
-        images: Row of each image, by what stands for `image_id`.
-        files: Row of each image by the name of its file.
-        categories: Name and label, by ID.
-    """
+    """What an entry may name: rows of images by `image_id` and by file name, and categories by their ID."""
 
     images: Mapping[Any, int]
     files: Mapping[Any, int]
@@ -101,10 +80,9 @@ class _Known:
 def _known_to_results(
     entries: Sequence[Any], known: _Known, names: Sequence[str], category_offset: int, problems: Problems
 ) -> tuple[_Known, list[str]]:
-    """What results may name: an `image_id` may be the name of a file, and category IDs may start at another number.
+    """What results may name, and a remark if every `image_id` can be read as an ID and as a file, and some differ.
 
-    Returns:
-        What they may name, and a remark if every `image_id` can be read in both ways and some mean different images.
+    An `image_id` may be the name of a file, and category IDs may start at another number.
     """
     rows = [entry for entry in entries if isinstance(entry, dict)]
     given = {image for entry in rows if isinstance(image := entry.get("image_id"), ID)}
@@ -128,21 +106,17 @@ def _known_to_results(
 
 def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
     """Rows of images by file name, and by name without folder and ending; names of several images are left out."""
-    files: dict[ID, list[int]] = {}
-    stems: dict[ID, list[int]] = {}
+    files, stems = defaultdict[ID, list[int]](list), defaultdict[ID, list[int]](list)
     for row, name in enumerate(names):
         path = PurePosixPath(name.replace("\\", "/"))
         names_of: set[ID] = {name, path.name}
         number: set[ID] = {int(path.stem)} if path.stem.isdecimal() else set()
         for key in names_of:
-            files.setdefault(key, []).append(row)
+            files[key].append(row)
         for key in names_of | {path.stem} | number:
-            stems.setdefault(key, []).append(row)
-    return _unambiguous(files), _unambiguous(stems)
-
-
-def _unambiguous(rows_of: dict[ID, list[int]]) -> dict[ID, int]:
-    return {key: rows[0] for key, rows in rows_of.items() if len(rows) == 1}
+            stems[key].append(row)
+    by_file, by_stem = ({key: rows[0] for key, rows in each.items() if len(rows) == 1} for each in (files, stems))
+    return by_file, by_stem
 
 
 def _parse(path: Path, what: str) -> Any:
@@ -176,10 +150,9 @@ def _results(path: Path) -> list[Any]:
 
 
 def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]:
-    if not isinstance(content[key], list):
-        raise InputError(problems.source, [f"{key}: must be a list"])
-    found: list[Any] = content[key]
-    return found
+    if isinstance(entries := content[key], list):
+        return entries
+    raise InputError(problems.source, [f"{key}: must be a list"])
 
 
 def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:

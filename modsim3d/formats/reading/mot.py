@@ -16,10 +16,12 @@ from pathlib import Path
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import (
+    NO_OPTIONS,
     AnnotationRows,
     ImageRows,
     Place,
     Problems,
+    ReadOptions,
     ResultRows,
     labelled_set,
     valid_box,
@@ -41,40 +43,25 @@ Lines = list[tuple[str, list[float]]]
 """Where each line is, and its numbers."""
 
 
-def read_mot(
-    condition: str,
-    truth: Path,
-    detections: Path,
-    labels: tuple[str, ...] = (),
-    image_size_px: tuple[float, float] | None = None,
-    skip_bad: bool = False,
-    frame_rate_hz: float | None = None,
-) -> LabelledSet:
-    """Read one condition, a sequence of frames.
+def read_mot(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`.
 
-    Args:
-        condition: Its name.
-        truth: The path of `gt.txt`.
-        detections: The path of `det.txt`.
-        labels: Names of the classes 1, 2, ...
-        image_size_px: Width and height, needed where there is no `seqinfo.ini`.
-        skip_bad: Leave out wrong lines and count them.
-        frame_rate_hz: Overrides that of `seqinfo.ini`; if neither gives one, frames have no times.
+    A frame rate that is given overrides that of `seqinfo.ini`; if neither gives one, frames have no times.
 
     Raises:
         InputError: The files are wrong; each problem names its line.
     """
-    problems = Problems(f"ground truth {truth}", skip_bad)
+    labels, problems = options.labels, Problems(f"ground truth {truth}", options.skip_bad)
     annotated = list(number_lines(truth, "ground truth", ",", 6, problems))
-    wrong = Problems(f"detections {detections}", skip_bad)
+    wrong = Problems(f"detections {detections}", options.skip_bad)
     detected = list(number_lines(detections, "detections", ",", 7, wrong))
-    info = _sequence(truth, image_size_px, problems.source)
+    info = _sequence(truth, options.image_size_px, problems.source)
     names = _class_names(annotated, detected, labels)
     to_label = {number: k for k, number in enumerate(names)}
     annotations = _annotations(annotated, to_label, problems)
     results = _results(detected, to_label, wrong)
     notes = problems.settle() + wrong.settle()
-    rate_hz = frame_rate_hz or info.rate_hz
+    rate_hz = options.frame_rate_hz or info.rate_hz
     if rate_hz is None:
         notes.append(f"{condition}: the frame rate is not known, so frames have no times: give --frame-rate")
     images = ImageRows()

@@ -15,56 +15,44 @@ from modsim3d.boxes import corner_form
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import (
+    NO_OPTIONS,
     AnnotationRows,
     ImageRows,
     Place,
     Problems,
+    ReadOptions,
     ResultRows,
     labelled_set,
     valid_box,
 )
-from modsim3d.formats.reading.image_sizes import image_size_px as size_of_image
-from modsim3d.formats.reading.image_sizes import images_in
+from modsim3d.formats.reading.image_sizes import image_size_px, images_in
 from modsim3d.formats.reading.text_lines import number_lines
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.text_files import read_text
 
 
-def read_yolo(
-    condition: str,
-    truth: Path,
-    detections: Path,
-    labels: tuple[str, ...] = (),
-    image_size_px: tuple[float, float] | None = None,
-    skip_bad: bool = False,
-) -> LabelledSet:
-    """Read one condition.
+def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read one condition from the folders of labels and predictions, or those that have them as `labels`.
 
-    Args:
-        condition: Its name.
-        truth: The folder of the labels, or the one that has it as `labels`.
-        detections: The folder of the predictions, or the one that has it as `labels`.
-        labels: Names of the classes 0, 1, ...; from `classes.txt` or `data.yaml` if not given.
-        image_size_px: Width and height of every image; from the images if not given.
-        skip_bad: Leave out wrong lines and count them.
+    Names of the classes that are not given come from `classes.txt` or `data.yaml`, sizes from the images.
 
     Raises:
         InputError: The files are wrong; each problem names its file and line.
     """
     folder, predicted = _folder(truth, needed=True), _folder(detections)
     files = _images(folder, truth)
-    if image_size_px is None and not files:
+    if options.image_size_px is None and not files:
         raise InputError(
             f"ground truth {truth}",
             ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
         )
-    names = labels or _names(truth, folder)
+    names = options.labels or _names(truth, folder)
     stems = files or {path.stem for path in (*_files(folder), *_files(predicted))} | _listed(folder) | _listed(truth)
     images = ImageRows()
     for stem in sorted(stems):
-        images.add(stem, image_size_px or size_of_image(files[stem]))
-    problems = Problems(f"ground truth {truth}", skip_bad)
-    wrong = Problems(f"detections {detections}", skip_bad)
+        images.add(stem, options.image_size_px or image_size_px(files[stem]))
+    problems = Problems(f"ground truth {truth}", options.skip_bad)
+    wrong = Problems(f"detections {detections}", options.skip_bad)
     annotations = _annotations(_files(folder), images, problems)
     results = _results(_files(predicted), images, wrong)
     largest = max([place.label for place in annotations.places + results.places] + [len(names) - 1])

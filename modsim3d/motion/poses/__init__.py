@@ -1,4 +1,11 @@
-"""Pose sources: which vessels are present at each step, where they are, and their headings."""
+"""Pose sources: which vessels are present at each step, where they are, and their headings.
+
+`base` has the interface: `Poses`; `PoseSource`, which gives them; and `SourceKeys`, a section of a scene file that
+builds a source. Each built-in source is one file, and `registry` knows them by name. To add one, copy `tracks` (at the
+scene's times), `replay` (a file with its own times) or `stream` (poses that arrive during the run, which `live` keeps),
+and enter its keys in `registry.SOURCES`. In a plug-in a subclass of `timed.PosesByTime` is the shortest way; `checked`
+checks what plug-ins return.
+"""
 
 from modsim3d.motion.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, generated_timestamps, times_s
 from modsim3d.motion.poses.circular import CircularMotion, circular_motion

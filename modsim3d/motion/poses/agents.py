@@ -30,8 +30,10 @@ GOAL_REACHED_M = 6.0
 PLACING_DRAWS = 2000
 
 
-@dataclass(frozen=True)
-class Basin:
+Above0 = Annotated[float, Field(strict=True, gt=0, le=MAX_COORDINATE_M)]
+
+
+class AgentsKeys(SourceKeys, Strict):
     """A closed rectangle of water and how vessels drive in it.
 
     Attributes:
@@ -43,26 +45,12 @@ class Basin:
         clearance_m: Distance that is kept between hulls, and between a hull and the wall.
     """
 
-    size_m: tuple[float, float]
-    speed_m_s: tuple[float, float] = (2.0, 4.0)
-    acceleration_m_s2: float = 1.0
-    turn_rate_rad_s: float = 0.5
-    turn_acceleration_rad_s2: float = 0.6
-    clearance_m: float = 1.0
-
-
-Above0 = Annotated[float, Field(strict=True, gt=0, le=MAX_COORDINATE_M)]
-
-
-class AgentsKeys(SourceKeys, Strict):
-    """Reactive agents in a closed basin; see `Basin` for the keys."""
-
     size_m: tuple[Above0, Above0]
-    speed_m_s: tuple[Above0, Above0] = Basin.speed_m_s
-    acceleration_m_s2: Above0 = Basin.acceleration_m_s2
-    turn_rate_rad_s: Above0 = Basin.turn_rate_rad_s
-    turn_acceleration_rad_s2: Above0 = Basin.turn_acceleration_rad_s2
-    clearance_m: Above0 = Basin.clearance_m
+    speed_m_s: tuple[Above0, Above0] = (2.0, 4.0)
+    acceleration_m_s2: Above0 = 1.0
+    turn_rate_rad_s: Above0 = 0.5
+    turn_acceleration_rad_s2: Above0 = 0.6
+    clearance_m: Above0 = 1.0
 
     @field_validator("speed_m_s")
     @classmethod
@@ -73,8 +61,7 @@ class AgentsKeys(SourceKeys, Strict):
 
     def build(self, request: PoseRequest) -> RecordedPoses:
         """The whole drive."""
-        basin = Basin(**self.model_dump())
-        return drive_agents(request.vessels, request.steps or 0, request.time_step_s or 0.0, basin, request.seed)
+        return drive_agents(request.vessels, request.steps or 0, request.time_step_s or 0.0, self, request.seed)
 
 
 @dataclass(eq=False)
@@ -90,15 +77,10 @@ class _Fleet:
     wanted: Array
 
 
-def drive_agents(vessels: Sequence[Vessel], steps: int, time_step_s: float, basin: Basin, seed: int) -> RecordedPoses:
-    """Let vessels drive about in a basin.
-
-    Args:
-        vessels: The vessels; hulls of their lengths and beams are kept apart.
-        steps: Number of time steps.
-        time_step_s: Interval between them.
-        basin: The basin and limits of the motion.
-        seed: Seed of starts, goals and speeds.
+def drive_agents(
+    vessels: Sequence[Vessel], steps: int, time_step_s: float, basin: AgentsKeys, seed: int
+) -> RecordedPoses:
+    """Let vessels drive about in a basin; the seed gives their starts, goals and speeds.
 
     Raises:
         InputError: The vessels do not fit into the basin.
@@ -114,7 +96,7 @@ def drive_agents(vessels: Sequence[Vessel], steps: int, time_step_s: float, basi
     return RecordedPoses(generated_timestamps(steps, time_step_s), Poses(present, positions, headings))
 
 
-def _placed(vessels: Sequence[Vessel], basin: Basin, rng: np.random.Generator) -> _Fleet:
+def _placed(vessels: Sequence[Vessel], basin: AgentsKeys, rng: np.random.Generator) -> _Fleet:
     count = len(vessels)
     fleet = _Fleet(
         half_m=np.array([(vessel.length_m / 2, vessel.beam_m / 2) for vessel in vessels]),
@@ -131,25 +113,23 @@ def _placed(vessels: Sequence[Vessel], basin: Basin, rng: np.random.Generator) -
             if _clearance(fleet, i, basin, place, heading, 0.0)[0] >= 2 * basin.clearance_m:
                 break
         else:
-            raise InputError(
-                "poses.agents",
-                [
-                    f"no free place for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) in a basin of "
-                    f"{basin.size_m[0]} m × {basin.size_m[1]} m in {PLACING_DRAWS} draws: use fewer vessels"
-                ],
+            problem = (
+                f"no free place for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) in a basin of "
+                f"{basin.size_m[0]} m × {basin.size_m[1]} m in {PLACING_DRAWS} draws: use fewer vessels"
             )
+            raise InputError("poses.agents", [problem])
         fleet.place[i], fleet.heading[i] = place[0], heading[0]
         fleet.speed[i] = fleet.wanted[i] / 2
         fleet.goal[i] = _new_goal(basin, rng)
     return fleet
 
 
-def _new_goal(basin: Basin, rng: np.random.Generator) -> Array:
+def _new_goal(basin: AgentsKeys, rng: np.random.Generator) -> Array:
     margin = 0.12 * min(basin.size_m)
     return rng.uniform((margin, margin), (basin.size_m[0] - margin, basin.size_m[1] - margin))
 
 
-def _move(fleet: _Fleet, i: int, basin: Basin, time_step_s: float, rng: np.random.Generator) -> None:
+def _move(fleet: _Fleet, i: int, basin: AgentsKeys, time_step_s: float, rng: np.random.Generator) -> None:
     """Choose an arc for a vessel and drive one step of it."""
     if np.hypot(*(fleet.goal[i] - fleet.place[i])) < GOAL_REACHED_M:
         fleet.goal[i] = _new_goal(basin, rng)
@@ -173,7 +153,7 @@ def _move(fleet: _Fleet, i: int, basin: Basin, time_step_s: float, rng: np.rando
     fleet.speed[i], fleet.turn[i] = speed[best], next_turn[best]
 
 
-def _scores(fleet: _Fleet, i: int, basin: Basin, speed: Array, turn: Array) -> Array:
+def _scores(fleet: _Fleet, i: int, basin: AgentsKeys, speed: Array, turn: Array) -> Array:
     """Scores of n arcs by progress, clearance ahead and speed, shape (n,)."""
     clearance = np.full(len(speed), np.inf)
     for ahead in LOOK_AHEAD_S:
@@ -198,7 +178,7 @@ def _along(fleet: _Fleet, i: int, speed: Array, turn: Array, time_s: float) -> t
     return place, heading
 
 
-def _clearance(fleet: _Fleet, i: int, basin: Basin, place: Array, heading: Array, time_s: float) -> Array:
+def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: Array, time_s: float) -> Array:
     """Least distance of a hull to the wall and the others in metres, shape (n,); negative if they overlap.
 
     The others keep their course and speed. The distance of two rectangles is taken as the widest gap along the normals
@@ -218,15 +198,9 @@ def _clearance(fleet: _Fleet, i: int, basin: Basin, place: Array, heading: Array
 
 
 def _gaps(place: Array, axis: Array, half: Array, others: Array, other_axis: Array, other_half: Array) -> Array:
-    """Widest gap between rectangles along the normals of their sides, in metres, shape (n, m).
+    """Widest gap between n places of a rectangle and m others along the normals of their sides, in metres, (n, m).
 
-    Args:
-        place: Centres, shape (n, 2).
-        axis: Unit vectors along their lengths, shape (n, 2).
-        half: Half length and half beam, shape (2,).
-        others: Centres, shape (m, 2).
-        other_axis: Unit vectors along their lengths, shape (m, 2).
-        other_half: Half lengths and half beams, shape (m, 2).
+    Rectangles are given by their centres, unit vectors along their lengths, and half lengths and half beams.
     """
     offset = others[None] - place[:, None]
     cosine = np.abs(axis @ other_axis.T)

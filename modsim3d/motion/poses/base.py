@@ -28,6 +28,12 @@ class Poses:
     positions_m: Array
     headings_rad: Array
 
+    @classmethod
+    def absent(cls, steps: int, vessels: int) -> Poses:
+        """Poses to be filled in, in which every vessel is absent at every step."""
+        shape = steps, vessels
+        return cls(np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros(shape))
+
     def rows(self, rows: Indices | slice) -> Poses:
         """Poses at some of the S steps, by index, shape (n,), or slice."""
         return Poses(self.present[rows], self.positions_m[rows], self.headings_rad[rows])
@@ -41,7 +47,7 @@ class PoseSource(Protocol):
         """Texts of the steps' times in seconds, in order."""
 
     def poses(self, first: int, stop: int) -> Poses:
-        """Poses at steps first, first + 1, …, stop − 1."""
+        """Poses at steps first, first + 1, …, stop − 1, with a column for each vessel."""
 
 
 @dataclass(frozen=True)
@@ -100,17 +106,7 @@ def times_s(timestamps: Sequence[str], first: int, stop: int) -> Array:
 
 
 def generated_timestamps(steps: int, time_step_s: float) -> tuple[str, ...]:
-    """Exact decimals of step × interval with at least one decimal: 0.0, 0.2, 0.4, 0.6.
-
-    Args:
-        steps: Number of steps.
-        time_step_s: Interval, used in its shortest decimal form.
-    """
+    """Exact decimals of step × interval in its shortest form, with at least one decimal: 0.0, 0.2, 0.4, 0.6."""
     interval = Decimal(repr(float(time_step_s)))
-    return tuple(_plain(interval * step) for step in range(steps))
-
-
-def _plain(number: Decimal) -> str:
-    text = f"{number:f}"
-    whole, _, decimals = text.partition(".")
-    return f"{whole}.{decimals.rstrip('0') or '0'}"
+    parts = (f"{interval * step:f}".partition(".") for step in range(steps))
+    return tuple(f"{whole}.{decimals.rstrip('0') or '0'}" for whole, _, decimals in parts)

@@ -1,4 +1,4 @@
-"""Checks of the poses of a plug-in."""
+"""Pose sources of plug-ins: built, and checked whenever they are used, so that errors name the plug-in."""
 
 from __future__ import annotations
 

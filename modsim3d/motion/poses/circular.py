@@ -37,15 +37,9 @@ class CircularKeys(SourceKeys, Strict):
 
     def build(self, request: PoseRequest) -> CircularMotion:
         """Random circles from the seed."""
-        return circular_motion(
-            request.vessels,
-            request.steps or 0,
-            request.time_step_s or 0.0,
-            self.centre_m,
-            self.radius_m,
-            self.rotation_rate_rad_s,
-            request.seed,
-        )
+        steps, interval = request.steps or 0, request.time_step_s or 0.0
+        limits = self.centre_m, self.radius_m, self.rotation_rate_rad_s
+        return circular_motion(request.vessels, steps, interval, *limits, request.seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,31 +64,18 @@ class CircularMotion:
         """Poses at steps first to stop − 1 (eq. 7.5, 7.7)."""
         times_s = np.array([float(text) for text in self.timestamps[first:stop]])
         angle = self.phases_rad + times_s[:, None] * self.rates_rad_s
-        positions = np.stack(
-            [
-                self.centre_m[0] + self.radii_m * np.cos(angle),
-                self.centre_m[1] + self.radii_m * np.sin(angle),
-                np.zeros_like(angle),
-            ],
-            axis=-1,
-        )
+        w1 = self.centre_m[0] + self.radii_m * np.cos(angle)
+        w2 = self.centre_m[1] + self.radii_m * np.sin(angle)
         turn = np.where(self.rates_rad_s < 0, -math.pi / 2, math.pi / 2)
+        positions = np.stack([w1, w2, np.zeros_like(angle)], axis=-1)
         return Poses(np.ones(angle.shape, dtype=bool), positions, angle + turn)
 
 
 def swept_ring(radius_m: float, length_m: float, beam_m: float) -> tuple[float, float]:
-    """Inner and outer radius of the ring that a hull sweeps on a circle.
+    """Inner and outer radius of the ring that a hull sweeps while its centre runs on a circle.
 
     The sides lie half a beam inside and outside the circle of the hull's centre, and the corners half a length further
     along the tangent. A hull whose inner side passes the centre sweeps a full disc.
-
-    Args:
-        radius_m: Radius of the circle of the hull's centre.
-        length_m: Length of the hull.
-        beam_m: Beam of the hull.
-
-    Returns:
-        Least and greatest distance from the circle's centre.
     """
     return max(0.0, radius_m - beam_m / 2), math.hypot(radius_m + beam_m / 2, length_m / 2)
 
@@ -110,20 +91,13 @@ def circular_motion(
 ) -> CircularMotion:
     """Circles with random radii, rates and start phases on which no two hulls can ever touch.
 
-    Args:
-        vessels: Lengths and beams are what is kept apart; names key the random numbers.
-        steps: Number of time steps.
-        time_step_s: Interval between them.
-        centre_m: Centre of all circles, w1 and w2.
-        radius_m: Least and greatest radius.
-        rotation_rate_rad_s: Least and greatest rate.
-        seed: Seed of the random numbers.
+    `radius_m` and `rotation_rate_rad_s` are least and greatest values. The vessels' names key the random numbers.
 
     Raises:
         InputError: The vessels do not fit between the two radii.
     """
     streams = Streams(seed)
-    starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1, width=2) for vessel in vessels]
+    starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1) for vessel in vessels]
     rate, phase = np.concatenate(starts).T
     low, high = rotation_rate_rad_s
     return CircularMotion(

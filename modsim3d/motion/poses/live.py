@@ -28,13 +28,7 @@ class LivePoses:
     """
 
     def __init__(self, steps: Iterable[Step], vessels: int, source: str) -> None:
-        """Read nothing yet.
-
-        Args:
-            steps: Yields each step when it arrives.
-            vessels: Number of the scene's vessels.
-            source: Name of the source in errors.
-        """
+        """Read nothing yet. `steps` yields each step when it arrives; `vessels` is the number of vessels."""
         self.timestamps: list[str] = []
         self.source = source
         self.steps: Iterator[Step] = iter(steps)

@@ -1,9 +1,10 @@
-"""Pose sources by the name that they have in a scene file: `poses: {NAME: ...}`."""
+"""Pose sources by the name that they have in a scene file: `poses: {NAME: ...}`; built-in ones and plug-ins."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -29,33 +30,19 @@ SOURCES: dict[str, type[SourceKeys]] = {
 
 @dataclass(frozen=True)
 class NamedSource:
-    """A scene's pose source.
-
-    Attributes:
-        name: Name in the scene file.
-        keys: Its section of the scene file.
-        plugin: The plug-in that it comes from; None if it is built in.
-    """
+    """A scene's pose source: its name, its section of the scene file, and its plug-in; None if it is built in."""
 
     name: str
     keys: SourceKeys
     plugin: Plugin | None
 
     def build(self, request: PoseRequest) -> PoseSource:
-        """The poses of a scene's vessels.
-
-        Raises:
-            InputError: With every problem found.
-        """
+        """The poses of a scene's vessels; see `SourceKeys.build`."""
         return self.keys.build(request) if self.plugin is None else build_plugin(self.keys, self.plugin, request)
 
 
 def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
-    """The one source that a scene file names.
-
-    Args:
-        poses: The section of the scene file.
-        scene: Name of the scene in errors.
+    """The one source that a scene file names in its section `poses`; `scene` is its name in errors.
 
     Raises:
         InputError: There is not exactly one, no such source, or its keys are wrong.
@@ -75,30 +62,19 @@ def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
         if plugin is None:
             raise
         raise InputError(f"poses.{name}", [str(failed(plugin, error))]) from error
-    return NamedSource(name, _source(read, name, plugin), plugin)
+    return NamedSource(name, cast(SourceKeys, read), plugin)
 
 
 def _model(name: str) -> tuple[type[BaseModel], Plugin | None]:
+    """The class that reads a source's section: a pydantic model that is also `SourceKeys`."""
     found: object = SOURCES.get(name)
     plugin = None
     if found is None:
         found, plugin = load_plugin(POSE_SOURCES, name, f"poses.{name}", SOURCES)
-    if not (isinstance(found, type) and issubclass(found, BaseModel)):
-        raise _wrong_kind(name, plugin, found)
-    return found, plugin
-
-
-def _source(read: BaseModel, name: str, plugin: Plugin | None) -> SourceKeys:
-    if not isinstance(read, SourceKeys):
-        raise _wrong_kind(name, plugin, type(read))
-    return read
-
-
-def _wrong_kind(name: str, plugin: Plugin | None, found: object) -> InputError:
-    return InputError(
-        f"poses.{name}",
-        [
-            f"{plugin} must be a class made from modsim3d.motion.poses.PosesByTime, or from SourceKeys and a pydantic "
-            f"model, not {found!r}"
-        ],
+    if isinstance(found, type) and issubclass(found, BaseModel) and issubclass(found, SourceKeys):
+        return found, plugin
+    problem = (
+        f"{plugin} must be a class made from modsim3d.motion.poses.PosesByTime, or from SourceKeys and a pydantic "
+        f"model, not {found!r}"
     )
+    raise InputError(f"poses.{name}", [problem])

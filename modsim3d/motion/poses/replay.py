@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 from pydantic import RootModel
 
 from modsim3d.errors import InputError
@@ -55,9 +54,8 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """Poses from a JSON file: timestamp → vessel ID → centre position and heading; or one such time step a line.
 
     Args:
-        path: The file; one that ends in `.jsonl` or `.jsonl.gz` has one step a line.
-        vessels: IDs of the scene's vessels; the result has a column for each. None if they are not known and only the
-            file is to be checked.
+        path: A file that ends in `.jsonl` or `.jsonl.gz` has one step a line.
+        vessels: IDs of the scene's vessels, one for each column; None if they are not known.
 
     Raises:
         InputError: With every problem found, up to 20.
@@ -112,8 +110,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
         vessels = list({name: None for entries in data.values() if isinstance(entries, dict) for name in entries})
     problems = time_problems(list(data))
     columns = {name: column for column, name in enumerate(vessels)}
-    shape = len(data), len(vessels)
-    poses = Poses(np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros(shape))
+    poses = Poses.absent(len(data), len(vessels))
     for step, (timestamp, entries) in enumerate(data.items()):
         problems += fill_step(poses, step, timestamp, entries, columns)
         if len(problems) >= MAX_PROBLEMS:
@@ -125,17 +122,10 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
 
 
 def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
-    """Write the entries of one time step into a row of poses.
+    """Write the entries of one time step into a row of poses, and return the problems of the entries.
 
-    Args:
-        poses: Poses in which all vessels are absent at the step.
-        step: The row.
-        timestamp: Text of the time.
-        entries: Vessel ID → centre position and heading.
-        columns: Vessel ID → column.
-
-    Returns:
-        Problems of the entries.
+    Entries are centre position and heading by vessel ID; `columns` has the column of each ID. All vessels must be
+    absent at the step before.
     """
     if not isinstance(entries, dict):
         return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]
@@ -144,13 +134,13 @@ def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Ma
         if name not in columns:
             problems.append(f"{join_path(timestamp, name)}: no vessel '{name}' ({nearest(name, columns)})")
             continue
-        found = _pose_problems(entry, join_path(timestamp, name))
-        problems += found
-        if not found:
-            column = columns[name]
-            poses.present[step, column] = True
-            poses.positions_m[step, column] = entry["center_position_m"]
-            poses.headings_rad[step, column] = entry["heading_rad"]
+        if found := _pose_problems(entry, join_path(timestamp, name)):
+            problems += found
+            continue
+        column = columns[name]
+        poses.present[step, column] = True
+        poses.positions_m[step, column] = entry["center_position_m"]
+        poses.headings_rad[step, column] = entry["heading_rad"]
     return problems
 
 

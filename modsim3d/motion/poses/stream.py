@@ -6,11 +6,9 @@ import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Annotated, Any, ClassVar
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from modsim3d.errors import InputError
@@ -53,12 +51,7 @@ class StreamKeys(SourceKeys, Strict):
 
 
 def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Iterator[Step]:
-    """Each step when its line arrives; an empty line is the end.
-
-    Args:
-        lines: Lines with line breaks; the last may lack one.
-        source: Name of the source in errors.
-        names: IDs of the scene's vessels.
+    """Each step when its line arrives; an empty line is the end. `source` is named in errors.
 
     Raises:
         InputError: A line is wrong; the message names its number.
@@ -75,9 +68,8 @@ def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Ite
         except UnicodeDecodeError as error:
             raise InputError(source, [f"line {number}: is not UTF-8 text (byte {error.start})"]) from None
         timestamp, entries = read_line(text, source, number)
-        poses = Poses(np.zeros((1, len(names)), dtype=bool), np.zeros((1, len(names), 3)), np.zeros((1, len(names))))
-        problems = time_problems([*before, timestamp]) + fill_step(poses, 0, timestamp, entries, columns)
-        if problems:
+        poses = Poses.absent(1, len(names))
+        if problems := time_problems([*before, timestamp]) + fill_step(poses, 0, timestamp, entries, columns):
             raise InputError(source, [f"line {number}: {problem}" for problem in problems])
         before = [timestamp]
         yield timestamp, poses
@@ -95,30 +87,19 @@ def _unreadable(path: Path) -> str | None:
 
 
 def _lines(path: Path | None, timeout_s: float, source: str) -> Iterator[bytes]:
-    with _opened(path, source) as file:
-        yield from follow(file, timeout_s if path is not None and path.is_file() else None)
-
-
-@contextmanager
-def _opened(path: Path | None, source: str) -> Iterator[IO[bytes]]:
     if path is not None:
         with path.open("rb") as file:
-            yield file
+            yield from follow(file, timeout_s if path.is_file() else None)
     elif sys.stdin is None:
         raise InputError(source, ["there is no standard input"])
     else:
-        yield sys.stdin.buffer
+        yield from follow(sys.stdin.buffer, None)
 
 
 def follow(file: IO[bytes], timeout_s: float | None) -> Iterator[bytes]:
-    """The lines of a file as they are written.
+    """The lines of a file as they are written; at the end what is left without a line break, if anything is.
 
-    Args:
-        file: The file at its beginning.
-        timeout_s: How long to wait for the next line at the end of a file; None for a pipe, which really ends.
-
-    Yields:
-        Complete lines; at the end the rest without a line break, if there is one.
+    At the end of a file the next line is waited for, for `timeout_s`; None is for a pipe, which really ends.
     """
     line, since = b"", time.monotonic()
     while True:

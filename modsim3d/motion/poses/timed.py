@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from modsim3d.errors import ModsimError
 from modsim3d.inputs.validation import Strict, nearest
 from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys
@@ -24,10 +22,6 @@ class PosesByTime(SourceKeys, Strict):
         The result may depend on the arguments only: it is called for times in any order, more than once, and in several
         processes.
 
-        Args:
-            time_s: Time of the step.
-            request: The scene's vessels, their names, and the seed.
-
         Returns:
             Vessel ID → place and heading; vessels that are not named are absent.
         """
@@ -40,7 +34,7 @@ class PosesByTime(SourceKeys, Strict):
 
 @dataclass(frozen=True, eq=False)
 class TimedPoses:
-    """Poses from a function of time."""
+    """Poses from the function `at` of the time in seconds."""
 
     timestamps: Sequence[str]
     at: Callable[[float, PoseRequest], Mapping[str, Place]]
@@ -54,8 +48,7 @@ class TimedPoses:
         """
         names = self.request.names or ()
         columns = {name: column for column, name in enumerate(names)}
-        shape = stop - first, len(names)
-        poses = Poses(np.zeros(shape, dtype=bool), np.zeros((*shape, 3)), np.zeros(shape))
+        poses = Poses.absent(stop - first, len(names))
         for row, timestamp in enumerate(self.timestamps[first:stop]):
             for name, (position_m, heading_rad) in self.at(float(timestamp), self.request).items():
                 if name not in columns:

@@ -31,9 +31,7 @@ class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
 class Tracks:
     """Vessels that follow waypoints and head along their legs.
 
-    Attributes:
-        timestamps: Texts of the steps' times.
-        waypoints: Times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
+    `waypoints` are times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
     """
 
     timestamps: Sequence[str]
@@ -42,26 +40,21 @@ class Tracks:
     def poses(self, first: int, stop: int) -> Poses:
         """Poses at steps first to stop − 1."""
         times_s = np.array([float(text) for text in self.timestamps[first:stop]])
-        shape = len(times_s), len(self.waypoints)
-        present = np.zeros(shape, dtype=bool)
-        positions, headings = np.zeros((*shape, 3)), np.zeros(shape)
+        poses = Poses.absent(len(times_s), len(self.waypoints))
         for column, track in enumerate(self.waypoints):
             if track is not None:
                 there = (times_s >= track[0, 0]) & (times_s <= track[-1, 0])
-                present[:, column] = there
-                positions[there, column, :2], headings[there, column] = along(track, times_s[there])
-        return Poses(present, positions, headings)
+                poses.present[:, column] = there
+                poses.positions_m[there, column, :2], poses.headings_rad[there, column] = along(track, times_s[there])
+        return poses
 
 
 def along(track: Array, times_s: Array) -> tuple[Array, Array]:
-    """Places and headings on a track.
+    """Places in metres, shape (n, 2), and headings in radians, shape (n,), on a track.
 
     Args:
         track: Times in seconds and places w1, w2 in metres of at least two waypoints, shape (k, 3).
         times_s: Times between the first and the last waypoint, shape (n,).
-
-    Returns:
-        Places in metres, shape (n, 2), and headings in radians, shape (n,).
     """
     leg = np.clip(np.searchsorted(track[:, 0], times_s, side="right") - 1, 0, len(track) - 2)
     start, end = track[leg], track[leg + 1]
@@ -72,13 +65,7 @@ def along(track: Array, times_s: Array) -> tuple[Array, Array]:
 def waypoint_tracks(
     tracks: Mapping[str, Sequence[Waypoint]], vessels: Sequence[str], steps: int, time_step_s: float
 ) -> Tracks:
-    """Tracks from the waypoints of a scene file.
-
-    Args:
-        tracks: Vessel ID → waypoints.
-        vessels: IDs of the scene's vessels; one without a track is always absent.
-        steps: Number of time steps.
-        time_step_s: Interval between them.
+    """Tracks from the waypoints of each vessel in a scene file; a vessel without a track is always absent.
 
     Raises:
         InputError: With every problem found.

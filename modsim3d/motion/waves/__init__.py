@@ -6,7 +6,6 @@ from modsim3d.motion.waves.hull import Hull
 from modsim3d.motion.waves.jonswap import PEAKEDNESS, STEEPEST, Sea, jonswap_sea
 from modsim3d.motion.waves.second_order import (
     AXES,
-    BLOCK_STEPS,
     LEVELS,
     SMALL_SIGMA_RAD,
     Axis,
@@ -17,7 +16,6 @@ from modsim3d.motion.waves.second_order import (
 
 __all__ = [
     "AXES",
-    "BLOCK_STEPS",
     "GRAVITY_M_S2",
     "LEVELS",
     "PEAKEDNESS",

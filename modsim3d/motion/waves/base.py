@@ -53,9 +53,4 @@ class WaveMotion(Protocol):
     needs_velocity: bool
 
     def motion(self, vessel: str, passage: Passage) -> Motion:
-        """Heave and attitude of a vessel.
-
-        Args:
-            vessel: ID. The motion is the same for all cameras.
-            passage: Times, places and velocities of the vessel.
-        """
+        """Heave and attitude of a vessel, by its ID, at its times and places; they are the same for all cameras."""

@@ -24,7 +24,7 @@ class FloatingVessels:
         self._hulls = dict(hulls)
 
     def motion(self, vessel: str, passage: Passage) -> Motion:
-        """Heave and attitude of a vessel.
+        """Heave and attitude of a vessel, by its ID.
 
         Each wave has its phase at the vessel's place, which gives the frequency of encounter ω_e = ω − k · v. The hull
         responds at the same ω_e, from the velocity at the moment. A vessel that turns or speeds up responds as if it

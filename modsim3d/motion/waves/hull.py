@@ -33,12 +33,7 @@ LONGEST_M = 400.0
 
 @dataclass(frozen=True)
 class Hull:
-    """The hull of a vessel at the waterline.
-
-    Attributes:
-        length_m: Extent along v1.
-        beam_m: Extent along v2.
-    """
+    """The hull of a vessel at the waterline: its extents along v1 and v2."""
 
     length_m: float
     beam_m: float
@@ -105,16 +100,10 @@ def response(hull: Hull, frequencies_rad_s: Array, encounter_rad_s: Array, relat
 
 
 def _over(side_m: float, numbers_rad_m: Array) -> tuple[Array, Array]:
-    """Mean and slope of a wave of unit amplitude over a side.
+    """Mean and slope of a wave of unit amplitude over a side of the hull; `numbers_rad_m` are wave numbers along it.
 
-    Args:
-        side_m: Length or beam.
-        numbers_rad_m: Wave numbers along the side, any shape.
-
-    Returns:
-        The mean with the crest at the middle, sin(x) / x with x = k · side / 2, and the slope in rad/m of the best
-        straight line with the zero at the middle, 6 (sin x − x cos x) / (x² side), which is k for long waves. Both of
-        the same shape.
+    The mean with the crest at the middle is sin(x) / x with x = k · side / 2. The slope in rad/m is that of the best
+    straight line with the zero at the middle, 6 (sin x − x cos x) / (x² side), which is k for long waves.
     """
     half = numbers_rad_m * side_m / 2
     long = np.abs(half) < LONG_WAVE  # the formulas would lose their digits

@@ -31,12 +31,9 @@ def jonswap_shape(frequencies_rad_s: Array, peak_rad_s: float, peakedness: float
     """The JONSWAP spectrum without its scale: ω⁻⁵ exp(−5/4 (ω_p / ω)⁴) γ^exp(−½ ((ω − ω_p) / (σ ω_p))²).
 
     Args:
-        frequencies_rad_s: ω > 0, any shape.
+        frequencies_rad_s: ω > 0, any shape, which the result has too.
         peak_rad_s: ω_p.
         peakedness: γ; σ is 0.07 up to the peak and 0.09 above it.
-
-    Returns:
-        Relative energy density, the same shape.
     """
     ratio = frequencies_rad_s / peak_rad_s
     width = np.where(ratio <= 1, 0.07, 0.09)
@@ -66,14 +63,11 @@ class Sea:
         return self.frequencies_rad_s**2 / GRAVITY_M_S2
 
     def phases_at(self, times_s: Array, positions_m: Array) -> Array:
-        """Phase of each wave: k · x − ω t + ε.
+        """Phase of each wave, k · x − ω t + ε, in radians, shape (n, N).
 
         Args:
             times_s: Times since the scene's first step, shape (n,).
             positions_m: Places in WCF, shape (n, 2 or 3).
-
-        Returns:
-            Radians, shape (n, N).
         """
         way = positions_m[:, 0] * math.cos(self.direction_rad) + positions_m[:, 1] * math.sin(self.direction_rad)
         return self.wave_numbers_rad_m * way[:, None] - self.frequencies_rad_s * times_s[:, None] + self.phases_rad
@@ -111,7 +105,7 @@ def jonswap_sea(
     within = centres[:, None] + widths[:, None] / 2 * nodes
     energy = (jonswap_shape(within, peak, peakedness) * weights).sum(axis=1) * widths
     energy *= (significant_height_m / 4) ** 2 / energy.sum()
-    draws = Streams(seed).uniforms(Purpose.SEA, first=0, count=bands, width=2)
+    draws = Streams(seed).uniforms(Purpose.SEA, first=0, count=bands)
     return Sea(
         frequencies_rad_s=edges[:-1] + widths * draws[:, 0],
         amplitudes_m=np.sqrt(2 * energy),

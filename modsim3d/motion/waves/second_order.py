@@ -6,7 +6,7 @@ lowers the bow, positive yaw turns to port.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,10 +65,10 @@ def second_order(noise: Array, axis: Axis, state: tuple[float, float]) -> tuple[
 
 @dataclass(eq=False)
 class _Track:
-    """Angles of a vessel as far as they have been computed."""
+    """Angles of a vessel at the process steps computed so far, shape (k, 3), and each axis's x and x' at the last."""
 
     angles: Array
-    states: list[tuple[float, float]] = field(default_factory=list)
+    states: list[tuple[float, float]]
 
 
 class SecondOrderWaves:
@@ -91,15 +91,12 @@ class SecondOrderWaves:
         return Motion(np.zeros(len(passage.steps)), self.angles(vessel, passage.times_s, passage.steps))
 
     def angles(self, vessel: str, times_s: Array, steps: Indices) -> Array:
-        """Roll, pitch and yaw of a vessel.
+        """Roll, pitch and yaw of a vessel, each with a process of its own, in radians, shape (n, 3).
 
         Args:
-            vessel: ID; each vessel has its own process.
+            vessel: ID.
             times_s: Times since the scene's first step, shape (n,).
             steps: Index of each step, shape (n,).
-
-        Returns:
-            Radians, shape (n, 3).
         """
         position = np.asarray(steps, dtype=np.float64) if self._interval_s is None else times_s / self._interval_s
         # 0.3 / 0.1 is just below 3; rounding must not miss a step.
@@ -113,18 +110,17 @@ class SecondOrderWaves:
 
     def _until(self, vessel: str, last: int) -> Array:
         """Angles of a vessel at process steps 0 to at least `last`, shape (≥ last + 1, 3)."""
-        track = self._tracks.get(vessel)
-        if track is None:
-            start = np.array([[axis.start_rad[1] for axis in self._axes]])
-            track = _Track(start, [axis.start_rad for axis in self._axes])
-            self._tracks[vessel] = track
+        if vessel not in self._tracks:
+            states = [axis.start_rad for axis in self._axes]
+            self._tracks[vessel] = _Track(np.array([[angle for _, angle in states]]), states)
+        track = self._tracks[vessel]
         while len(track.angles) <= last:
             self._extend(vessel, track)
         return track.angles
 
     def _extend(self, vessel: str, track: _Track) -> None:
         done = len(track.angles) - 1
-        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS, width=3)
+        uniforms = self._streams.uniforms(Purpose.WAVE_ANGLES, vessel, first=done, count=BLOCK_STEPS)
         noise = normals(uniforms)
         columns = []
         for i, axis in enumerate(self._axes):

@@ -9,8 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.runs.blocks import Block
-from modsim3d.runs.files import own_ships_table as ownship_table
-from modsim3d.runs.files import tables, thesis_json
+from modsim3d.runs.files import own_ships_table, tables, thesis_json
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import COLUMNS, Truth
 
@@ -25,7 +24,7 @@ JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_
 
 def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
     """The schema of each table that a run of the scene has."""
-    own_ship = {OWN_SHIP: ownship_table.OWN_SHIP} if scene.own_ships else {}
+    own_ship = {OWN_SHIP: own_ships_table.OWN_SHIP} if scene.own_ships else {}
     return {**{name: schema for name, (schema, _) in TABLES.items()}, **own_ship}
 
 
@@ -46,15 +45,13 @@ class BlockFiles:
         """Format a block."""
         rows = {name: table(block, scene) for name, (_, table) in TABLES.items()}
         if scene.own_ships and not scene.live:  # accelerations need later steps: written at the end
-            rows[OWN_SHIP] = ownship_table.own_ship_table(scene, block.first, block.stop)
-        return cls(
-            rows,
-            {
-                (kind, part.camera): b"".join(lines(block, part, scene))
-                for part in block.cameras
-                for kind, lines in JSON_LINES.items()
-            },
-        )
+            rows[OWN_SHIP] = own_ships_table.own_ship_table(scene, block.first, block.stop)
+        lines = {
+            (kind, part.camera): b"".join(lines_of(block, part, scene))
+            for part in block.cameras
+            for kind, lines_of in JSON_LINES.items()
+        }
+        return cls(rows, lines)
 
 
 def _truth_path(folder: Path, first: int, stop: int) -> Path:

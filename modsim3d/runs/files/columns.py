@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import corner_form
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM, ERRORS
+from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
 
 NOBODY = -1
 """The index of a name that is null, or not among the names."""
@@ -24,12 +24,7 @@ Filters = list[tuple[str, str, Any]]
 
 
 def read_rows(path: Path, filters: Filters | None = None, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a table; only the row groups are read that may hold such rows.
-
-    Args:
-        path: The file.
-        filters: Conditions that all hold; every row if None.
-        columns: Names of the columns; all if None.
+    """The rows of a table that meet all filters; only the row groups are read that may hold such rows.
 
     Raises:
         RunDirectoryError: The file is not the table that a run has written.
@@ -41,7 +36,7 @@ def read_rows(path: Path, filters: Filters | None = None, columns: Sequence[str]
 
 
 def of_steps(first: int, stop: int) -> Filters:
-    """The condition that a row is of one of steps first to stop − 1."""
+    """The condition that a row belongs to one of steps first to stop − 1."""
     return [("step", ">=", first), ("step", "<", stop)]
 
 
@@ -67,7 +62,7 @@ def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
 
 
 def positions(keys: Indices, wanted: Indices) -> Indices:
-    """Where each wanted key stands among distinct keys, `NOBODY` if nowhere; shapes (n,) and (m,), result (m,)."""
+    """Where each of m wanted keys stands among n distinct keys, `NOBODY` if nowhere, shape (m,)."""
     if not len(keys):
         return np.full(len(wanted), NOBODY)
     order = np.argsort(keys)
@@ -76,18 +71,13 @@ def positions(keys: Indices, wanted: Indices) -> Indices:
 
 
 def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
-    """The boxes `full` or `visible` of a truth table as x_min, y_min, x_max, y_max; NaN for no box, shape (n, 4)."""
+    """The `full` or `visible` boxes of a truth table as x_min, y_min, x_max, y_max; NaN for no box, shape (n, 4)."""
     return np.column_stack([numbers(table, f"{prefix}_{side}") for side in BOX_SIDES])
 
 
 def detection_boxes_px(table: pa.Table) -> Array:
     """The boxes of a table of detections as x_min, y_min, x_max, y_max, shape (n, 4)."""
     return corner_form(np.column_stack([numbers(table, name) for name in CENTRE_FORM]))
-
-
-def errors_px(table: pa.Table) -> Array:
-    """The box errors of a table of detections as e_x, e_y, e_w, e_h; NaN for a false positive, shape (n, 4)."""
-    return np.column_stack([numbers(table, name) for name in ERRORS])
 
 
 @dataclass(frozen=True, eq=False)

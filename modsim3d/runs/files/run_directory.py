@@ -1,4 +1,4 @@
-"""A run directory: made, filled block by block, finished, and resumed after an interruption."""
+"""A run directory while it is written: made, filled block by block, finished, resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
 from modsim3d.runs.files.own_ships_table import own_ship_table
+from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
 
 UNFINISHED = "unfinished"
@@ -34,20 +35,14 @@ class RunDirectory:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        scene: Scene,
-        settings: dict[str, Any],
-        *,
-        overwrite: bool = False,
-        resume: bool = False,
+        self, folder: Path, scene: Scene, settings: dict[str, Any], *, overwrite: bool = False, resume: bool = False
     ) -> None:
         """Make the folder, or resume an interrupted run; a run that is replaced stays until the new one is finished.
 
         Args:
             folder: The run directory.
             scene: The scene that is run.
-            settings: Everything that decides the content of the files; an interrupted run must have had the same.
+            settings: See `settings_of`; an interrupted run must have had the same.
             overwrite: Replace a run that is there.
             resume: Continue an interrupted run that is there.
 
@@ -100,10 +95,8 @@ class RunDirectory:
             raise self._unwritable(error) from error
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
-        return RunDirectoryError(
-            f"{self.folder} cannot be written to: {error.strerror or error}; what was finished is kept: go on with "
-            "--resume"
-        )
+        problem = f"{self.folder} cannot be written to: {error.strerror or error}"
+        return RunDirectoryError(f"{problem}; what was finished is kept: go on with --resume")
 
     def _prepare(self, overwrite: bool, resume: bool) -> None:
         interrupted, finished = _is_ours(self.work / SETTINGS_FILE), _is_ours(self.folder / RUN_FILE)
@@ -159,28 +152,25 @@ class RunDirectory:
             self._lines[key].write(lines)
             self._lines[key].flush()
 
-    def write_poses(self, lines: bytes) -> None:
-        """Add the poses of steps that a live scene has received."""
+    def write_poses(self, first: int, stop: int) -> None:
+        """Add the poses of steps first to stop − 1, if a live scene has received them."""
         if self._poses is not None:
+            lines = pose_lines(self._scene, first, stop)
             self._poses.write(lines)
             self._poses.flush()
             self._poses_sha256.update(lines)
 
     def write_live_own_ships(self, steps: int) -> None:
-        """Add the motion of own ships in a live scene, once all its steps have come."""
+        """Add the motion of a live scene's own ships, once all steps have come."""
         if self._poses is not None and self._scene.own_ships and steps:
             self._writers[OWN_SHIP].write(own_ship_table(self._scene, 0, steps))
 
     def live_settings(self, steps: int) -> dict[str, Any]:
-        """Settings that are not known before a live scene has run."""
+        """The settings of a live scene that are known only after the run."""
         return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
 
     def finish(self, run: dict[str, Any]) -> None:
-        """Put every file in its place; `run.json` last, so that its presence means that all are complete.
-
-        Args:
-            run: The content of `run.json`.
-        """
+        """Put every file in its place; `run.json` (the content is `run`) comes last and says that all are complete."""
         self.__exit__(None, None, None)
         self._remove_replaced()
         for name in self._writers:

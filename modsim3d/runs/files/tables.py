@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.blocks import Block, CameraBlock
@@ -18,7 +18,7 @@ from modsim3d.scene.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
-"""Most tables that wait to be written; they are joined then, as a table of one row takes thousands of bytes."""
+"""So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""
 
 _KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
 CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
@@ -34,11 +34,7 @@ def _doubles(*names: str) -> list[tuple[str, pa.DataType]]:
 
 
 FRAMES = pa.schema(
-    [
-        *_KEYS,
-        ("state", pa.string()),
-        *[(name, pa.int64()) for name in ("n_annotated", "n_detected", "n_false")],
-    ]
+    [*_KEYS, ("state", pa.string()), *[(name, pa.int64()) for name in ("n_annotated", "n_detected", "n_false")]]
 )
 TRUTH = pa.schema(
     [
@@ -69,21 +65,20 @@ DETECTIONS = pa.schema(
 def frame_table(block: Block, scene: Scene) -> pa.Table:
     """One row for each frame: state and counts."""
     states = [state.name for state in scene.detector.states]
-    return _in_order(
-        FRAMES,
-        [
+    tables = []
+    for part in block.cameras:
+        frames, false = len(part.steps), part.detections.false()
+        annotated = np.searchsorted(part.steps, part.truth.step[part.target_rows])
+        tables.append(
             {
                 **_keys(block, part, scene, part.steps),
                 "state": _named(states, part.detections.states),
-                "n_annotated": np.bincount(
-                    np.searchsorted(part.steps, part.truth.step[part.target_rows]), minlength=len(part.steps)
-                ),
-                "n_detected": _count(part, ~part.detections.false()),
-                "n_false": _count(part, part.detections.false()),
+                "n_annotated": np.bincount(annotated, minlength=frames),
+                "n_detected": np.bincount(part.detections.frame[~false], minlength=frames),
+                "n_false": np.bincount(part.detections.frame[false], minlength=frames),
             }
-            for part in block.cameras
-        ],
-    )
+        )
+    return _in_order(FRAMES, tables)
 
 
 def truth_table(block: Block, scene: Scene) -> pa.Table:
@@ -113,28 +108,24 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
     states = [state.name for state in scene.detector.states]
     tables = []
     for part in block.cameras:
-        drawn, rows = part.detections, part.truth_row
-        boxes = centre_form(drawn.boxes_px)
-        starts = np.searchsorted(drawn.frame, drawn.frame)
+        detections, rows = part.detections, part.truth_row
+        boxes = centre_form(detections.boxes_px)
+        starts = np.searchsorted(detections.frame, detections.frame)
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
         tables.append(
             {
-                **_keys(block, part, scene, part.steps[drawn.frame]),
-                "detection": np.arange(len(drawn)) - starts,
-                "label": _named(scene.detector.labels, drawn.label),
-                "confidence": drawn.confidence,
+                **_keys(block, part, scene, part.steps[detections.frame]),
+                "detection": np.arange(len(detections)) - starts,
+                "label": _named(scene.detector.labels, detections.label),
+                "confidence": detections.confidence,
                 **dict(zip(CENTRE_FORM, boxes.T, strict=True)),
-                "state": _named(states, drawn.states[drawn.frame]),
-                "kind": _named(KINDS, drawn.kind),
+                "state": _named(states, detections.states[detections.frame]),
+                "kind": _named(KINDS, detections.kind),
                 "vessel": _named(scene.vessel_names, vessels),
-                **{name: _nullable(column) for name, column in zip(ERRORS, drawn.errors_px.T, strict=True)},
+                **{name: _nullable(column) for name, column in zip(ERRORS, detections.errors_px.T, strict=True)},
             }
         )
     return _in_order(DETECTIONS, tables)
-
-
-def _count(part: CameraBlock, chosen: Mask) -> Indices:
-    return np.bincount(part.detections.frame[chosen], minlength=len(part.steps))
 
 
 def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:

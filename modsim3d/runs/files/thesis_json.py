@@ -1,7 +1,8 @@
-"""The thesis's JSON: annotations and detections by timestamp and vessel (Jessen & Mohr (2023), Figure 7.17).
+"""The thesis's JSON: annotations, detections and poses by timestamp and vessel (Jessen & Mohr (2023)).
 
-While a run goes on, a file has JSON Lines, one line a frame. At the end it becomes one JSON object: the lines without
-their outer braces, joined by commas.
+While a run goes on, a file has JSON Lines. At the end the annotations and detections (Figure 7.17), one line a frame,
+become one JSON object: the lines without their outer braces, joined by commas. The poses (Figure 7.3), one line a step,
+stay lines.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[
 
 def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
     """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
-    drawn, labels = part.detections, scene.detector.labels
-    boxes, confidence = centre_form(drawn.boxes_px).tolist(), drawn.confidence.tolist()
-    sources, frames, label_of = part.truth_row.tolist(), drawn.frame.tolist(), drawn.label.tolist()
+    detections, labels = part.detections, scene.detector.labels
+    boxes, confidence = centre_form(detections.boxes_px).tolist(), detections.confidence.tolist()
+    sources, frames, label_of = part.truth_row.tolist(), detections.frame.tolist(), detections.label.tolist()
     names, vessels = scene.vessel_names, part.truth.vessel
     entries: list[dict[str, Any]] = [{} for _ in part.steps]
-    second = np.isin(drawn.kind, (DUPLICATE, FRAGMENT))
+    second = np.isin(detections.kind, (DUPLICATE, FRAGMENT))
     for i in np.argsort(second, kind="stable").tolist():  # a vessel's first detection gets its plain name
         entry, row, label = entries[frames[i]], sources[i], label_of[i]
         entry[_free_key(entry, names[vessels[row]] if row >= 0 else None)] = {
@@ -52,6 +53,23 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[b
             "bbox": _bbox(boxes[i]),
         }
     return _lines(block, part, entries)
+
+
+def pose_lines(scene: Scene, first: int, stop: int) -> bytes:
+    """The poses of steps first to stop − 1; reading the lines gives exactly the same numbers."""
+    poses = scene.poses.poses(first, stop)
+    lines = []
+    for row, timestamp in enumerate(scene.timestamps(first, stop)):
+        entries = {
+            name: {
+                "center_position_m": poses.positions_m[row, column].tolist(),
+                "heading_rad": float(poses.headings_rad[row, column]),
+            }
+            for column, name in enumerate(scene.vessel_names)
+            if poses.present[row, column]
+        }
+        lines.append(orjson.dumps({timestamp: entries}) + b"\n")
+    return b"".join(lines)
 
 
 def _free_key(entry: dict[str, Any], vessel: str | None) -> str:

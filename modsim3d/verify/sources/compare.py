@@ -28,6 +28,7 @@ from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Compariso
 from modsim3d.verify.sources.figures import Figures, figures_of
 from modsim3d.verify.sources.findings import Findings, RectangleRuleCheck, VesselDifference, shoebox_fits
 from modsim3d.vessels.vessel import shoebox
+from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
 BLOCK_STEPS = 50
 WORST = 10
@@ -139,11 +140,14 @@ class _Vessels:
     sources: dict[str, Occlusion]
 
     def difference(self, row: int, badness: float, reason: str) -> VesselDifference:
-        """A row with the boxes that each source gives it."""
-        boxes = {}
-        for source, occlusion in self.sources.items():
-            boxes[f"{source} full"] = occlusion.full_boxes_px[row].tolist()
-            boxes[f"{source} visible"] = occlusion.visible_boxes_px[row].tolist()
+        """A row with the boxes of all sources."""
+        boxes = SourceBoxes(
+            rendered_full=self.sources["rendered"].full_boxes_px[row].tolist(),
+            rendered_visible=self.sources["rendered"].visible_boxes_px[row].tolist(),
+            analytic_full=self.sources["analytic"].full_boxes_px[row].tolist(),
+            analytic_visible=self.sources["analytic"].visible_boxes_px[row].tolist(),
+            rectangles_visible=self.sources["rectangles"].visible_boxes_px[row].tolist(),
+        )
         step, vessel = int(self.steps[self.outlines.frame[row]]), int(self.outlines.occluder[row])
         return VesselDifference(self.camera, step, vessel, badness, reason, boxes)
 

@@ -14,6 +14,7 @@ from modsim3d.truth.modes import SOURCES
 from modsim3d.truth.outlines import Outlines
 from modsim3d.verify.sources.agreement import Agreement, Comparison, concatenate_comparisons
 from modsim3d.vessels.vessel import Vessel
+from modsim3d.view.pictures.comparison_picture import SourceBoxes
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class VesselDifference:
         camera: Index into the scene's cameras.
         vessel: Index into the scene's vessels.
         badness: The greater it is, the more it deserves to be shown.
-        boxes_px: Such as "rendered full" → x_min, y_min, x_max, y_max, with NaN where there is no box.
+        boxes_px: Its boxes by each source.
     """
 
     camera: int
@@ -32,7 +33,7 @@ class VesselDifference:
     vessel: int
     badness: float
     reason: str
-    boxes_px: Mapping[str, list[float]]
+    boxes_px: SourceBoxes
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from modsim3d.truth.analytic import image_silhouettes, visible_regions
 from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
 from modsim3d.verify.sources.figures import BoxFigures, Figures
 from modsim3d.verify.sources.findings import VesselDifference
-from modsim3d.view.comparison_picture import comparison_picture
 from modsim3d.view.pages import page
-from modsim3d.view.solids import Solids
+from modsim3d.view.pictures.comparison_picture import comparison_picture
+from modsim3d.view.pictures.solids import Solids
 
 Rows = list[tuple[str, str]]
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Annotated, BinaryIO, Literal
+from collections.abc import Sequence
+from typing import Annotated, BinaryIO, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.alias_generators import to_camel
@@ -30,6 +31,7 @@ POINTS_LINES = (0, 1, 2, 3)
 TRIANGLES, STRIP, FAN = 4, 5, 6
 DRAWN_ONLY = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")
 """Extensions that change how a mesh looks, not its shape."""
+Item = TypeVar("Item")
 
 
 class _Part(BaseModel):
@@ -106,8 +108,7 @@ class _Gltf(_Part):
 def read_glb(file: BinaryIO, size: int) -> bytes:
     """The content of a GLB file, reduced to the meshes of its scene.
 
-    Raises:
-        Refused: It is not GLB, contradicts itself, is too large, or refers to other files.
+    Raises `Refused` if it is not GLB, contradicts itself, is too large, or refers to other files.
     """
     header = file.read(20)
     if len(header) < 20 or header[:4] != b"glTF" or header[16:20] != b"JSON":
@@ -118,7 +119,9 @@ def read_glb(file: BinaryIO, size: int) -> bytes:
     if length != size:
         raise Refused(f"has {size} bytes where its header announces {length}: is it cut off?")
     if description_bytes > MAX_DESCRIPTION_BYTES:
-        raise Refused(f"has a description of {description_bytes} bytes; {MAX_DESCRIPTION_BYTES} may be: simplify it")
+        raise Refused(
+            f"has a description of {description_bytes} bytes; at most {MAX_DESCRIPTION_BYTES} are read: simplify it"
+        )
     gltf = _parse(file.read(description_bytes))
     _check_references(gltf)
     _check_counts(gltf)
@@ -154,6 +157,13 @@ def _check_references(gltf: _Gltf) -> None:
             raise Refused(f"needs the glTF extension {name[:80]!r}, which is not read: export it without")
 
 
+def _one_of(items: Sequence[Item], index: int, what: str) -> Item:
+    """The item of an index that the file gives."""
+    if index >= len(items):
+        raise Refused(f"has no {what} {index}, only {len(items)}: is it damaged?")
+    return items[index]
+
+
 def _check_counts(gltf: _Gltf) -> None:
     """Check faces and vertices of the accessors, each mesh as often as the scene shows it (section 3.7.2)."""
     shown = _times_shown(gltf)
@@ -175,25 +185,20 @@ def _times_shown(gltf: _Gltf) -> list[int]:
     waiting = list(gltf.scenes[gltf.scene].nodes)
     while waiting:
         index = waiting.pop()
-        if index >= len(gltf.nodes):
-            raise Refused(f"has no node {index}, only {len(gltf.nodes)}: is it damaged?")
+        node = _one_of(gltf.nodes, index, "node")
         if index in seen:
             raise Refused(f"has node {index} in two places of its scene; its nodes must form trees")
         seen.add(index)
-        node = gltf.nodes[index]
         waiting += node.children or []
         if node.mesh is not None:
-            if node.mesh >= len(gltf.meshes):
-                raise Refused(f"has no mesh {node.mesh}, only {len(gltf.meshes)}: is it damaged?")
+            _one_of(gltf.meshes, node.mesh, "mesh")
             shown[node.mesh] += 1
     return shown
 
 
 def _accessor(gltf: _Gltf, index: int, kind: str) -> _Accessor:
     """An accessor, which must exist and hold geometry."""
-    if index >= len(gltf.accessors):
-        raise Refused(f"has no accessor {index}, only {len(gltf.accessors)}: is it damaged?")
-    accessor = gltf.accessors[index]
+    accessor = _one_of(gltf.accessors, index, "accessor")
     if accessor.type != kind or (kind == "SCALAR" and accessor.component_type not in (5121, 5123, 5125)):
         raise Refused(f"has accessor {index} of a type that positions or indices cannot be: is it damaged?")
     if accessor.sparse is not None:
@@ -241,9 +246,8 @@ def _check_ranges(gltf: _Gltf, binary_bytes: int) -> None:
         item = COMPONENT_BYTES[accessor.component_type] * (3 if accessor.type == "VEC3" else 1)
         end = accessor.byte_offset + (accessor.count - 1) * (view.byte_stride or item) + item
         if end > view.byte_length:
-            raise Refused(
-                f"has accessor {number} with {accessor.count} items in {view.byte_length} bytes: is it cut off?"
-            )
+            held = f"{accessor.count} items in {view.byte_length} bytes"
+            raise Refused(f"has accessor {number} with {held}: is it cut off?")
 
 
 def _geometry_only(gltf: _Gltf) -> dict[str, object]:

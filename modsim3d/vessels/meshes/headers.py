@@ -25,22 +25,17 @@ MAX_LINE_BYTES = 2**16
 """Greatest length of a header, and of a line with many corners."""
 
 
-def _count(file: BinaryIO, word: bytes) -> int:
-    """Number of times that a lower-case word occurs in the rest of a file."""
+def _scan(file: BinaryIO, size: int, word: bytes) -> int:
+    """Number of faces of a text file, by counting the lower-case word that each has once."""
+    if size > MAX_SCANNED_BYTES:
+        check_size(size)
+    file.seek(0)
     found, tail = 0, b""
     while chunk := file.read(CHUNK_BYTES):
         joined = tail + chunk.lower()
         found += joined.count(word)
         tail = joined[-(len(word) - 1) :]  # shorter than the word
     return found
-
-
-def _scan(file: BinaryIO, size: int, word: bytes) -> int:
-    """Number of faces of a text file, by counting the word that each has once."""
-    if size > MAX_SCANNED_BYTES:
-        check_size(size)
-    file.seek(0)
-    return _count(file, word)
 
 
 def _whole(file: BinaryIO, size: int) -> bytes:
@@ -55,11 +50,7 @@ def _as_utf8(text: bytes) -> bytes:
 
 
 def read_stl(file: BinaryIO, size: int) -> bytes:
-    """The content of an STL file, binary or text.
-
-    Raises:
-        Refused: It is no STL file, or too large.
-    """
+    """The content of an STL file, binary or text. Raises `Refused` if it is none, or too large."""
     header = file.read(84)
     claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
     if claimed is not None and size == 84 + 50 * claimed:
@@ -77,12 +68,9 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
 
 
 def read_ply(file: BinaryIO, size: int) -> bytes:
-    """The content of a PLY file, text or binary.
+    """The content of a PLY file, text or binary. Raises `Refused` if it is none, or too large.
 
     Text is returned without blank lines and without rows beyond those that the header announces.
-
-    Raises:
-        Refused: It is not PLY, or too large.
     """
     header = file.read(MAX_LINE_BYTES)
     end = header.find(b"end_header")
@@ -113,8 +101,7 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
 def read_obj(file: BinaryIO, size: int) -> bytes:
     """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header.
 
-    Raises:
-        Refused: It is too large, or names a material library outside its folder.
+    Raises `Refused` if it is too large, or names a material library outside its folder.
     """
     check_faces(max(1, _scan(file, size, b"\nf ")))  # refuses far too many early; indented ones are counted below
     content = _whole(file, size)

@@ -23,11 +23,7 @@ class Refused(Exception):
 
 
 def check_faces(count: int) -> None:
-    """Refuse too many faces, or none.
-
-    Raises:
-        Refused: With the number.
-    """
+    """Raise `Refused` for too many faces, or none."""
     if count > MAX_FACES:
         raise Refused(f"has {count} faces; a mesh may have at most {MAX_FACES}: simplify it")
     if count == 0:
@@ -35,21 +31,13 @@ def check_faces(count: int) -> None:
 
 
 def check_vertices(count: int) -> None:
-    """Refuse more vertices than the allowed faces can need.
-
-    Raises:
-        Refused: With the number.
-    """
+    """Raise `Refused` for more vertices than the allowed faces can need."""
     if count > MAX_VERTICES:
         raise Refused(f"has {count} vertices; a mesh may have at most {MAX_VERTICES}: simplify it")
 
 
 def check_size(size: int, most: int = MAX_BYTES) -> None:
-    """Refuse what would take too much memory to read.
-
-    Raises:
-        Refused: With the size.
-    """
+    """Raise `Refused` for more bytes than memory should be spent on."""
     if size > most:
         raise Refused(f"has {size / 1e6:.0f} MB; such a file may have at most {most / 1e6:.0f} MB: simplify it")
 
@@ -62,11 +50,7 @@ def leads_outside(reference: str) -> bool:
 
 
 def check_reference(reference: str, what: str) -> None:
-    """Refuse a reference that leads out of the file's folder; others are harmless, since none is followed.
-
-    Raises:
-        Refused: With the reference.
-    """
+    """Raise `Refused` for a reference that leads out of the file's folder; none is followed, so others do no harm."""
     if leads_outside(reference):
         shortened = reference if len(reference) <= 80 else reference[:77] + "..."
         raise Refused(f"refers to {shortened!r} ({what}), which is remote or outside its folder: remove the reference")

@@ -18,23 +18,19 @@ from typing import Any, BinaryIO, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.validation import Strict, describe, join_path, nearest, shown
 from modsim3d.vessels.meshes.glb import read_glb
 from modsim3d.vessels.meshes.headers import read_obj, read_ply, read_stl
-from modsim3d.vessels.meshes.limits import Refused, leads_outside
-from modsim3d.vessels.meshes.shape import Faces, to_solid
+from modsim3d.vessels.meshes.limits import Refused, check_faces, leads_outside
+from modsim3d.vessels.meshes.shape import to_solid
 from modsim3d.vessels.vessel import Solid
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-READERS: dict[str, Callable[[BinaryIO, int], bytes]] = {
-    ".glb": read_glb,
-    ".obj": read_obj,
-    ".stl": read_stl,
-    ".ply": read_ply,
-}
+Reader = Callable[[BinaryIO, int], bytes]
+READERS: dict[str, Reader] = {".glb": read_glb, ".obj": read_obj, ".stl": read_stl, ".ply": read_ply}
 GLTF_AXES: tuple[Axis, Axis] = ("+z", "+y")
 """Forward and up in every glTF file (glTF 2.0, section 3.4)."""
 PLAIN_AXES: tuple[Axis, Axis] = ("+x", "+z")
@@ -55,16 +51,13 @@ def shipped_meshes() -> dict[str, Path]:
 
 
 def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object) -> Solid:
-    """The solid of a mesh entry of a scene.
+    """The solid of a mesh entry of a scene; its faces have two sides if it is open (`closed` is False).
 
     Args:
         entry: A shipped mesh's name, a file relative to the folder, or a mapping of `file`, `forward` and `up`.
         folder: Folder of the files; none outside it is read.
         source: Name of the file with the entry in errors.
         *prefix: Keys that lead to the entry.
-
-    Returns:
-        The mesh in the unit box. If it is open (`closed` is False), both sides of its faces count as outside.
 
     Raises:
         InputError: The entry or the file is wrong.
@@ -99,9 +92,8 @@ def _find(file: str, folder: Path) -> Path:
         raise Refused("is remote or outside the scene's folder: put the mesh into that folder, and name it from there")
     suffix = Path(file).suffix.lower()
     if suffix not in READERS:
-        endings = ", ".join(READERS)
         hint = nearest(file, shipped_meshes())
-        raise Refused(f"is no shipped mesh ({hint}), and no file that ends in one of {endings}")
+        raise Refused(f"is no shipped mesh ({hint}), and no file that ends in one of {', '.join(READERS)}")
     path = folder / file
     try:
         if not path.resolve().is_relative_to(folder.resolve()):
@@ -116,7 +108,7 @@ def _find(file: str, folder: Path) -> Path:
     return path
 
 
-def _triangles(path: Path) -> tuple[Array, Faces]:
+def _triangles(path: Path) -> tuple[Array, Indices]:
     """Vertices and faces of a mesh file in its own axes, shapes (K, 3) and (F, 3)."""
     suffix = path.suffix.lower()
     try:
@@ -127,13 +119,10 @@ def _triangles(path: Path) -> tuple[Array, Faces]:
             content = READERS[suffix](file, size)
     except OSError as error:
         raise Refused(f"cannot be read: {error.strerror}") from None
-    vertices, faces = _parse(content, suffix[1:])
-    if not len(faces):
-        raise Refused("holds no faces, only points or nothing: a mesh of triangles is needed")
-    return vertices, faces
+    return _parse(content, suffix[1:])
 
 
-def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
+def _parse(content: bytes, kind: str) -> tuple[Array, Indices]:
     """All triangles of a file with the transforms of its parts applied, shapes (K, 3) and (F, 3)."""
     import trimesh  # takes 0.4 s, and most scenes have no mesh
 
@@ -143,7 +132,7 @@ def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
     except Exception as error:  # a parser may raise anything on a damaged file
         raise Refused(f"cannot be read as {kind.upper()}: {_brief(error)}") from None
     vertices: list[Array] = []
-    faces: list[Faces] = []
+    faces: list[Indices] = []
     count = 0
     for name in scene.graph.nodes_geometry:
         transform, geometry = scene.graph[name]
@@ -154,8 +143,7 @@ def _parse(content: bytes, kind: str) -> tuple[Array, Faces]:
         faces.append(_mirrored(part.faces, transform) + count)
         vertices.append(trimesh.transform_points(part.vertices, transform))
         count += len(part.vertices)
-    if not faces:
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+    check_faces(sum(map(len, faces)))
     return np.concatenate(vertices), np.concatenate(faces)
 
 
@@ -181,7 +169,7 @@ def _check_part(vertices: Any, faces: Any) -> None:
         raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
 
 
-def _mirrored(faces: Any, transform: Array) -> Faces:
+def _mirrored(faces: Any, transform: Array) -> Indices:
     """Faces of a part, shape (F, 3), reversed if the transform mirrors: that turns a part inside out."""
     plain = np.asarray(faces, dtype=np.int64)
     return plain[:, ::-1] if np.linalg.det(transform[:3, :3]) < 0 else plain

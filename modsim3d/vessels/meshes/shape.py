@@ -8,8 +8,6 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.vessels.meshes.limits import MAX_COORDINATE, Refused, check_faces, check_vertices
 from modsim3d.vessels.vessel import Solid
 
-Faces = Indices
-AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 SAME_VERTEX = 1e-7
 """Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""
 EXTENTS = ("length", "beam", "height")
@@ -17,9 +15,8 @@ EXTENTS = ("length", "beam", "height")
 
 def axis(name: str) -> Array:
     """The unit vector that `+x` or `-z` names, shape (3,)."""
-    direction = np.zeros(3)
-    direction["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
-    return direction
+    direction: Array = np.eye(3)["xyz".index(name[1])]
+    return direction if name[0] == "+" else -direction
 
 
 def vehicle_R_file(forward: str, up: str) -> Array:
@@ -27,14 +24,11 @@ def vehicle_R_file(forward: str, up: str) -> Array:
     return np.array([axis(forward), np.cross(axis(up), axis(forward)), axis(up)])
 
 
-def to_solid(vertices: Array, faces: Faces, forward: str, up: str) -> Solid:
+def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
     """The solid of a mesh, its bounding box scaled to the unit box.
 
-    Args:
-        vertices: In the file's axes and any unit, shape (K, 3).
-        faces: Vertex indices, shape (F, 3).
-        forward: Axis of the file that points to the bow.
-        up: Axis of the file that points up.
+    The vertices, shape (K, 3), are in any unit; faces are their indices, shape (F, 3). `forward` and `up` are the axes
+    of the file that point to the bow and up, such as `+x`.
 
     Raises:
         Refused: A vertex is not finite, there are no faces, or the mesh is flat along an axis.
@@ -76,7 +70,7 @@ def _unit_box(vertices: Array) -> Array:
     return unit
 
 
-def _merge(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+def _merge(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
     """Merge vertices that coincide, and drop faces that then have fewer than three corners."""
     _, kept, where = np.unique(np.rint(vertices / SAME_VERTEX), axis=0, return_index=True, return_inverse=True)
     faces = where.reshape(-1)[faces].astype(np.int64)
@@ -84,20 +78,15 @@ def _merge(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return vertices[kept], faces[(a != b) & (b != c) & (a != c)]
 
 
-def is_closed(faces: Faces) -> bool:
+def is_closed(faces: Indices) -> bool:
     """Whether faces, shape (F, 3), traverse each edge equally often in both directions: no holes, one orientation."""
     count = int(faces.max()) + 1
     starts, ends = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
     return bool(np.array_equal(np.sort(starts * count + ends), np.sort(ends * count + starts)))
 
 
-def signed_volume(vertices: Array, faces: Faces) -> float:
-    """Volume of a closed mesh, negative if it is inside out, by the divergence theorem.
-
-    Args:
-        vertices: Shape (K, 3).
-        faces: Vertex indices, shape (F, 3).
-    """
+def signed_volume(vertices: Array, faces: Indices) -> float:
+    """Volume Σ a · (b × c) / 6 in a closed mesh of shapes (K, 3) and (F, 3); negative if it is inside out."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 

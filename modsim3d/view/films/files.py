@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.errors import ModsimError
+from modsim3d.runs.files.run_directory import place
 from modsim3d.view.films.gif import TICKS_PER_S, quantised, write_gif
 
 FORMATS = ("mp4", "gif", "png")
@@ -29,13 +30,7 @@ NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif 
 
 @dataclass(frozen=True, eq=False)
 class EncodedFrame:
-    """A picture as its film file takes it.
-
-    Attributes:
-        step: Step of the run.
-        size: Width and height in pixels; films need even ones.
-        data: RGB values for MP4, palette indices for GIF (both row by row), a file for PNG.
-    """
+    """The picture of a step for a film: RGB values for MP4, palette indices for GIF (row by row), a file for PNG."""
 
     step: int
     size: tuple[int, int]
@@ -43,14 +38,7 @@ class EncodedFrame:
 
     @classmethod
     def of(cls, step: int, picture: Image.Image, kind: str, colours: Image.Image | None) -> EncodedFrame:
-        """Encode a picture; done by the process that drew it.
-
-        Args:
-            step: Step of the run.
-            picture: In RGB.
-            kind: One of `FORMATS`.
-            colours: Holds the palette of a GIF.
-        """
+        """Encode a picture in RGB for a film of one of `FORMATS`; `colours` holds the palette of a GIF."""
         if kind == "gif" and colours is not None:
             return cls(step, picture.size, quantised(picture, colours).tobytes())
         if kind == "mp4":
@@ -86,7 +74,7 @@ def put_in_place(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         yield partial
-        partial.replace(path)
+        place(partial, path)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -97,7 +85,7 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
     Args:
         kind: One of `FORMATS`.
         path: The file; for PNG, the folder of the files.
-        frames: Each is asked for when those before it are written.
+        frames: Pictures; each is drawn when those before it are written.
         rate: Pictures a second.
         colours: Holds the palette of a GIF.
 
@@ -110,8 +98,8 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
     with put_in_place(path) as partial:
         if kind == "gif" and colours is not None:
             _write_gif(partial, frames, rate, colours)
-            return
-        _write_mp4(path, partial, frames, rate)
+        else:
+            _write_mp4(path, partial, frames, rate)
         if not partial.exists():
             raise ModsimError(f"{path} could not be encoded: ffmpeg wrote nothing")
 

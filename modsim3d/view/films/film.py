@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,22 +21,12 @@ from modsim3d.view.films.timetable import Timetable
 STEPS_TOGETHER = 4
 """Steps that a worker draws at a time."""
 PALETTE_SAMPLES = 4
-
 IF_KILLED = "draw the film again, perhaps with fewer --workers"
-
-Piece = list[StepFrames]
 
 
 @dataclass(frozen=True)
 class DrawnFilm:
-    """A film that was drawn.
-
-    Attributes:
-        path: The file, or the folder of PNG files.
-        size: Width and height in pixels.
-        frames: Number of different frames.
-        timetable: How long each frame is shown.
-    """
+    """A film that was drawn: its file or folder of PNG files, width and height, number of frames, and pace."""
 
     path: Path
     size: tuple[int, int]
@@ -67,15 +58,12 @@ def draw_film(
 
     Args:
         selection: Steps and cameras.
-        plan: What every picture shows.
+        plan: Content of every picture.
         kind: One of `FORMATS`.
         path: The file, or the folder of PNG files.
-        speed: Seconds of the run in one of the film.
-        workers: Processes that draw; the film is the same bytes whatever their number.
-        progress: Called with the number of frames done since its last call.
-
-    Raises:
-        ModsimError: The film cannot be drawn or encoded.
+        speed: Seconds of the run in one second of the film.
+        workers: Processes that draw; their number does not change the film.
+        progress: Called with the number of frames drawn since its last call.
     """
     scene = selection.run.scene
     timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
@@ -97,25 +85,16 @@ def draw_film(
 
 def _gif_palette(selection: Selection, steps: Sequence[int], renderers: Workers[FilmRenderer]) -> Image.Image:
     """The palette of a film, from some of its pictures."""
-    chosen = dict.fromkeys(steps[i * len(steps) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES))
-    jobs = (_Job("mp4", None, [_shown_at(selection, step)]) for step in chosen)
-    samples = renderers.map(_draw_job, jobs)
+    chosen = tuple(dict.fromkeys(steps[i * len(steps) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES)))
+    shown = replace(selection, steps=chosen, durations_s=np.ones(len(chosen)))
+    samples = renderers.map(_draw_job, (_Job("mp4", None, [step_frames]) for step_frames in shown.step_frames()))
     return film_palette([Image.frombytes("RGB", frame.size, frame.data) for piece in samples for frame in piece])
 
 
-def _shown_at(selection: Selection, step: int) -> StepFrames:
-    return next(replace(selection, steps=(step,), durations_s=np.ones(1)).step_frames())
-
-
-def _pieces(selection: Selection, steps: set[int]) -> Iterator[Piece]:
-    piece: Piece = []
-    for step_frames in selection.step_frames():
-        if step_frames.step in steps:
-            piece.append(step_frames)
-        if len(piece) == STEPS_TOGETHER:
-            yield piece
-            piece = []
-    if piece:
+def _pieces(selection: Selection, steps: set[int]) -> Iterator[list[StepFrames]]:
+    """The frames of some steps of a selection, a few steps at a time."""
+    chosen = (step_frames for step_frames in selection.step_frames() if step_frames.step in steps)
+    while piece := list(islice(chosen, STEPS_TOGETHER)):
         yield piece
 
 
@@ -125,7 +104,7 @@ class _Job:
 
     kind: str
     colours: Image.Image | None
-    piece: Piece
+    piece: list[StepFrames]
 
 
 def _draw_job(film_renderer: FilmRenderer, job: _Job) -> list[EncodedFrame]:

@@ -35,10 +35,7 @@ KEEP = 1
 def film_palette(samples: Sequence[Image.Image]) -> Image.Image:
     """Choose 255 colours for a film: those that everything is drawn with, and the most frequent ones of some frames.
 
-    All frames share one palette, so that what stands still keeps the same index.
-
-    Returns:
-        A picture of one pixel in mode P that holds the palette.
+    All frames share one palette, so that what stands still keeps the same index. A picture of one pixel holds it.
     """
     exact = [palette.PAPER, palette.INK, palette.SEA, palette.SKY, palette.TRUTH, palette.ALARM, palette.HORIZON]
     exact += [palette.vessel_colour(i) for i in range(3 * len(palette.VESSELS))]
@@ -64,11 +61,7 @@ def write_gif(out: IO[bytes], colours: Image.Image, frames: Iterable[tuple[Image
     """Write an endless GIF 89a.
 
     Only the pixels that differ from the frame before are stored; a frame without any makes the one before last longer.
-
-    Args:
-        out: Where to write.
-        colours: Holds the palette, see `film_palette`.
-        frames: At least one: palette indices as grey levels (mode L), and how long they are shown, in ticks.
+    A frame is palette indices as grey levels (mode L), and how long it is shown, in ticks. There is at least one.
     """
     before: Image.Image | None = None
     for picture, group in groupby(frames, key=itemgetter(0)):
@@ -89,6 +82,6 @@ def write_gif(out: IO[bytes], colours: Image.Image, frames: Iterable[tuple[Image
 
 
 def _storable(ticks: int) -> list[int]:
-    """A duration as parts that a GIF can say."""
+    """A duration as parts that a GIF can hold."""
     whole, rest = divmod(ticks, LONGEST_TICKS)
     return [LONGEST_TICKS] * whole + [rest] * (rest > 0)

@@ -9,8 +9,8 @@ from functools import cached_property
 from PIL import Image, ImageDraw
 
 from modsim3d.view import palette
-from modsim3d.view.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
-from modsim3d.view.legend import Entry, legend
+from modsim3d.view.pictures.canvas import LEAST_TEXT_PX, NOMINAL_PX, TEXT_PX, font
+from modsim3d.view.pictures.legend import Entry, legend
 
 GAP_PX = 4
 SEVERAL = 0.7
@@ -25,7 +25,7 @@ class FilmLayout:
         width: Width of the whole sheet in pixels.
         columns: Number of panels side by side.
         aspects: Width over height of each panel, row by row.
-        entries: Entries of the legend.
+        entries: Entries of the legend at the bottom.
     """
 
     width: int
@@ -50,7 +50,7 @@ class FilmLayout:
 
     @property
     def nominal_width(self) -> int:
-        """The width of picture whose lines and text a panel has; more than its own if it is one of several."""
+        """Width of the picture for which lines and text of a panel are meant; at least its own."""
         return max(self.panel_width, round(SEVERAL * self.width))
 
     @property
@@ -60,7 +60,7 @@ class FilmLayout:
 
     @property
     def panel_sizes(self) -> list[tuple[int, int]]:
-        """Width and height of each panel."""
+        """Width and height of each panel in pixels."""
         return [(self.panel_width, max(1, round(self.panel_width / aspect))) for aspect in self.aspects]
 
     @cached_property
@@ -89,25 +89,15 @@ class FilmLayout:
         return self._blank.size
 
     def compose(self, head: str, titles: Sequence[str], panels: Sequence[Image.Image]) -> Image.Image:
-        """One picture of the film.
-
-        Args:
-            head: The line at the top.
-            titles: A title for each panel; shown if there are several panels.
-            panels: Pictures of the sizes `panel_sizes`.
-        """
+        """One picture of the film, from pictures of the sizes `panel_sizes`; a single panel shows no title."""
         sheet = self._blank.copy()
         draw = ImageDraw.Draw(sheet)
         draw.text((self.text_px // 2, self.text_px // 3), head, fill=palette.INK, font=font(self.text_px))
         for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
             sheet.paste(panel, (x, y))
             if self.title_px:
-                sheet.paste(self._title(title), (x, y - self.title_px))
+                strip = Image.new("RGB", (self.panel_width, self.title_px), palette.PAPER)  # cuts a title that is wider
+                place = self.text_px // 2, self.text_px // 4
+                ImageDraw.Draw(strip).text(place, title, fill=palette.INK, font=font(self.text_px))
+                sheet.paste(strip, (x, y - self.title_px))
         return sheet
-
-    def _title(self, text: str) -> Image.Image:
-        """The strip above a panel, as wide as the panel."""
-        strip = Image.new("RGB", (self.panel_width, self.title_px), palette.PAPER)
-        place = self.text_px // 2, self.text_px // 4
-        ImageDraw.Draw(strip).text(place, text, fill=palette.INK, font=font(self.text_px))
-        return strip

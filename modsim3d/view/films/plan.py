@@ -10,13 +10,13 @@ from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
-from modsim3d.view.birds_eye import BirdsEye
 from modsim3d.view.films.layout import FilmLayout
-from modsim3d.view.layers import CORNERS, DETECTIONS, SCENE, Layers
-from modsim3d.view.legend import Entry, detection_entries, id_entries, vessel_entries
-from modsim3d.view.map_picture import map_height_px
-from modsim3d.view.render_style import PLAIN_STYLE, RenderStyle
-from modsim3d.view.window import Box, Window
+from modsim3d.view.maps.birds_eye import BirdsEye
+from modsim3d.view.maps.map_picture import map_height_px
+from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
+from modsim3d.view.pictures.legend import Entry, detection_entries, id_entries, vessel_entries
+from modsim3d.view.pictures.window import Box, Window
+from modsim3d.view.shaded.render_style import PLAIN_STYLE, RenderStyle
 
 KINDS = ("detections", "scene", "ids", "corners", "map")
 ALL = ("detections", "scene", "ids")
@@ -32,7 +32,7 @@ LEAST_ASPECT, MOST_ASPECT = 4 / 3, 8 / 3
 
 @dataclass(frozen=True, eq=False)
 class FilmPlan:
-    """What every picture of a film shows; the same for all of its frames.
+    """What every picture of a film shows.
 
     Attributes:
         kinds: Some of `KINDS`, shown side by side.
@@ -90,9 +90,8 @@ class FilmPlan:
         return (x1 - x0) / (y1 - y0)
 
     def _shown(self, scene: Scene, place: int) -> Box:
-        crop = self.crops_px[place] if self.crops_px else None
         width, height = scene.cameras[self.cameras[place]].intrinsics.image_size_px
-        return crop or (0.0, 0.0, float(width), float(height))
+        return (self.crops_px and self.crops_px[place]) or (0.0, 0.0, float(width), float(height))
 
     def window(self, scene: Scene, place: int, size: tuple[int, int]) -> Window:
         """The part of a camera's image that its panel shows."""
@@ -105,10 +104,9 @@ def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
     boxes: list[list[Array]] = [[np.empty((0, 4))] for _ in selection.cameras]
     for step in selection.step_frames():
         for found, frame in zip(boxes, step.frames, strict=True):
-            if frame is None:
-                continue
-            true = [vessel is not None for vessel in frame.detections.vessels]
-            found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
+            if frame is not None:
+                true = [vessel is not None for vessel in frame.detections.vessels]
+                found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
     crops = []
     for index, found in zip(selection.cameras, boxes, strict=True):
         size = np.array(selection.run.scene.cameras[index].intrinsics.image_size_px, dtype=np.float64)
@@ -123,11 +121,7 @@ def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
 
 
 def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
-    """The same part of every camera's image, from `x_min,y_min,x_max,y_max` in pixels.
-
-    Raises:
-        ModsimError: It is no such part.
-    """
+    """The same part of every camera's image, from `x_min,y_min,x_max,y_max` in pixels; any other text is an error."""
     try:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:

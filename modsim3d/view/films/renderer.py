@@ -3,43 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 
 from PIL import Image
 
-from modsim3d.errors import RendererError
-from modsim3d.render.plain_ids import IdDrawer, PlainIds
-from modsim3d.runs.pipeline import open_renderer
+from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.selection import StepFrames
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import TITLES, FilmPlan
-from modsim3d.view.frame_picture import CameraView, frame_picture
-from modsim3d.view.ids_picture import ids_picture
-from modsim3d.view.map_picture import map_picture
-from modsim3d.view.render_style import RenderStyle
-from modsim3d.view.shaded_picture import ShadedPictureRenderer
-from modsim3d.view.window import Window
+from modsim3d.view.maps.map_picture import map_picture
+from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
+from modsim3d.view.pictures.ids_picture import ids_picture
+from modsim3d.view.pictures.solids import open_id_renderer
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
 
 
 class FilmRenderer:
     """Draws the pictures of a film one by one."""
 
     def __init__(
-        self, scene: Scene, plan: FilmPlan, drawer: IdDrawer, shaded_renderer: ShadedPictureRenderer | None = None
+        self,
+        scene: Scene,
+        plan: FilmPlan,
+        id_renderer: AnyIdRenderer,
+        shaded_renderer: ShadedPictureRenderer | None = None,
     ) -> None:
-        """Take what all pictures share.
-
-        Args:
-            scene: The scene.
-            plan: What every picture shows.
-            drawer: Draws ID buffers.
-            shaded_renderer: Draws the scene in light and shade, where the plan asks for it.
-        """
+        """Take what all pictures share; `shaded_renderer` draws the scene where the plan asks for light and shade."""
         self._scene = scene
         self._plan = plan
-        self._drawer = drawer
+        self._id_renderer = id_renderer
         self._shaded_renderer = shaded_renderer
         self._layout = plan.layout(scene)
         self._birds_eye = plan.birds_eye(scene)
@@ -59,35 +55,35 @@ class FilmRenderer:
 
     def _title(self, step_frames: StepFrames, place: int, kind: str) -> str:
         several = len(step_frames.frames) > 1 and kind != "map"
-        camera = [self._scene.cameras[self._plan.cameras[place]].name] if several else []
-        age = [_age(step_frames, place)] if several and _age(step_frames, place) else []
-        name = [TITLES.get(kind, kind)] if len(self._plan.kinds) > 1 else []
-        return " · ".join(camera + name + age)
+        camera = several and self._scene.cameras[self._plan.cameras[place]].name
+        name = len(self._plan.kinds) > 1 and TITLES.get(kind, kind)
+        age = several and _age(step_frames, place)
+        return " · ".join(part for part in (camera, name, age) if part)
 
     def _panel(self, camera_view: CameraView | None, kind: str, window: Window) -> Image.Image:
         if camera_view is None:
             return Image.new("RGB", window.size, palette.SOFT_INK)
         nominal = self._layout.nominal_width
         if kind == "ids":
-            return ids_picture(camera_view.solids, window, self._drawer, nominal)
+            return ids_picture(camera_view.solids, window, self._id_renderer, nominal)
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
         ground = None
         if self._shaded_renderer is not None and kind != "corners" and on_scene:
             ground = self._shaded_renderer.picture(camera_view.solids, window, self._scene.vessels)
             layers = replace(layers, horizon=False, silhouettes=False)
-        return frame_picture(camera_view, window, layers, self._drawer, ground=ground, nominal_width_px=nominal)
+        return frame_picture(camera_view, window, layers, self._id_renderer, ground=ground, nominal_width_px=nominal)
 
     def _head(self, step_frames: StepFrames) -> str:
         states = dict.fromkeys(frame.state for frame in step_frames.frames if frame)
         single = len(step_frames.frames) == 1
-        camera = [self._scene.cameras[self._plan.cameras[0]].name] if single else []
-        parts = [self._scene.name, *camera, f"{step_frames.timestamp} s", f"step {step_frames.step}"]
-        parts += [f"detector {', '.join(states)}"] if states else []
-        return "    ".join([*parts, _age(step_frames, 0)] if single and _age(step_frames, 0) else parts)
+        camera = single and self._scene.cameras[self._plan.cameras[0]].name
+        time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
+        detector, age = states and f"detector {', '.join(states)}", single and _age(step_frames, 0)
+        return "    ".join(part for part in (self._scene.name, camera, time, step, detector, age) if part)
 
 
 def _age(step_frames: StepFrames, place: int) -> str:
-    """Of when a camera's picture is, where it is not of the step itself."""
+    """The time of a camera's frame, where it was not taken at the step itself."""
     frame = step_frames.frames[place]
     if frame is None:
         return "no frame yet"
@@ -95,41 +91,22 @@ def _age(step_frames: StepFrames, place: int) -> str:
 
 
 @contextmanager
-def open_drawer(scene: Scene) -> Iterator[IdDrawer]:
-    """What draws ID buffers for pictures: the renderer, or NumPy where there is none or the scene uses none."""
-    with ExitStack() as stack:
-        try:
-            renderer = stack.enter_context(open_renderer(scene))
-        except RendererError:
-            renderer = None  # a picture of a run that was made elsewhere
-        yield renderer or PlainIds()
-
-
-@contextmanager
 def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
-    """A film renderer with what it draws with: ID buffers, and pyrender in the same context for shaded pictures.
+    """A film renderer, with OpenGL where there is some.
 
     Raises:
         RendererError: Shaded pictures are asked for and there is no OpenGL library.
     """
-    with open_drawer(scene) as drawer, ExitStack() as stack:
-        shaded_renderer = stack.enter_context(open_shaded_picture_renderer(plan.style)) if plan.style.shaded else None
-        yield FilmRenderer(scene, plan, drawer, shaded_renderer)
+    shaded_pictures = open_shaded_picture_renderer(plan.style) if plan.style.shaded else nullcontext()
+    with open_id_renderer(scene) as id_renderer, shaded_pictures as shaded_renderer:
+        yield FilmRenderer(scene, plan, id_renderer, shaded_renderer)
 
 
 @contextmanager
 def open_shaded_picture_renderer(style: RenderStyle) -> Iterator[ShadedPictureRenderer]:
-    """What draws shaded pictures.
-
-    Raises:
-        RendererError: There is no OpenGL library.
-    """
+    """What draws shaded pictures; without an OpenGL library that is an error."""
     from modsim3d.render.context import open_context
     from modsim3d.render.shaded_pass import ShadedRenderer
 
-    with open_context() as context:
-        renderer = ShadedRenderer(context)
-        try:
-            yield ShadedPictureRenderer(renderer, style)
-        finally:
-            renderer.close()
+    with open_context() as context, closing(ShadedRenderer(context)) as renderer:
+        yield ShadedPictureRenderer(renderer, style)

@@ -18,12 +18,7 @@ SAME_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """A film's pace.
-
-    Attributes:
-        rate: Pictures a second.
-        repeats: Number of pictures that show each frame; 0 if the film is too fast for it, shape (n,).
-    """
+    """A film's pace: pictures a second, and how many show each frame (0 if the film is too fast for it), shape (n,)."""
 
     rate: Fraction
     repeats: Indices
@@ -37,13 +32,13 @@ class Timetable:
     def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
         """The pace of frames that stand for given durations.
 
-        Steps of one length, at a rate between `LEAST_RATE` and the most, give one picture a frame. Otherwise each
+        Steps of one length, at a rate from `LEAST_RATE` to `most_rate`, give one picture a frame. Otherwise each
         picture shows the frame that is due at its time.
 
         Args:
             durations_s: Duration of each frame in the run, positive, shape (n,).
             speed: Seconds of the run in one second of the film.
-            most_rate: The highest rate in pictures a second.
+            most_rate: The highest rate, in pictures a second.
         """
         film_s = durations_s / speed
         shortest = float(film_s.min())

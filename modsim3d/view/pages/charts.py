@@ -22,11 +22,11 @@ CHI_SQUARE_95 = 5.991
 """The 95 % point of chi-square with two degrees of freedom."""
 _MARGIN = (44.0, 12.0, 14.0, 34.0)  # left, right, top, bottom
 _LINE_PX = 14
-"""Height of a line of a key."""
+"""Height of a line of the key."""
 
 
 def colour_of(index: int) -> str:
-    """The colour of a series by its index, for CSS: mixed with the ink of the page, from whose paper it stands off."""
+    """The CSS colour of a series by its index, mixed with the page's ink so that it stands out from the paper."""
     return f"color-mix(in srgb, {COLOURS[index % len(COLOURS)]} 80%, var(--ink))"
 
 
@@ -40,14 +40,7 @@ def figure(drawings: Sequence[str], caption: str) -> str:
 
 @dataclass(frozen=True)
 class Axes:
-    """The frame of a chart.
-
-    Attributes:
-        x: Range of the data from left to right.
-        y: Range of the data from bottom to top.
-        width: Of the whole drawing with its margins, in pixels.
-        height: Of the whole drawing with its margins, in pixels.
-    """
+    """The frame of a chart: ranges of the data, and the size of the whole drawing with its margins in pixels."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -85,9 +78,8 @@ class Axes:
             lines.append(f'<text {place} text-anchor="middle" fill="var(--soft)">{value:g}</text>')
         for value in nice_ticks(*self.y):
             _, py = self.place(self.x[0], value)
-            lines.append(
-                f'<text x="{_MARGIN[0] - 4}" y="{py + 4:.1f}" text-anchor="end" fill="var(--soft)">{value:g}</text>'
-            )
+            place = f'x="{_MARGIN[0] - 4}" y="{py + 4:.1f}"'
+            lines.append(f'<text {place} text-anchor="end" fill="var(--soft)">{value:g}</text>')
         return "".join(lines)
 
 
@@ -112,10 +104,8 @@ def dots(axes: Axes, x: Array, y: Array, colour: str) -> str:
     """A dot for each point of x and y, shape (n,) each."""
     px, py = axes.place(x, y)
     marks = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(px.tolist(), py.tolist(), strict=True))
-    return (
-        f'<path d="{marks}" stroke="{colour}" stroke-width="2.4" stroke-linecap="round" stroke-opacity="0.55" '
-        'fill="none"/>'
-    )
+    style = 'stroke-width="2.4" stroke-linecap="round" stroke-opacity="0.55" fill="none"'
+    return f'<path d="{marks}" stroke="{colour}" {style}/>'
 
 
 def line(axes: Axes, x: Array, y: Array, colour: str, dashed: bool = False, width: float = 2.0) -> str:
@@ -127,15 +117,9 @@ def line(axes: Axes, x: Array, y: Array, colour: str, dashed: bool = False, widt
 
 
 def ellipse(mean: Array, covariance: Array, deviations: float = 2.0) -> tuple[Array, Array]:
-    """The outline of a two-dimensional normal distribution at so many standard deviations.
+    """The outline of a normal distribution at some standard deviations from its mean: x and y, shape (73,) each.
 
-    Args:
-        mean: Shape (2,).
-        covariance: Shape (2, 2).
-        deviations: Distance of the outline from the mean, in standard deviations.
-
-    Returns:
-        x and y of a closed line, shape (73,) each.
+    The mean has the shape (2,), the covariance (2, 2).
     """
     angles = np.linspace(0, 2 * np.pi, 73)
     values, vectors = np.linalg.eigh(covariance)
@@ -145,15 +129,7 @@ def ellipse(mean: Array, covariance: Array, deviations: float = 2.0) -> tuple[Ar
 
 
 def bars(axes: Axes, x: Array, heights: Array, width: float, colour: str) -> str:
-    """Upright bars from y = 0.
-
-    Args:
-        axes: The frame of the chart.
-        x: Middles of the bars, shape (n,).
-        heights: Shape (n,).
-        width: Of each bar, in units of x.
-        colour: For CSS.
-    """
+    """Upright bars from y = 0, with their middles at x and a width in units of x; x and heights of shape (n,)."""
     left, top = axes.place(np.asarray(x) - width / 2, heights)
     right, bottom = axes.place(np.asarray(x) + width / 2, np.zeros(len(x)))
     return "".join(
@@ -167,21 +143,15 @@ def whiskers(axes: Axes, x: Array, low: Array, high: Array, colour: str) -> str:
     """Upright intervals from low to high at x, shape (n,) each."""
     px, bottom = axes.place(x, low)
     _, top = axes.place(x, high)
-    marks = "".join(
-        f"M{a:.1f} {b:.1f}V{c:.1f}" for a, b, c in zip(px.tolist(), bottom.tolist(), top.tolist(), strict=True)
-    )
+    spans = zip(px.tolist(), bottom.tolist(), top.tolist(), strict=True)
+    marks = "".join(f"M{a:.1f} {b:.1f}V{c:.1f}" for a, b, c in spans)
     return f'<path d="{marks}" stroke="{colour}" stroke-width="1.5" fill="none"/>'
 
 
 def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence[str], unit: str = "s") -> str:
-    """A chart of the state at each time, with a lane for each state.
+    """A chart of stretches of time in a state, with a lane for each state.
 
-    Args:
-        starts: When each stretch begins, ascending, shape (n,).
-        stops: When each stretch ends, shape (n,).
-        states: Index of the state of each stretch.
-        names: Names of the states.
-        unit: Unit of the times.
+    The stretches ascend. Each has a start, a stop and the index of its state, shape (n,) each.
     """
     lane, left, width = 22.0, 90.0, 900.0
     span = max(float(stops[-1]) - float(starts[0]), 1e-9) if len(starts) else 1.0
@@ -220,12 +190,7 @@ def key(names: Sequence[str], bottom: float) -> str:
 
 
 def precision_recall(curves: Mapping[str, tuple[Array, Array]], caption: str) -> str:
-    """A figure of precision against recall.
-
-    Args:
-        curves: Name → recall and precision, shape (n,) each.
-        caption: Text below the figure.
-    """
+    """A figure of precision against recall, shape (n,) each, for each name."""
     axes, content = Axes((0, 1), (0, 1.02)), ""
     for index, (recall, precision) in enumerate(curves.values()):
         kept = _along(recall, precision)
@@ -242,13 +207,9 @@ def _along(recall: Array, precision: Array) -> Indices:
 
 
 def error_scatter(groups: Mapping[str, Array], x_label: str, y_label: str, caption: str) -> str:
-    """A figure of pairs of errors, with the ellipses that hold 95 % of normal distributions like them.
+    """A figure of pairs of errors, shape (n, 2) for each name, with ellipses that hold 95 % of normal ones like them.
 
-    Args:
-        groups: Name → errors, shape (n, 2) each.
-        x_label: What the first error of a pair is, with its unit.
-        y_label: What the second one is, with its unit.
-        caption: Text below the figure.
+    The labels of the axes name the first and the second error of a pair, each with its unit.
     """
     deviations = CHI_SQUARE_95**0.5
     rims = {name: ellipse(e.mean(axis=0), np.cov(e.T), deviations) for name, e in groups.items() if len(e) > 2}
@@ -283,18 +244,16 @@ def confusion_table(names: Sequence[str], counts: Array, shares: Array) -> str:
     """A confusion matrix as a table: counts and, under them, shares of the column; the darker the larger.
 
     Args:
-        names: Of the n classes.
+        names: Names of the n classes.
         counts: A row for each detected class and `missed`, a column for each true one and `background`, shape
             (n + 1, n + 1).
-        shares: Of the sum of the column, NaN where unknown, shape (n + 1, n + 1).
+        shares: Shares of the sum of the column, NaN where unknown, shape (n + 1, n + 1).
     """
     head = "".join(f"<th>{html.escape(name)}</th>" for name in [*names, "background"])
     lines = [f"<tr><th>detected as \\ true</th>{head}</tr>"]
     for row, name in enumerate([*names, "missed"]):
         known = len(names) + (row < len(names))  # how often nothing was taken for nothing is no number
-        cells = [
-            _share_cell(*pair) for pair in zip(counts[row, :known], np.nan_to_num(shares[row, :known]), strict=True)
-        ]
+        cells = map(_share_cell, counts[row, :known], np.nan_to_num(shares[row, :known]))
         lines.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}{'' if row < len(names) else '<td></td>'}</tr>")
     return '<table class="shares">\n' + "\n".join(lines) + "\n</table>"
 

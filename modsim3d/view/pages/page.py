@@ -48,13 +48,7 @@ def heading(text: str) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), bad: Container[int] = ()) -> str:
-    """A table; what looks like a number is set to the right, and so is what stands above numbers.
-
-    Args:
-        rows: Cells of each.
-        header: Names of the columns.
-        bad: Indices of rows that are to stand out.
-    """
+    """A table of rows under a header; numbers and what stands above them are set to the right, bad rows stand out."""
     below = rows[0] if rows else [""] * len(header)
     head = "".join(_cell(name, under, "th") for name, under in zip(header, below, strict=False))
     lines = [f"<tr>{head}</tr>"] if header else []
@@ -64,7 +58,7 @@ def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), bad: Contai
 
 
 def _cell(text: str, number: str | None = None, tag: str = "td") -> str:
-    """A cell that is set as `number` is, or else as its own text."""
+    """A cell, set to the right if `number`, or else its own text, looks like a number."""
     kind = ' class="number"' if (text if number is None else number).lstrip("-−")[:1].isdigit() else ""
     return f"<{tag}{kind}>{html.escape(text)}</{tag}>"
 

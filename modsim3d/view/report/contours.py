@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Array, Indices, Mask
 
 PLACE_BITS = 17
 """Bits of a coordinate in a vertex's number."""
@@ -33,11 +33,9 @@ class Contours:
 
 
 def contours(shape: Indices, corners: Indices) -> Contours:
-    """The lines around what triangles cover.
+    """Find the lines around what the triangles of each shape cover, by the index of the shape, shape (T,).
 
-    Args:
-        shape: Index of the shape that each triangle belongs to, shape (T,).
-        corners: Whole numbers from 0 to 65,535, all triangles the same way round, shape (T, 3, 2).
+    The corners are whole numbers from 0 to 65,535, shape (T, 3, 2), and all triangles run the same way round.
     """
     place = (corners[..., 0] << PLACE_BITS) + corners[..., 1]
     number, vertex = np.unique((shape[:, None] << 2 * PLACE_BITS) + place, return_inverse=True)
@@ -56,10 +54,7 @@ def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Ind
     edge, which = np.unique(low * vertices + high, return_inverse=True)
     net = np.bincount(which.reshape(-1), np.sign(end - start), len(edge)).astype(np.int64)
     low, high = np.divmod(edge, vertices) if vertices else (edge, edge)
-    forth, back = (
-        np.repeat(np.arange(len(edge)), np.maximum(net, 0)),
-        np.repeat(np.arange(len(edge)), np.maximum(-net, 0)),
-    )
+    forth, back = (np.repeat(np.arange(len(edge)), np.maximum(sign * net, 0)) for sign in (1, -1))
     return np.concatenate([low[forth], high[back]]), np.concatenate([high[forth], low[back]])
 
 
@@ -83,3 +78,22 @@ def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
         if len(line) > begun:
             count.append(len(line) - begun)
     return np.array(line, dtype=np.int64), np.array(count, dtype=np.int64)
+
+
+def one_way_round(corners_px: Array, corners: Indices, closed: Mask) -> tuple[Mask, Indices]:
+    """The triangles that a contour needs, all the same way round; of a closed solid only those that face the camera.
+
+    Args:
+        corners_px: Corners in pixels of the image, shape (T, 3, 2).
+        corners: The same in the units of `contours`, shape (T, 3, 2).
+        closed: Whether a triangle's solid is closed, shape (T,).
+
+    Returns:
+        Which triangles are needed, shape (T,), and their corners in those units, shape (T', 3, 2).
+    """
+    a, b, c = np.moveaxis(corners_px, 1, 0)
+    # Rows run downwards: the area of a face turned to the camera is positive this way round.
+    doubled = (b - a)[:, 1] * (c - a)[:, 0] - (b - a)[:, 0] * (c - a)[:, 1]
+    kept = np.where(closed, doubled, np.abs(doubled)) > 0
+    turned = np.where((doubled < 0)[:, None, None], corners[:, ::-1], corners)
+    return kept, turned[kept]

@@ -1,39 +1,43 @@
-"""The page of a run, from its directory."""
+"""The page of a run, from its directory: the player's files, the recording and the tables in one file of HTML."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import html
 import os
+import re
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+import orjson
 
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.columns import indices
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.report.count_tables import CountTables
-from modsim3d.view.report.page import Page, report_page
-from modsim3d.view.report.run_recording import recording
+from modsim3d.view.pages.page import heading, table
+from modsim3d.view.report.count_tables import STATE_HEADER, VESSEL_HEADER, CountTables, named_values
+from modsim3d.view.report.player_recording import recording
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
+SCRIPTS = ("recording.js", "picture.js", "timeline.js", "player.js")
+"""In the order in which they need each other; in the page they are one script."""
 
 
 def write_report(
     run: StoredRun, out: Path | None = None, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Path:
-    """Write the page of a run.
+    """Write the page of a run and return its file; the same run gives the same bytes.
 
     Args:
-        run: A finished or an interrupted one.
+        run: A finished or an interrupted run.
         out: The file; `report.html` in the run directory if None.
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
-
-    Returns:
-        The file.
 
     Raises:
         RunDirectoryError: An interrupted run has kept nothing yet, or the file cannot be written.
@@ -44,48 +48,90 @@ def write_report(
             "go on with modsim3d run --resume"
         )
     out = run.folder / REPORT_FILE if out is None else out
-    rows, scene = RunRows.of(run), run.scene
-    count_tables = _count_tables(rows)
-    page = Page(
-        name=scene.name,
-        recording=recording(rows, every, progress),
-        settings=run.settings,
-        overall=count_tables.overall(),
-        by_vessel=count_tables.by_vessel(scene.vessel_names),
-        by_state=count_tables.by_state([state.name for state in scene.detector.states]),
-        steps=run.steps,
-        planned_steps=scene.steps,
-        finished=run.finished,
-        every=every,
-        related=_related(run.folder, out),
-    )
+    page = _page(run, every, out, progress)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(report_page(page), encoding="utf-8")
+        out.write_text(page, encoding="utf-8")
     except OSError as error:
         raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
     return out
 
 
-def _count_tables(rows: RunRows) -> CountTables:
-    """The columns that are counted for the tables of the page."""
-    known, labels = rows.drawn_vessel >= 0, rows.scene.detector.labels
-    true_label = np.array([labels.index(vessel.label) for vessel in rows.scene.vessels])
-    label = indices(rows.drawn, "label", labels)
-    return CountTables(
-        frame_state=rows.frame_state,
-        vessel=rows.truth_vessel,
-        state=rows.states_of(rows.truth_frame),
-        silhouette_px=rows.numbers("silhouette_px"),
-        visible_px=rows.numbers("visible_px"),
-        annotated=rows.annotated,
-        detected=rows.detected,
-        false_state=rows.states_of(rows.drawn_frame[~known]),
-        mislabelled=int((label[known] != true_label[rows.drawn_vessel[known]]).sum()),
+def _page(run: StoredRun, every: int, out: Path, progress: Callable[[int], None]) -> str:
+    rows = RunRows.of(run)
+    frames = recording(rows, every, progress)
+    index, columns = frames.packed()
+    script = "\n".join(_part(name) for name in SCRIPTS)
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    parts = {
+        "title": html.escape(f"{run.scene.name}: report of a run"),
+        "name": html.escape(run.scene.name),
+        # No script but this one runs and nothing is fetched, whatever a vessel is called.
+        "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
+        "style": _part("style.css"),
+        "lead": html.escape(_lead(frames.facts)),
+        "notes": _notes(run, every, out),
+        "tables": _tables(CountTables(rows), run.settings),
+        "facts": _json_in_html({**frames.facts, "columns": index}),
+        "columns": columns,
+        "script": script,
+    }
+    # In one pass: what is put in is not looked at again.
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], _part("page.html"))
+
+
+def _part(name: str) -> str:
+    return (files("modsim3d.view.report") / name).read_text(encoding="utf-8")
+
+
+def _json_in_html(value: object) -> str:
+    """JSON that no HTML parser finds a tag in."""
+    text = orjson.dumps(value).decode("utf-8")
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _lead(facts: dict[str, Any]) -> str:
+    cameras, vessels = _count(len(facts["cameras"]), "simulated camera"), _count(len(facts["vessels"]), "vessel")
+    return (
+        f"What {cameras} saw of {vessels} in {facts['times'][-1]:g} s, and what a "
+        "simulated vessel detector made of it. The truth is known exactly, so every miss and every false alarm is "
+        "marked."
     )
 
 
-def _related(folder: Path, out: Path) -> list[tuple[str, str]]:
-    """Links, as seen from the page, to what other commands have written into the run directory, and what they are."""
-    base = Path(os.path.relpath(folder.resolve(), out.parent.resolve()))
-    return [((base / name).as_posix(), text) for name, text in RELATED.items() if (folder / name).is_file()]
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def _notes(run: StoredRun, every: int, out: Path) -> str:
+    """What the page does not show, and links to what other commands have written into the run directory."""
+    notes = []
+    if not run.finished:
+        notes.append(
+            f"<p class=warning><strong>This run was interrupted.</strong> {run.steps} of {run.scene.steps} steps "
+            "are there and shown; <code>modsim3d run --resume</code> goes on with it.</p>"
+        )
+    if every > 1:
+        notes.append(f"<p class=soft>Every {every}th step is shown; the tables count all of them.</p>")
+    folder = Path(os.path.relpath(run.folder.resolve(), out.parent.resolve()))
+    links = [
+        f'<a href="{html.escape((folder / name).as_posix(), quote=True)}">{html.escape(text)}</a>'
+        for name, text in RELATED.items()
+        if (run.folder / name).is_file()
+    ]
+    if links:
+        notes.append(f"<p>Also of this run: {', '.join(links)}</p>")
+    return "\n".join(notes)
+
+
+def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
+    parts = [
+        ("What happened", counts.overall(), ()),
+        ("By performance state of the detector", counts.by_state(), STATE_HEADER),
+        ("By vessel", counts.by_vessel(), VESSEL_HEADER),
+        ("Settings and versions", named_values(settings), ()),
+    ]
+    return "\n".join(
+        f"<section>{heading(title)}<div class=scroll>{table(rows, header)}</div></section>"
+        for title, rows, header in parts
+    )

@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 
 from modsim3d.render import context
-from tests.commands.bad_input.builders import DELETED, GOOD, Call, Inputs, at
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.commands.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs
 
 # ---- the command line -------------------------------------------------------------------------------------------
 
@@ -192,16 +194,18 @@ def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs) -> None:
 
 
 def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, tmp_path: Path) -> None:
-    inputs.data["poses"] = {f"{t}.0": {"vehicle1": at(t, 0.0), "vehicle2": at(t + 40.0, 6.0)} for t in range(200)}
-    out = tmp_path / "out"
-    arguments = ("run", inputs.write(), "--out", out, "--no-sheet")
+    # Poses that need no file, so that the disk is full only after the scene has been copied.
+    inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 120, "time_step_s": 0.5}
+    scene, out = inputs.write(), tmp_path / "out"
 
     def small_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
-    done = process(*arguments, preexec_fn=small_files)
+    done = process("run", scene, "--out", out, "--no-sheet", preexec_fn=small_files)
     assert done.returncode == 2, done.stderr
     assert f"{out} cannot be written to" in done.stderr
+    assert "what was finished is kept: go on with --resume" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (out / "run.json").exists()
-    assert process(*arguments, "--resume").returncode == 0
+    run_scene(load_scene(scene), out, resume=True)
+    assert (out / "run.json").exists()

@@ -17,10 +17,9 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import data_folder, load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.films.renderer import open_drawer
+from modsim3d.view.pictures.solids import Solids, open_id_renderer
+from modsim3d.view.pictures.window import Window
 from modsim3d.view.report.report import REPORT_FILE, write_report
-from modsim3d.view.solids import Solids
-from modsim3d.view.window import Window
 from tests.view.report.browser import Browser
 
 STEPS = 6
@@ -66,8 +65,8 @@ def _gate() -> str:
 def owners_buffer(scene: Scene, camera: int, step: int) -> NDArray[np.int64]:
     """Owner + 1 at each pixel; zero where nothing is."""
     width, height = scene.cameras[camera].intrinsics.image_size_px
-    with open_drawer(scene) as drawer:
-        ids = Solids.at(scene, scene.cameras[camera], step).ids(Window(0, 0, 1, (width, height)), drawer)
+    with open_id_renderer(scene) as id_renderer:
+        ids = Solids.at(scene, scene.cameras[camera], step).ids(Window(0, 0, 1, (width, height)), id_renderer)
     return ids.astype(np.int64)
 
 

@@ -21,8 +21,9 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.view.report.recording import NONE, UNKNOWN_FRACTION, WHOLE, in_250ths, in_quanta, quantum_px
+from modsim3d.view.report.player_recording import UNKNOWN_FRACTION, WHOLE, in_250ths, in_quanta, quantum_px
 from modsim3d.view.report.report import write_report
+from modsim3d.view.report.silhouettes import NONE
 from tests.view.report.conftest import STEPS
 
 

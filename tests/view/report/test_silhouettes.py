@@ -11,7 +11,8 @@ from modsim3d.geometry.rotations import world_R_vehicle
 from modsim3d.truth.outlines import outline
 from modsim3d.vessels.bodies import vessel_bodies
 from modsim3d.view.report.contours import contours
-from modsim3d.view.report.silhouettes import in_front, painting_order, shapes
+from modsim3d.view.report.painting_order import in_front, painting_order
+from modsim3d.view.report.silhouettes import shapes
 from tests.scenes import INTRINSICS, outlines_of, vessel
 
 NONE = np.empty(0, dtype=np.int64)

@@ -1,0 +1,151 @@
+"""Lines, boxes and text on a picture, scaled to its width."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from modsim3d.arrays import Array
+from modsim3d.view.palette import INK, Colour, ink_on
+from modsim3d.view.pictures.window import Box
+
+NOMINAL_PX = 1280
+"""Width of a picture for which the sizes below are meant."""
+TEXT_PX, LEAST_TEXT_PX = 15, 11
+LINE_PX = 2.0
+SMOOTH = 4
+"""Slanted lines are drawn larger by this factor, in a small mask, and shrunk."""
+
+
+@cache
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The font that comes with Pillow, so that pictures are the same everywhere."""
+    return ImageFont.load_default(size)
+
+
+@cache
+def text_size(text: str, size: int) -> tuple[int, int, int, int]:
+    """Bounding box of a text set at (0, 0): left, top, right and bottom in pixels."""
+    left, top, right, bottom = font(size).getbbox(text)
+    return int(left), int(top), int(right), int(bottom)
+
+
+class Canvas:
+    """Draws on one picture."""
+
+    def __init__(self, picture: Image.Image, width_px: int | None = None) -> None:
+        """Scale lines and text for a picture of a width in pixels; its own if None."""
+        self.picture = picture
+        self.draw = ImageDraw.Draw(picture)
+        self.unit = (width_px or picture.width) / NOMINAL_PX
+        self.text_px = max(LEAST_TEXT_PX, round(TEXT_PX * self.unit))
+        self._pad = max(2, round(self.text_px * 0.27))
+
+    def line_px(self, weight: float = 1.0) -> int:
+        """Thickness of a line of a weight, at least one pixel."""
+        return max(1, round(LINE_PX * weight * self.unit))
+
+    def _on_picture(self, box: Box, width: int) -> tuple[int, int, int, int] | None:
+        """A box in whole pixels, cut just outside the picture; None if it is not to be seen."""
+        x0, y0, x1, y1 = (round(side) for side in box)
+        w, h = self.picture.size
+        x0, y0, x1, y1 = max(x0, -2 * width), max(y0, -2 * width), min(x1 - 1, w + width), min(y1 - 1, h + width)
+        return (x0, y0, max(x1, x0), max(y1, y0)) if x1 >= 0 and y1 >= 0 and x0 < w and y0 < h else None
+
+    def box(self, box: Box, colour: Colour, weight: float = 1.0, *, halo: bool = False) -> None:
+        """A box as an outline; a halo keeps it apart from a background of its own colour."""
+        width = self.line_px(weight)
+        if (corners := self._on_picture(box, width)) is None:
+            return
+        if halo:
+            x0, y0, x1, y1 = corners
+            self.draw.rectangle((x0 - 1, y0 - 1, x1 + 1, y1 + 1), outline=INK, width=1)
+        self.draw.rectangle(corners, outline=colour, width=width)
+
+    def dashed_box(self, box: Box, colour: Colour, weight: float = 1.0, dash_px: float = 7.0) -> None:
+        """A box as a dashed outline; dashes begin at its corners."""
+        width = self.line_px(weight)
+        if (corners := self._on_picture(box, width)) is None:
+            return
+        x0, y0, x1, y1 = corners
+        dash = max(2, round(dash_px * max(self.unit, 0.6)))
+        for x in range(x0, x1 + 1, 2 * dash):
+            end = min(x + dash - 1, x1)
+            self.draw.rectangle((x, y0, end, min(y0 + width - 1, y1)), fill=colour)
+            self.draw.rectangle((x, max(y1 - width + 1, y0), end, y1), fill=colour)
+        for y in range(y0, y1 + 1, 2 * dash):
+            end = min(y + dash - 1, y1)
+            self.draw.rectangle((x0, y, min(x0 + width - 1, x1), end), fill=colour)
+            self.draw.rectangle((max(x1 - width + 1, x0), y, x1, end), fill=colour)
+
+    def brackets(self, box: Box, colour: Colour, weight: float = 1.0) -> None:
+        """The four corners of a box, a little outside it."""
+        width = self.line_px(weight)
+        gap = 2 * width
+        if (corners := self._on_picture((box[0] - gap, box[1] - gap, box[2] + gap, box[3] + gap), width)) is None:
+            return
+        x0, y0, x1, y1 = corners
+        arm = max(2 * width, round(min(max(x1 - x0, y1 - y0) / 4, 18 * max(self.unit, 0.4))))
+        for x, toward_x in ((x0, 1), (x1, -1)):
+            for y, toward_y in ((y0, 1), (y1, -1)):
+                for to_x, to_y in ((arm, width), (width, arm)):
+                    far_x, far_y = x + toward_x * (to_x - 1), y + toward_y * (to_y - 1)
+                    self.draw.rectangle((min(x, far_x), min(y, far_y), max(x, far_x), max(y, far_y)), fill=colour)
+
+    def crossed(self, box: Box, colour: Colour, weight: float = 0.5) -> None:
+        """The two diagonals of a box."""
+        x0, y0, x1, y1 = box
+        self.segments(np.array([[[x0, y0], [x1, y1]], [[x0, y1], [x1, y0]]]), colour, weight)
+
+    def segments(self, segments: Array, colour: Colour, weight: float = 1.0) -> None:
+        """Slanted lines without steps; their ends in pixels of the picture, shape (n, 2, 2)."""
+        width = LINE_PX * weight * self.unit
+        w, h = self.picture.size
+        margin = width + 1
+        kept = [cut for line in segments if (cut := _cut(line, (-margin, -margin, w + margin, h + margin))) is not None]
+        if not kept:
+            return
+        lines = np.array(kept)
+        low = np.maximum(np.floor(lines.min(axis=(0, 1)) - margin), 0).astype(int)
+        high = np.minimum(np.ceil(lines.max(axis=(0, 1)) + margin), (w, h)).astype(int)
+        size = np.maximum(high - low, 1)
+        factor = SMOOTH if size.prod() < 200_000 else 2
+        mask = Image.new("L", tuple((size * factor).tolist()))
+        draw = ImageDraw.Draw(mask)
+        for line in ((lines - low) * factor).reshape(-1, 4).tolist():
+            draw.line(line, fill=255, width=max(1, round(max(width, 1.0) * factor)))
+        self.picture.paste(colour, tuple(low.tolist()), mask.reduce(factor))
+
+    def plate_size(self, text: str) -> tuple[int, int]:
+        """Width and height of a text on its plate."""
+        left, top, right, bottom = text_size(text, self.text_px)
+        return right - left + 2 * self._pad, bottom - top + 2 * self._pad
+
+    def plate(self, x: int, y: int, text: str, colour: Colour) -> None:
+        """Text on a plate of a colour, its top-left corner at (x, y)."""
+        width, height = self.plate_size(text)
+        left, top, _, _ = text_size(text, self.text_px)
+        self.draw.rectangle((x, y, x + width - 1, y + height - 1), fill=colour)
+        place = x + self._pad - left, y + self._pad - top
+        self.draw.text(place, text, fill=ink_on(colour), font=font(self.text_px))
+
+
+def _cut(line: Array, box: Box) -> Array | None:
+    """The part of a segment (2, 2) inside a box (Liang & Barsky, 1984); None if there is none or an end is NaN."""
+    if not np.isfinite(line).all():
+        return None
+    start, step = line[0], line[1] - line[0]
+    first, last = 0.0, 1.0
+    for axis in (0, 1):
+        for sign, limit in ((-1, -box[axis]), (1, box[axis + 2])):
+            slope, room = sign * step[axis], limit - sign * start[axis]
+            if slope == 0:
+                if room < 0:
+                    return None
+            elif slope > 0:
+                last = min(last, room / slope)
+            else:
+                first = max(first, room / slope)
+    return np.array([start + first * step, start + last * step]) if first <= last else None

@@ -1,0 +1,62 @@
+"""The layers of a picture of a frame, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+from modsim3d.errors import ModsimError
+
+
+@dataclass(frozen=True)
+class Layers:
+    """The layers that are drawn, the first at the bottom.
+
+    Attributes:
+        horizon: A line between sea and sky.
+        silhouettes: The visible part of each vessel, filled.
+        hatching: The hidden part of each vessel, hatched.
+        wires: The edges of each vessel's shoebox.
+        points: Its projected corner points.
+        full: The box of the whole silhouette, where another one is annotated.
+        visible: The box of the visible part, where another one is annotated.
+        truth: The annotated box.
+        fractions: The visible fraction of a vessel that is hidden in part.
+        missed: Annotated vessels without a detection.
+        false_positives: Detections without a vessel.
+        detections: Detections of vessels.
+        labels: Class and confidence of detections, and the names of missed vessels.
+    """
+
+    horizon: bool = False
+    silhouettes: bool = False
+    hatching: bool = False
+    wires: bool = False
+    points: bool = False
+    full: bool = False
+    visible: bool = False
+    truth: bool = False
+    fractions: bool = False
+    missed: bool = False
+    false_positives: bool = False
+    detections: bool = False
+    labels: bool = False
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Layers:
+        """Layers by their names.
+
+        Raises:
+            ModsimError: One has no such name.
+        """
+        known = [entry.name for entry in fields(cls)]
+        asked = list(names)
+        if unknown := [name for name in asked if name not in known]:
+            raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
+        return cls(**dict.fromkeys(asked, True))
+
+
+CORNERS = Layers.of(["horizon", "wires", "points"])
+SCENE = Layers.of(["horizon", "silhouettes"])
+BOXES = ("full", "visible", "truth", "fractions", "missed", "false_positives", "detections", "labels")
+DETECTIONS = Layers.of(["horizon", "silhouettes", *BOXES])

@@ -1,0 +1,106 @@
+"""Legends: samples of lines and colours with what they mean, wrapped to the width of the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from PIL import Image
+
+from modsim3d.view import palette
+from modsim3d.view.palette import Colour
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.layers import Layers
+
+MOST_VESSELS = 40
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry of a legend: a sample of a colour, and what it means."""
+
+    text: str
+    colour: Colour
+    style: Literal["box", "dashed", "false", "missed", "hatched", "filled"] = "box"
+
+
+def detection_entries(layers: Layers, mode: int) -> list[Entry]:
+    """The legend of the boxes of some layers, in an annotation mode."""
+    shown = (
+        (layers.truth, Entry("truth", palette.TRUTH)),
+        (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
+        (layers.visible and mode < 2, Entry("visible part", palette.TRUTH, "dashed")),
+        (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
+        (layers.missed, Entry("missed", palette.ALARM, "missed")),
+        (layers.false_positives, Entry("false positive", palette.ALARM, "false")),
+        (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
+    )
+    return [entry for drawn, entry in shown if drawn]
+
+
+def vessel_entries(names: Sequence[str]) -> list[Entry]:
+    """The legend of vessels, with their numbers."""
+    return _first_ones([Entry(f"{i + 1} {name}", palette.vessel_colour(i), "filled") for i, name in enumerate(names)])
+
+
+def id_entries(vessels: Sequence[str], obstacles: Sequence[str]) -> list[Entry]:
+    """The legend of an ID map with vessels and obstacles of these names."""
+    land = [Entry(f"{letters(i)} {name}", palette.obstacle_colour(i), "filled") for i, name in enumerate(obstacles)]
+    return [*vessel_entries(vessels), *_first_ones(land), Entry("hidden", palette.VESSELS[0], "hatched")]
+
+
+def letters(index: int) -> str:
+    """The letters of an obstacle on an ID map, where vessels have numbers: a to z, aa, ab, ..."""
+    rest, last = divmod(index, 26)
+    return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
+
+
+def _first_ones(entries: list[Entry]) -> list[Entry]:
+    if len(entries) <= MOST_VESSELS:
+        return entries
+    return [*entries[:MOST_VESSELS], Entry(f"and {len(entries) - MOST_VESSELS} more", palette.PAPER, "filled")]
+
+
+def legend(entries: Sequence[Entry], width: int, text_px: int) -> Image.Image:
+    """A strip of the given width, as high as its entries need: 0 without any."""
+    rows: list[list[tuple[int, Entry]]] = [[]] if entries else []
+    x = text_px // 2
+    for entry in entries:
+        needed = 3 * text_px + text_size(entry.text, text_px)[2]
+        if x + needed > width and rows[-1]:
+            rows.append([])
+            x = text_px // 2
+        rows[-1].append((x, entry))
+        x += needed + text_px
+    line = round(1.8 * text_px)
+    strip = Image.new("RGB", (width, line * len(rows)), palette.PAPER)
+    canvas = Canvas(strip, 85 * text_px)
+    for row, placed in enumerate(rows):
+        for left, entry in placed:
+            _entry(canvas, entry, left, row * line, text_px)
+    return strip
+
+
+def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
+    chip = (x, y + round(0.35 * text_px), x + 2 * text_px, y + round(1.5 * text_px))
+    ground = entry.colour if entry.style == "filled" else palette.SEA
+    canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=ground)
+    inset = text_px // 6 + 1
+    box = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
+    if entry.style == "dashed":
+        canvas.dashed_box(box, entry.colour, 0.75, 4.0)
+    elif entry.style == "missed":
+        canvas.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
+    elif entry.style == "false":
+        canvas.crossed(box, entry.colour)
+        canvas.dashed_box(box, entry.colour, 1.0, 4.0)
+    elif entry.style == "hatched":
+        for start in range(chip[0], chip[2], 6):
+            top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
+            canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
+    elif entry.style == "box":
+        canvas.box(box, entry.colour, 1.0)
+    _, high, _, low = text_size("Ag", text_px)
+    middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
+    canvas.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))

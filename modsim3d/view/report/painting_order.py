@@ -1,0 +1,146 @@
+"""The order in which silhouettes are painted over each other, so that each pixel shows what is in front."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, defaultdict
+from dataclasses import replace
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.truth.occlusion_order import order_of_pairs
+from modsim3d.truth.outlines import Outlines, Part
+from modsim3d.truth.overlaps import overlapping_pairs
+from modsim3d.vessels.vessel import shoebox
+
+
+def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
+    """Which rows of the outlines may hide which others of their frame in part.
+
+    A plane between two solids, or between the boxes around them, tells which one is in front. Without such a plane the
+    truth decides, if one of the two hides the other and not the other way round. It does not say what vessels hide of
+    obstacles.
+
+    Args:
+        outlines: The solids before the camera.
+        occluder_count: Number of the scene's occluder names.
+        hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth,
+            shape (m,).
+
+    Returns:
+        The rows that may be hidden, shape (p,), and for each of them the one that may hide it, shape (p,).
+    """
+    boxes = replace(outlines, parts=tuple(map(_in_a_box, outlines.parts)))
+    first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
+    others = outlines.occluder[first] != outlines.occluder[second]
+    order = order_of_pairs(boxes, first[others], second[others])
+    one, other = order.first[order.intersecting], order.second[order.intersecting]
+    one_hides = np.isin(_keys(outlines, other, one, occluder_count), hides)
+    other_hides = np.isin(_keys(outlines, one, other, occluder_count), hides)
+    by_one, by_other = one_hides & ~other_hides, other_hides & ~one_hides
+    hidden = (order.second[order.first_can_hide], order.first[order.second_can_hide], other[by_one], one[by_other])
+    hider = (order.first[order.first_can_hide], order.second[order.second_can_hide], one[by_one], other[by_other])
+    return np.concatenate(hidden), np.concatenate(hider)
+
+
+def _in_a_box(part: Part) -> Part:
+    """Boxes around solids that are not convex, whose vertices are those of one solid, stretched and placed."""
+    if part.solid.convex:
+        return part
+    unit = part.solid.vertices
+    low, high = unit.min(axis=0), unit.max(axis=0)
+    corners = low + (high - low) * (shoebox().vertices + np.array([0.5, 0.5, 0.0]))
+    placed = np.linalg.pinv(np.column_stack([unit, np.ones(len(unit))])) @ part.vertices_camera
+    boxes = np.column_stack([corners, np.ones(len(corners))]) @ placed
+    return Part(shoebox(), part.rows, boxes, np.full((*boxes.shape[:2], 2), np.nan))
+
+
+def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
+    """Keys of pairs of rows, as `in_front` describes them, shape (p,)."""
+    keys: Indices = (
+        outlines.frame[hidden] * occluder_count + outlines.occluder[hidden]
+    ) * occluder_count + outlines.occluder[hider]
+    return keys
+
+
+def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: Indices, hider: Indices) -> Indices:
+    """Sort rows so that each is painted after what it hides, and otherwise the farthest first.
+
+    Sorting by depth alone could paint a long ship over the boat that lies in front of its stern.
+
+    Args:
+        frame: Frame of each row, ascending, shape (n,).
+        depth_m: Depth of each row, shape (n,).
+        occluder: Occluder of each row, shape (n,). The pieces of one are painted together where possible.
+        hidden: Rows that may be hidden in part, shape (p,).
+        hider: For each of them, the row of the same frame that may hide it, shape (p,).
+
+    Returns:
+        A permutation of the rows, in order of frame, shape (n,).
+    """
+    order = np.lexsort((-depth_m, frame))
+    place = np.argsort(order)
+    wrong = frame[hidden[place[hidden] > place[hider]]]
+    frame_and_occluder = frame * (int(occluder.max(initial=0)) + 1) + occluder
+    _, first, pieces = np.unique(frame_and_occluder, return_index=True, return_counts=True)
+    wrong = np.union1d(wrong, frame[first[pieces > 1]])
+    in_question = np.isin(frame[hidden], wrong)
+    before: dict[int, list[int]] = defaultdict(list)
+    for back, front in zip(hidden[in_question].tolist(), hider[in_question].tolist(), strict=True):
+        before[back].append(front)
+    for crowded in wrong:
+        rows = slice(*np.searchsorted(frame, (crowded, crowded + 1)))
+        order[rows] = _behind_first(order[rows].tolist(), occluder, before)
+    return order
+
+
+def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, list[int]]) -> list[int]:
+    """Sort the rows of a frame so that each comes before those in front of it.
+
+    Rows of the occluder painted last come next if they may, then farther ones before nearer ones. Where three hide each
+    other in a ring, the farthest comes first. `before` holds the rows in front of each row.
+    """
+    behind = Counter(front for row in far_to_near for front in before.get(row, ()))
+    free = _FreeRows(far_to_near, occluder)
+    for row in far_to_near:
+        if not behind[row]:
+            free.add(row)
+    while len(free.painted) < len(far_to_near):
+        for front in before.get(free.paint_next(), ()):
+            behind[front] -= 1
+            if not behind[front]:
+                free.add(front)
+    return list(free.painted)
+
+
+class _FreeRows:
+    """The rows of a frame that may be painted, as nothing unpainted is behind them, and what was painted so far."""
+
+    def __init__(self, far_to_near: list[int], occluder: Indices) -> None:
+        """Begin with no free row of a frame."""
+        self.painted: dict[int, None] = {}
+        self._rows, self._occluder = far_to_near, occluder
+        self._place = {row: place for place, row in enumerate(far_to_near)}
+        self._free: list[int] = []
+        self._free_of: dict[int, list[int]] = defaultdict(list)
+        self._last_occluder = -1
+
+    def add(self, row: int) -> None:
+        """Let a row be painted."""
+        heapq.heappush(self._free, self._place[row])
+        heapq.heappush(self._free_of[int(self._occluder[row])], self._place[row])
+
+    def paint_next(self) -> int:
+        """Take the next row; the farthest one that is left if none is free."""
+        for queue in (self._free_of[self._last_occluder], self._free):
+            while queue:
+                row = self._rows[heapq.heappop(queue)]
+                if row not in self.painted:
+                    return self._paint(row)
+        return self._paint(next(row for row in self._rows if row not in self.painted))
+
+    def _paint(self, row: int) -> int:
+        self.painted[row] = None
+        self._last_occluder = int(self._occluder[row])
+        return row

@@ -1,0 +1,1 @@
+"""Pictures in light and shade, in weather and by night."""

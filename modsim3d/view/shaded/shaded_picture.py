@@ -1,0 +1,218 @@
+"""A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
+
+Which pixel shows which vessel is as in the ID buffer of the same size. Light, fog and night are illustration: the
+simulation does not use them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from modsim3d.arrays import Array
+from modsim3d.geometry.camera import Intrinsics
+from modsim3d.geometry.camera_poses import CameraPoses
+from modsim3d.render.id_pass import SUBPIXELS, Region
+from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
+from modsim3d.vessels.vessel import Vessel
+from modsim3d.view import palette
+from modsim3d.view.pictures.canvas import Canvas, font, text_size
+from modsim3d.view.pictures.plain import occluder_colour
+from modsim3d.view.pictures.solids import SUN, Solids
+from modsim3d.view.pictures.window import Window
+from modsim3d.view.shaded.navigation_lights import glow, lights
+from modsim3d.view.shaded.render_style import RenderStyle
+from modsim3d.view.shaded.sea_and_sky import Backdrop, Floats, Rays, backdrop, fogged
+
+SAMPLES = 2
+"""Solids are drawn this much larger and shrunk, so that their edges have no steps."""
+REFLECTION = 0.8
+"""Share of a vessel's light that a calm sea would show."""
+SMEAR = 6
+"""Pixels, at a width of 1280, by which ripples move a reflection."""
+OVERHEAD = np.array([0.2, -0.3, 1.0])
+"""Direction to the part of the sky that is brightest apart from the sun, in the world."""
+
+
+class ShadedPictureRenderer:
+    """Draws shaded pictures in one style. It keeps the backdrop of a camera that does not move."""
+
+    def __init__(self, renderer: ShadedRenderer, style: RenderStyle) -> None:
+        """Take the renderer, which lives as long as its context."""
+        self.style = style
+        self._renderer = renderer
+        self._behind: dict[tuple[Intrinsics, Window], tuple[Array, Backdrop]] = {}
+
+    def picture(
+        self, solids: Solids, window: Window, vessels: tuple[Vessel, ...] = (), samples: int = SAMPLES
+    ) -> Image.Image:
+        """A shaded picture.
+
+        Args:
+            solids: The solids before the camera.
+            window: The part of its image to show, and how large.
+            vessels: All vessels of the scene, whose lights are shown by night.
+            samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
+        """
+        poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
+        rays = _rays(intrinsics, window)
+        behind = self._backdrop(rays, poses, intrinsics, window)
+        rgb = behind.colour.copy()
+        faces = lit_faces(solids)
+        if len(faces.colours):
+            self._reflect(rgb, behind, faces, solids, window)
+            depth_m = self._stand(rgb, rays, faces, solids, window, samples)
+            if self.style.night and vessels:
+                self._lights(rgb, depth_m, solids, window, vessels)
+        rgb[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
+        picture = Image.fromarray((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
+        if self.style.caption:
+            _write(picture, self.style.caption)
+        return picture
+
+    def _backdrop(self, rays: Rays, poses: CameraPoses, intrinsics: Intrinsics, window: Window) -> Backdrop:
+        """Sea and sky; kept from the last picture if the camera has not moved."""
+        pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
+        known = self._behind.get((intrinsics, window))
+        if known is None or not np.array_equal(known[0], pose):
+            focal_px = intrinsics.focal_px[0] * window.scale
+            behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.style)
+            known = self._behind[intrinsics, window] = pose, behind
+        return known[1]
+
+    def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
+        """Faces in a region of a window."""
+        to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
+        corner = window.x * window.scale + region.x, window.y * window.scale + region.y
+        to_picture[:2, 2] = -samples * np.array(corner)
+        lamps, ambient = _lamps(solids.sight.camera_poses.camera_R_world[0], self.style)
+        size = (region.width * samples, region.height * samples)
+        pixels = to_picture @ solids.intrinsics.matrix
+        return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
+
+    def _stand(self, rgb: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int) -> Floats:
+        """Draw the solids; returns their depth in metres at each pixel, infinite where there is none, shape (h, w)."""
+        depth_m = np.full(rgb.shape[:2], np.inf, np.float32)
+        region = _region(faces, solids, window)
+        if not region.width or not region.height:
+            return depth_m
+        lit = self._lit(faces, solids, window, region, samples)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        colour = lit.colour
+        if self.style.extinction_per_m:
+            along = np.repeat(np.repeat(rays.camera[here][..., 2], samples, axis=0), samples, axis=1)
+            misty = fogged(colour / np.float32(255), np.where(lit.drawn, lit.depth_m, 0) / along, self.style)
+            colour = np.rint(misty * lit.drawn[..., None] * 255).astype(np.uint8)
+        cover = _reduced(lit.drawn * np.uint8(255), samples)[..., None]
+        rgb[here] = rgb[here] * (1 - cover) + _reduced(colour, samples)
+        depth_m[here] = lit.depth_m[::samples, ::samples]
+        return depth_m
+
+    def _lights(
+        self, rgb: Floats, depth_m: Floats, solids: Solids, window: Window, vessels: tuple[Vessel, ...]
+    ) -> None:
+        """Draw the lights that nothing hides."""
+        places, colours = lights(solids.sight, vessels)
+        seen = solids.sight.camera_poses.to_camera(places[None])[0]
+        pixels = window.to_picture(solids.intrinsics.project(seen))
+        width, height = window.size
+        for place, colour, pixel in zip(seen, colours, pixels, strict=True):
+            x, y = float(pixel[0]), float(pixel[1])
+            if not (0 <= x < width and 0 <= y < height) or depth_m[int(y), int(x)] < 0.98 * place[2]:
+                continue
+            bright = np.exp(-self.style.extinction_per_m * np.linalg.norm(place))
+            radius = max(1.0, window.size[0] / 1280 * float(np.clip(400 / place[2], 1.2, 4)))
+            glow(rgb, np.array([x, y]), colour * bright, radius)
+
+    def _reflect(self, rgb: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
+        """Draw the reflections of the solids, moved by ripples."""
+        mirrored = _mirrored(faces, solids)
+        if not len(mirrored.colours):
+            return
+        region = _region(mirrored, solids, window, margin_px=2 * SMEAR)
+        if not region.width or not region.height:
+            return
+        lit = self._lit(mirrored, solids, window, region, 1)
+        here = np.s_[region.y : region.y + region.height, region.x : region.x + region.width]
+        rows, columns = np.arange(region.height)[:, None], np.arange(region.width)
+        unit = SMEAR * window.size[0] / 1280
+        from_row = np.clip(rows + np.rint(behind.ripple[here] * unit).astype(int), 0, region.height - 1)
+        source = (from_row * region.width + columns).ravel()
+        # Most of the sea shows no vessel: only the pixels that do are computed, each by one index, which is fast.
+        shown = np.flatnonzero(lit.drawn.ravel().take(source) & behind.sea[here].ravel())
+        source = source[shown]
+        row, column = np.divmod(shown, region.width)
+        target = (row + region.y) * rgb.shape[1] + column + region.x
+        share: Floats = (behind.mirror.ravel().take(target) * np.float32(REFLECTION))[:, None]
+        seen = lit.colour.reshape(-1, 3).take(source, axis=0).astype(np.float32) / np.float32(255)
+        if self.style.extinction_per_m:
+            depth = lit.depth_m.ravel().take(source)
+            seen = fogged(seen, depth, self.style)
+            share = share * np.exp(-self.style.extinction_per_m * depth)[:, None]
+        pixels = rgb.reshape(-1, 3)
+        pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
+
+
+_rays = lru_cache(maxsize=32)(Rays.of)
+
+
+def _reduced(image: NDArray[np.uint8], samples: int) -> Floats:
+    """Means of blocks, from 0 to 1, shape (h / samples, w / samples) or (h / samples, w / samples, 3)."""
+    return np.asarray(Image.fromarray(image).reduce(samples), dtype=np.float32) / np.float32(255)
+
+
+def lit_faces(solids: Solids) -> LitFaces:
+    """The triangles of the solids for a pinhole renderer; a lens that distorts has bent them before."""
+    triangles, intrinsics = solids.triangles, solids.intrinsics
+    snapped = np.rint(triangles.corners_px * SUBPIXELS) / SUBPIXELS  # as the ID pass has them
+    depth = intrinsics.near_clip_m / triangles.inverse_depth
+    flat = np.concatenate([snapped, np.ones_like(depth)[..., None]], axis=-1) @ np.linalg.inv(intrinsics.matrix).T
+    vessels = len(solids.extents_m)
+    colours = np.array([occluder_colour(occluder, vessels) for occluder in solids.occluders.tolist()]).reshape(-1, 3)
+    return LitFaces(flat * depth[..., None], solids.normals_camera(), colours[triangles.row] / 255)
+
+
+def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
+    """The faces above the sea mirrored at it, without those that the near plane would cut."""
+    poses = solids.sight.camera_poses
+    rotation, place = poses.camera_R_world[0], poses.positions_m[0]
+    world = faces.corners_camera @ rotation + place
+    flip = np.array([1.0, 1.0, -1.0])
+    turned = (world * flip - place) @ rotation.T
+    # What is under water stands, turned over, within its own vessel's outline, and is drawn over: it is not cut off.
+    kept = (world[..., 2] > 0).any(axis=1) & (turned[..., 2] >= solids.intrinsics.near_clip_m).all(axis=1)
+    normals = (faces.normals_camera[kept] @ rotation * flip) @ rotation.T
+    return LitFaces(turned[kept], normals, faces.colours[kept])
+
+
+def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:
+    """The pixels of a window that faces may touch."""
+    flat = faces.corners_camera @ solids.intrinsics.matrix.T
+    pixels = window.to_picture(flat[..., :2] / flat[..., 2:]).reshape(-1, 2)
+    return Region.around(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), window.size, margin_px)
+
+
+def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
+    """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
+
+    to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (SUN, OVERHEAD))
+    if style.night:
+        return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
+    sun = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3)
+    sky = Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
+    fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
+    return [sun, sky, fill], (0.20, 0.22, 0.25)
+
+
+def _write(picture: Image.Image, text: str) -> None:
+    """A small line at the bottom left."""
+    canvas = Canvas(picture)
+    size = max(10, round(0.8 * canvas.text_px))
+    left, top, right, bottom = text_size(text, size)
+    pad = size // 3
+    y = picture.height - (bottom - top) - 2 * pad
+    canvas.draw.rectangle((0, y, right - left + 2 * pad, picture.height), fill=palette.INK)
+    canvas.draw.text((pad - left, y + pad - top), text, fill=palette.PAPER, font=font(size))

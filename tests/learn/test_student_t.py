@@ -1,0 +1,178 @@
+"""Box errors of Student's t law are learned as such, and normal ones as normal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy import optimize, stats
+from typer.testing import CliRunner
+
+from modsim3d.cli import app
+from modsim3d.detector import load_detector
+from modsim3d.detector.box_error_law import StudentT, standardised
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.matching import Rule
+from modsim3d.learn.error_laws import LAWS, ErrorSample, heavy_tails
+from modsim3d.learn.gate_bias import bias_of
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
+from modsim3d.learn.learned import Settings
+from modsim3d.learn.report import Report
+from modsim3d.learn.resampling import resample
+from modsim3d.learn.student_t_fit import LEAST_DEGREES, StudentTFit, fit_student_t
+from modsim3d.runs.stored_run import open_run
+from modsim3d.verify.verification import verify_run
+from tests.formats.labelled_sets import images
+from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
+
+MEAN = np.array([1.0, -2.0, 0.5, 3.0])
+ROOT = np.array([[4.0, 0, 0, 0], [1, 3, 0, 0], [2, 0, 5, 0], [0, -1, 1, 2]])
+COVARIANCE = ROOT @ ROOT.T
+KEPT = np.exp(-0.1 / 0.6)
+
+
+def t_errors(count: int, nu: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.asarray(stats.multivariate_t(MEAN, COVARIANCE * (nu - 2) / nu, df=nu).rvs(count, random_state=rng))
+
+
+def persistent(kept: float, vessels: int, frames: int, seed: int) -> np.ndarray:
+    """Standard normal numbers of vessels that persist from frame to frame, shape (frames, vessels, 5)."""
+    numbers = np.random.default_rng(seed).normal(size=(frames, vessels, 5))
+    for k in range(1, frames):
+        numbers[k] = kept * numbers[k - 1] + np.sqrt(1 - kept**2) * numbers[k]
+    return numbers
+
+
+def fitted(errors: np.ndarray) -> StudentTFit:
+    fit = fit_student_t(errors)
+    assert fit is not None
+    return fit
+
+
+@pytest.mark.parametrize("nu", [3.0, 6.0])
+def test_the_fit_is_where_the_density_of_scipy_is_largest(nu: float) -> None:
+    errors = t_errors(800, nu)
+    fit = fitted(errors)
+    scatter = fit.covariance * (fit.degrees_of_freedom - 2) / fit.degrees_of_freedom
+
+    def log_likelihood(shift: float = 0.0, scale: float = 1.0, degrees: float = fit.degrees_of_freedom) -> float:
+        law = stats.multivariate_t(fit.mean + shift, scatter * scale, df=degrees)
+        return float(law.logpdf(errors).sum())
+
+    best = log_likelihood()
+    assert fit.log_likelihood(errors) == pytest.approx(best)
+    for changes in ({"shift": 0.1}, {"shift": -0.1}, {"scale": 1.03}, {"scale": 0.97}):
+        assert log_likelihood(**changes) < best
+    likeliest = optimize.minimize_scalar(lambda nu: -log_likelihood(degrees=nu), bounds=(2.1, 30), method="bounded")
+    assert fit.degrees_of_freedom == pytest.approx(likeliest.x, rel=1e-3)
+    assert np.abs(fit.scores(errors).sum(axis=0)).max() < 0.05  # their standard deviations are about 28
+
+
+@pytest.mark.parametrize("nu", [4.0, 6.0])
+def test_estimates_stray_as_far_as_their_replicates_and_lie_around_the_truth(nu: float) -> None:
+    asked = np.concatenate([MEAN, np.sqrt(np.diag(COVARIANCE)), [nu]])
+    z = []
+    for seed in range(40):
+        sample = ErrorSample(t_errors(600, nu, seed), np.arange(600), 0.0, "clear", "px")
+        learned = LAWS["student_t"].estimate(resample(images(600), 100, seed), sample)
+        columns = [entry.column for entry in (learned.moments.mean, learned.moments.std, learned.degrees_of_freedom)]
+        values = np.concatenate([np.atleast_2d(column.values.T).T for column in columns], axis=1)
+        z.append((values[0] - asked) / values[1:].std(axis=0))
+    assert np.abs(np.mean(z, axis=0)).max() < 4 / np.sqrt(40)
+    assert np.abs(np.std(z, axis=0) - 1).max() < 4 / np.sqrt(80)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.9])
+def test_normal_errors_stay_normal_and_heavy_ones_do_not(kept: float) -> None:
+    for seed in range(40):
+        normal = persistent(kept, 20, 50, seed)[..., :4].reshape(-1, 4) @ ROOT.T
+        assert not heavy_tails(normal, kept)
+    heavy = standardised(StudentT(6.0), persistent(kept, 20, 150, 7)).reshape(-1, 4) @ ROOT.T
+    assert "tails are heavier" in heavy_tails(heavy, kept)
+    assert not heavy_tails(t_errors(99, 3.0), 0.0)
+
+
+def test_errors_without_a_likeliest_t_law_stay_normal() -> None:
+    many_right = t_errors(400, 3.0)
+    many_right[:250] = 0  # annotated by the detector itself
+    assert fit_student_t(many_right) is None and not heavy_tails(many_right, 0.0)
+    flat = t_errors(400, 3.0)
+    flat[:, 3] = flat[:, 2]
+    assert not heavy_tails(flat, 0.0)
+    assert fitted(np.random.default_rng(1).standard_cauchy((400, 4))).degrees_of_freedom < LEAST_DEGREES + 0.01
+
+
+def test_directions_show_how_the_normal_numbers_behind_t_errors_persist() -> None:
+    errors = standardised(StudentT(4.0), persistent(KEPT, 60, 1000, 2)) @ ROOT.T
+    law = LAWS["student_t"]
+    white = law.whitened(errors.reshape(-1, 4)).reshape(errors.shape)
+    cosine = (white[1:] * white[:-1]).mean()
+    assert cosine == pytest.approx(KEPT * float(law.correlation_left(np.array(KEPT))), abs=0.004)
+    assert cosine < KEPT - 0.02
+    assert float(law.correlation_left(np.array(1.0))) == pytest.approx(1)
+
+
+@dataclass(frozen=True)
+class RoundTrip:
+    detector: Path
+    run: Path
+    report: Report
+
+
+@pytest.fixture(scope="module", params=[4.0, 6.0])
+def round_trip(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RoundTrip:
+    folder = tmp_path_factory.mktemp("t")
+    data = yaml.safe_load(DETECTOR.read_text())
+    for state in data["states"].values():
+        state["box_error"] |= {"law": "student_t", "degrees_of_freedom": request.param}
+    detector = folder / "asked.yaml"
+    detector.write_text(yaml.safe_dump(data))
+    run = simulate("simulation_1", folder, mode=0, steps=700, detector=detector)
+    settings = Settings(Rule("provenance"), replicates=150)
+    return RoundTrip(detector, run, learn_detector(labelled_run(run)[0], settings, LearnOptions(interval_s=1.0)))
+
+
+def test_every_number_of_a_t_law_comes_back_inside_its_interval(round_trip: RoundTrip) -> None:
+    asked, learned = asked_of(round_trip.detector), round_trip.report.learned
+    assert {path for path in asked if "degrees" in path} == {
+        f"states.{state}.box_error_degrees_of_freedom" for state in ("clear", "haze")
+    }
+    assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
+    intervals = {each.key.path: each for each in learned.intervals(0.95)}
+    for path, most in (("box_error_std", 1.35), ("box_error_degrees_of_freedom", 1.8)):
+        interval = intervals[f"states.clear.{path}"]
+        assert np.all(interval.high / interval.low < most)  # not because they are as wide as can be
+
+
+def test_a_run_with_the_learned_t_law_passes_verify_against_the_original(round_trip: RoundTrip, tmp_path: Path) -> None:
+    out = tmp_path / "learned.yaml"
+    words = ["learn", "--run", str(round_trip.run), "--match", "provenance", "--out", str(out), "--replicates", "20"]
+    result = CliRunner().invoke(app, words, catch_exceptions=False, env={"COLUMNS": "300"})
+    page, text = out.with_suffix(".html").read_text(), out.read_text()
+    for each in (result.output, page, text):
+        assert "states.clear.box_error: student_t, for tails are heavier than normal ones" in each
+    assert "states.clear.box_error_degrees_of_freedom" in page and "law: student_t" in text
+    assert all(isinstance(state.box_error.distribution, StudentT) for state in load_detector(out).states)
+    again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=out)
+    verified = verify_run(open_run(again), round_trip.detector).verification
+    assert [verdict.parameter.name for verdict in verified.failed] == []
+    assert any("degrees_of_freedom" in verdict.parameter.name for verdict in verified.verdicts)
+
+
+def test_matching_by_provenance_does_not_shift_a_t_law(round_trip: RoundTrip) -> None:
+    bias = bias_of(round_trip.report.learned, Settings(Rule("provenance")), repeats=4)
+    shifts = [shift for shift in bias.shifts if "degrees" in shift.entry.key.path]
+    assert len(shifts) == 2
+    assert not any(np.any(bias.significant(shift)) for shift in shifts)
+    assert bias.corrected().detector()["states"]["clear"]["box_error"]["degrees_of_freedom"] > 2
+
+
+def test_normal_errors_are_learned_as_normal(tmp_path: Path) -> None:
+    run = simulate("simulation_1", tmp_path, mode=0, steps=700)
+    report = learn_detector(labelled_run(run)[0], Settings(Rule("provenance"), replicates=20), LearnOptions())
+    assert {form.law for form in report.learned.form.box_errors.states} == {"normal"}
+    assert "law" not in report.learned.detector()["states"]["clear"]["box_error"]
