@@ -21,6 +21,7 @@ class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
     type = "type"
 
 
+# More than fifty lines, because each option stands in the signature, where the command line finds it.
 def ais_command(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs: CSV or NMEA, also gzipped.")],
     out: Annotated[Path, typer.Option(help="Scene folder to write.")],
