@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -218,6 +219,15 @@ def test_crop_to_vessels_keeps_every_box_in_sight(run):
             assert y0 <= box[1]
             assert box[2] <= x1 + 1e-9
             assert box[3] <= y1 + 1e-9
+
+
+def test_the_contact_sheet_of_a_damaged_table_is_one_error(monkeypatch, run, tmp_path, capsys):
+    damaged = tmp_path / "damaged"
+    shutil.copytree(run, damaged)
+    table = damaged / "truth.parquet"
+    table.write_bytes(table.read_bytes()[:-100])
+    assert view(monkeypatch, damaged, "--sheet", "--overwrite") == 2
+    assert "truth.parquet is not what a run has written" in capsys.readouterr().err
 
 
 def test_the_contact_sheet_can_be_drawn_again(monkeypatch, run):

@@ -85,8 +85,16 @@ def _one_of(models: Collection[str], what: str) -> AfterValidator:
     )
 
 
+LEAST_DEGREES, MOST_DEGREES = 2.1, 1000.0
+
+
 def _freedom_problems(value: float) -> list[str]:
-    return [] if value > 2 else [f"is {value:g}, must be above 2: with 2 or fewer Student's t has no covariance"]
+    if LEAST_DEGREES <= value <= MOST_DEGREES:
+        return []
+    return [
+        f"is {value:.6g}, must be from {LEAST_DEGREES:g} to {MOST_DEGREES:g}: near 2 Student's t has hardly "
+        "a covariance, and with more it is normal (law normal), so that no run could show the number"
+    ]
 
 
 def _unknown_state(value: str, states: Sequence[str]) -> list[str]:
@@ -136,7 +144,7 @@ class BoxErrorSection(Strict):
         own = ERROR_DISTRIBUTIONS[self.law].keys
         for key in sorted(keys):
             if (getattr(self, key) is not None) != (key in own):
-                raise ValueError(f"{key} {'goes with' if key in own else 'does not go with'} law {self.law}")
+                raise ValueError(f"law {self.law} {'needs' if key in own else 'has no'} {key}")
         return self
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,25 @@ def read_rows(path: Path, filters: Filters | None = None, columns: Sequence[str]
     Raises:
         RunDirectoryError: The file is not the table that a run has written.
     """
-    try:
+    with _damage_named(path):
         return pq.read_table(path, columns=columns, filters=filters)
+
+
+@contextmanager
+def opened_table(path: Path) -> Iterator[pq.ParquetFile]:
+    """A table of a run, to be read row group by row group.
+
+    Raises:
+        RunDirectoryError: The file is not the table that a run has written.
+    """
+    with _damage_named(path), pq.ParquetFile(path) as file:
+        yield file
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    try:
+        yield
     except (pa.ArrowException, KeyError) as error:
         raise RunDirectoryError(f"{path} is not what a run has written: {str(error).splitlines()[0]}") from None
 

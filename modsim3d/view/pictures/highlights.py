@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array
-from modsim3d.runs.files.columns import flags, numbers
+from modsim3d.runs.files.columns import flags, numbers, opened_table
 from modsim3d.runs.files.tables import BOX_SIDES
 from modsim3d.view.pictures.window import Box
 
@@ -80,7 +79,7 @@ def _least(path: Path, kinds: int, ranks_of: Callable[[pa.Table], list[Array]]) 
     """
     least = [np.inf] * kinds
     rows: list[dict[str, Any] | None] = [None] * kinds
-    with pq.ParquetFile(path) as file:
+    with opened_table(path) as file:
         for group in range(file.num_row_groups):
             table = file.read_row_group(group)
             for kind, rank in enumerate(ranks_of(table)):
