@@ -15,7 +15,6 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")]
 FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
 WorkersOption = Annotated[

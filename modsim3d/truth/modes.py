@@ -10,7 +10,6 @@ from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import sizes
 from modsim3d.truth.truth_record import Truth
 
-MODES = (0, 1, 2)
 SOURCES = ("rendered", "analytic", "rectangles")
 
 
