@@ -14,6 +14,7 @@ import orjson
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
+from modsim3d.runs.files.file_list import file_list
 from modsim3d.runs.files.own_ships_table import own_ship_table
 from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
@@ -170,26 +171,31 @@ class RunDirectory:
         return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
 
     def finish(self, run: dict[str, Any]) -> None:
-        """Put every file in its place; `run.json` (the content is `run`) comes last and says that all are complete."""
+        """Put every file in its place; `run.json` comes last: `run` and the list of all files, which are complete."""
         self.__exit__(None, None, None)
-        self._remove_replaced()
-        for name in self._writers:
-            place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
         for kind, camera in self._lines:
             lines = self._lines_path(kind, camera)
-            joined = lines.with_suffix(".json")
-            with joined.open("wb") as out:
+            with lines.with_suffix(".json").open("wb") as out:
                 thesis_json.join_lines(lines, out)
-            place(joined, self.folder / joined.name)
+        content = {**run, "files": file_list(self.work, self._file_names())}
+        self._remove_replaced()
         if (self.folder / SCENE_FOLDER).is_dir():  # put there by a run that was killed just then
             shutil.rmtree(self.folder / SCENE_FOLDER)
         (self.work / SCENE_FOLDER).replace(self.folder / SCENE_FOLDER)
-        if self._poses is not None:
-            place(self.work / POSES_FILE, self.folder / POSES_FILE)
+        for name in content["files"]:
+            if not name.startswith(f"{SCENE_FOLDER}/"):
+                place(self.work / name, self.folder / name)
         partial = self.work / RUN_FILE
-        partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
+        partial.write_bytes(orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
         place(partial, self.folder / RUN_FILE)
         shutil.rmtree(self.work)
+
+    def _file_names(self) -> list[str]:
+        """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
+        names = [f"{name}.parquet" for name in self._writers]
+        names += [self._lines_path(*key).with_suffix(".json").name for key in self._lines]
+        names += [f"{SCENE_FOLDER}/{name}" for name in self._scene.copy.names]
+        return [*names, POSES_FILE] if self._poses is not None else names
 
 
 def _is_ours(path: Path) -> bool:
