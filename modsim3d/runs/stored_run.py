@@ -163,7 +163,7 @@ def _finished_run(folder: Path) -> StoredRun:
         check_content(folder / POSES_FILE, run.poses_sha256, RUN_FILE)
     scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
     check_same_scene(run, scene, source)
-    stored = StoredTables(folder, scene)
+    stored = StoredTables(folder, scene, run.files)
     stored.check_counts(run.counts)
     return StoredRun(folder, content, scene, scene.steps, stored)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,6 +20,8 @@ from modsim3d.runs.files.row_checks import (
     check_together,
     check_truth,
 )
+from modsim3d.runs.files.run_directory import RUN_FILE
+from modsim3d.runs.files.run_file import FileEntry, check_content
 from modsim3d.scene.scene import Scene
 
 CHECKS: dict[str, Callable[[Rows, Scene], object]] = {
@@ -120,13 +122,18 @@ class StoredTable:
 class StoredTables:
     """The tables `frames`, `truth` and `detections` of a finished run."""
 
-    def __init__(self, folder: Path, scene: Scene) -> None:
+    def __init__(self, folder: Path, scene: Scene, listed: Mapping[str, FileEntry] | None = None) -> None:
         """Check the footers of all tables.
+
+        Args:
+            folder: The run directory.
+            scene: The run's scene, if need be with another detector.
+            listed: The list of files in `run.json`; None if it has none, or if it was compared before.
 
         Raises:
             RunDirectoryError: A table is missing, or is not what a run of the scene has written.
         """
-        self._scene = scene
+        self._scene, self._listed = scene, listed or {}
         self.by_name = {name: StoredTable(folder, name, scene) for name in CHECKS}
         if OWN_SHIP in schemas_of(scene):
             path = folder / f"{OWN_SHIP}.parquet"
@@ -160,11 +167,24 @@ class StoredTables:
         """The rows of steps first to stop − 1 by the table's name.
 
         Raises:
-            RunDirectoryError: A row is not what a run has written, or two tables contradict each other.
+            RunDirectoryError: A row is not what a run has written, two tables contradict each other, or all rows are
+                read and a table is not the one that the run has listed.
         """
         rows = {name: table.rows(first, stop) for name, table in self.by_name.items()}
         check_together(rows["frames"], rows["truth"], rows["detections"], self._scene)
+        if stop - first == self._scene.steps:
+            self.check_checksums()
         return {name: part.table for name, part in rows.items()}
+
+    def check_checksums(self) -> None:
+        """Check that each table has the checksum in `run.json`, where this lists it.
+
+        Raises:
+            RunDirectoryError: A table was changed.
+        """
+        for table in self.by_name.values():
+            if entry := self._listed.get(table.path.name):
+                check_content(table.path, entry.sha256, RUN_FILE)
 
 
 def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
@@ -174,6 +194,7 @@ def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
         RunDirectoryError: A column is missing, is not known, or has another type or place.
     """
     problems = [f"column '{name}' is missing" for name in wanted.names if name not in found.names]
+    problems += [f"column '{name}' is there twice" for name in wanted.names if found.names.count(name) > 1]
     problems += [f"column '{name}' is unknown" for name in found.names if name not in wanted.names]
     problems += [
         f"column '{field.name}' has type {field.type}, not {wanted.field(field.name).type}"
