@@ -11,13 +11,16 @@ from pydantic import Field, ValidationError, field_validator
 
 from modsim3d.errors import InputError, RunDirectoryError
 from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.validation import Count, Strict, describe, shown
+from modsim3d.inputs.validation import Count, Number, Strict, describe, shown
 from modsim3d.runs.counts import Counts
 from modsim3d.scene.scene import Scene
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
 FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$")]
+Estimate = Number | None
+"""A number, null where too few boxes tell it."""
+Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
 MOST_PROBLEMS = 5
 
 
@@ -26,6 +29,19 @@ class FileEntry(Strict):
 
     bytes: Count
     sha256: Sha256
+
+
+class Truncation(Strict):
+    """How resampling shifts the box errors of a performance state, see `BoxSample.truncation`."""
+
+    unit: Literal["px", "relative"]
+    detections: Count
+    boxes: Count
+    redrawn: Estimate
+    mean: Four
+    mean_shift: Four
+    mean_standard_error: Four
+    covariance: Annotated[list[Four], Field(min_length=4, max_length=4)]
 
 
 class Settings(Strict):
@@ -55,7 +71,7 @@ class RunFile(Settings):
     """
 
     counts: dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]]
-    truncation: dict[Text, dict[Text, Any]]
+    truncation: dict[Text, Truncation]
     poses_sha256: Sha256 | None = None
     files: dict[Text, FileEntry] | None = None
 
@@ -67,6 +83,8 @@ class RunFile(Settings):
             raise ValueError(f"these counts are missing: {', '.join(missing)}")
         if unknown := sorted(counts.keys() - names):
             raise ValueError(f"these counts are unknown: {', '.join(unknown)}")
+        if broken := [name for name in counts if name != "largest_curvature_px" and counts[name] % 1]:
+            raise ValueError(f"these counts are no whole numbers: {', '.join(broken)}")
         return counts
 
     @field_validator("files")
