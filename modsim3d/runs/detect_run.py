@@ -41,8 +41,8 @@ def detect_run(
         raise RunDirectoryError(
             f"{run.folder} holds an interrupted run, whose truth is not complete: {run.how_to_finish}"
         )
-    if folder.resolve() == run.folder.resolve():
-        raise RunDirectoryError(f"{folder} is the run that the truth is read from: choose another folder")
+    if folder.resolve().is_relative_to(run.folder.resolve()):
+        raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
     scene = with_detector(run, detector, seed)
     settings = settings_of(scene, run.settings["backend"])
     if settings["versions"] != run.settings["versions"]:
