@@ -38,8 +38,8 @@ def detect_run(
         ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
     """
     run.finished_tables.check_checksums()
-    if folder.resolve() == run.folder.resolve():
-        raise RunDirectoryError(f"{folder} is the run that the truth is read from: choose another folder")
+    if folder.resolve().is_relative_to(run.folder.resolve()):
+        raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
     scene = with_detector(run, detector, seed)
     settings = settings_of(scene, run.settings["backend"])
     if settings["versions"] != run.settings["versions"]:

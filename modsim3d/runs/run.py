@@ -31,6 +31,7 @@ class RunResult:
     Attributes:
         seconds: Wall-clock time.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
+        damaged_blocks: Number of blocks whose truth an interrupted run had kept in a damaged file; it was made anew.
         intersecting: Pairs of vessels or obstacles that overlap in space: the analytic source cannot tell what is
             visible of them.
         truncation: How resampling shifts the box errors, by state, as in `run.json`.
@@ -41,6 +42,7 @@ class RunResult:
     steps: int
     seconds: float
     resumed_steps: int
+    damaged_blocks: int
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
 
@@ -124,14 +126,25 @@ def write_run(
             directory.finish({**known, "counts": asdict(total.counts), "truncation": truncation}, _log(total, seconds))
     names = scene.occluder_names
     intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
-    return RunResult(folder, total.counts, total.steps, seconds, total.resumed_steps, intersecting, truncation)
+    return RunResult(
+        folder,
+        total.counts,
+        total.steps,
+        seconds,
+        total.resumed_steps,
+        total.damaged_blocks,
+        intersecting,
+        truncation,
+    )
 
 
 def _log(total: Tally, seconds: float) -> str:
     """What `run.log` says of a run; times and the host are named nowhere else."""
+    damaged = f"{total.damaged_blocks} damaged blocks of it made anew\n" if total.damaged_blocks else ""
     return (
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
         f"{total.counts.frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
+        f"{damaged}"
     )
 
 
@@ -151,7 +164,9 @@ def _write_blocks(
         if not counted.steps:
             progress(tally.steps)
     # After a census all truth is taken from what it kept, and only the census knows what was kept before.
-    return replace(total, resumed_steps=counted.resumed_steps) if counted.steps else total
+    if not counted.steps:
+        return total
+    return replace(total, resumed_steps=counted.resumed_steps, damaged_blocks=counted.damaged_blocks)
 
 
 def _take_census(
