@@ -25,6 +25,7 @@ ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 30)
 )
 MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 11))
+TOP_ALIASES = "- &a0 [x, x]\n" + "".join(f"- &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
 LONG_ALIAS = f"a: &a {'x' * 100_000}\nb: [{', '.join(['*a'] * 1000)}]\n"
 
 
@@ -38,7 +39,8 @@ def zeros(count: int) -> bytes:
 Content = Callable[[], bytes]
 BUDGETS: dict[str, tuple[str, Content, str]] = {
     "aliases": ("detector", lambda: ALIASES.encode(), "200,000 values once its aliases (*) and merge keys (<<)"),
-    "aliases at the top": ("detector", lambda: f"- &a0 [x]\n- {ALIASES!r}".encode(), "must be a mapping with the keys"),
+    "aliases at the top": ("detector", lambda: TOP_ALIASES.encode(), "200,000 values once its aliases (*) and merge"),
+    "a list": ("detector", lambda: b"&a [*a]", "must be a mapping with the keys labels,"),
     "merge keys": ("detector", lambda: MERGES.encode(), "200,000 values once its aliases (*) and merge keys (<<)"),
     "long text": ("scene", lambda: LONG_ALIAS.encode(), "200,000 values once its aliases (*) and merge keys (<<)"),
     "many values": ("scene", lambda: b"a: [" + b"a," * 250_000 + b"]", "more than 200,000 values; give large tables"),
