@@ -13,6 +13,8 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.columns import numbers, read_rows
 
 _MOST_COLUMNS = 6
+SAME_ROWS = "the same rows, stored in other bytes"
+"""What `difference` says of tables of another writer."""
 
 
 def difference(one: Path, other: Path) -> str:
@@ -61,7 +63,7 @@ def _of_tables(one: Path, other: Path) -> str:
     found = {name: _column(first, second, name) for name in first.column_names}
     differs = {name: rows for name, (rows, _) in found.items() if rows.any()}
     if not differs:
-        return "the same rows, stored in other bytes"
+        return SAME_ROWS
     rows = np.logical_or.reduce(list(differs.values())).sum()
     said = [f"{name} in {mask.sum()}{found[name][1]}" for name, mask in differs.items()]
     return f"{rows} of {len(first)} rows differ: {_listed(said[:_MOST_COLUMNS], len(said))}"
