@@ -72,7 +72,7 @@ def test_messages_annotations_and_docstrings_are_left_alone():
     ],
 )
 def test_expression_has_these_mutants(code, changes):
-    assert [mutant.change for mutant in mutants_of(f"x = {code}")] == changes
+    assert [mutant.change for mutant in mutants_of(f"assert {code}")] == changes
 
 
 def _loop() -> bool:
