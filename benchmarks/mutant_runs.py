@@ -14,12 +14,12 @@ import importlib
 import importlib.abc
 import importlib.util
 import json
+import math
 import os
 import resource
 import select
 import signal
 import sys
-import time
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +36,6 @@ from hypothesis import Phase, settings
 SURVIVED, KILLED, TIMED_OUT = "survived", "killed", "timed out"
 LIBRARIES = ("hypothesis.extra.numpy", "pyarrow.parquet", "pydantic", "scipy.optimize", "scipy.spatial", "scipy.stats")
 LIBRARIES += ("shapely", "trimesh", "yaml")
-LEAST_CPU_S = 10
 SLOW_S = 4.0
 MOST_BYTES = 8 << 30
 WALL_S = 300.0
@@ -134,7 +133,7 @@ def _child(work: Callable[[], bool], cpu_s: float | None) -> None:
     os.dup2(nothing, 1)
     if cpu_s is not None:
         os.dup2(nothing, 2)
-        resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s) + 5))
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(cpu_s), math.ceil(cpu_s) + 5))
         resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
     code = 1
     try:
@@ -176,7 +175,7 @@ class _Mapper:
 
     def _switch(self, context: str) -> str:
         before, self.now = self.now, context
-        now = time.process_time()
+        now = sum(os.times()[:4])  # with the processes that a test starts
         self.spent[before] += now - self.since
         self.since = now
         self.measured.switch_context(context)
@@ -274,6 +273,7 @@ class Trial:
     """A mutant and the tests that are to notice it.
 
     Attributes:
+        key: Says which mutant of which state of which module it is.
         path: Of the module, relative to the repository.
         function: Qualified name of the outermost function that changes; empty for the body of a module or class.
         tree: Makes the changed module.
@@ -281,6 +281,7 @@ class Trial:
         cpu_s: Processor time after which the mutant has timed out.
     """
 
+    key: str
     path: str
     function: str
     tree: Callable[[], ast.Module]
@@ -310,16 +311,16 @@ class _StopAtOnce:
 class _Runner(_StopAtOnce):
     """A plug-in of pytest that runs trials instead of the tests."""
 
-    def __init__(self, trials: Sequence[Trial], report: Callable[[int, str], None]) -> None:
-        self.trials, self.report = trials, report
+    def __init__(self, trials: Sequence[Trial], note: Callable[[Trial, str], None]) -> None:
+        self.trials, self.note = trials, note
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         items = {item.nodeid: item for item in session.items}
         functions, caches = _functions({trial.module for trial in self.trials}), caches_of_all()
-        for number, trial in enumerate(self.trials):
+        for trial in self.trials:
             chosen = [items[name] for name in trial.tests]
             work = functools.partial(_run_items, trial, functions, caches, chosen)
-            self.report(number, in_a_process(work, trial.cpu_s) if chosen else SURVIVED)
+            self.note(trial, in_a_process(work, trial.cpu_s) if chosen else SURVIVED)
         return True
 
 
@@ -380,36 +381,30 @@ def _run_anew(trial: Trial, options: Sequence[str]) -> bool:
     return pytest.main([*QUIET, "-x", *options, *trial.tests], plugins=[_StopAtOnce()]) == 0
 
 
-def run_trials(
-    trials: Sequence[Trial], report: Callable[[int, str], None], results: Path, options: Sequence[str]
-) -> None:
-    """Run trials of functions from a process that has everything imported, the others from this one, which has not."""
-    inside = [number for number, trial in enumerate(trials) if trial.function]
-    files = sorted({name.split("::")[0] for number in inside for name in trials[number].tests})
+def run_trials(trials: Sequence[Trial], results: Path, options: Sequence[str]) -> None:
+    """Run trials of functions from a process that has everything imported, the others from this one, which has not.
 
-    def _work() -> bool:
-        with results.open("w", encoding="utf-8") as lines:
-
-            def _note(number: int, outcome: str) -> None:
-                print(inside[number], outcome, sep="\t", file=lines, flush=True)
-                report(inside[number], outcome)
-
-            runner = _Runner([trials[number] for number in inside], _note)
-            return pytest.main([*QUIET, *options, *files], plugins=[runner]) in (0, 5)
-
-    if inside and in_a_process(_work) != SURVIVED:
-        raise RuntimeError("the process that runs the mutants has failed")
+    The outcome of each is added to a file as it comes.
+    """
+    functions = [trial for trial in trials if trial.function]
+    files = sorted({name.split("::")[0] for trial in functions for name in trial.tests})
     with results.open("a", encoding="utf-8") as lines:
-        for number, trial in enumerate(trials):
+
+        def _note(trial: Trial, outcome: str) -> None:
+            print(trial.key, outcome, sep="\t", file=lines, flush=True)
+
+        def _work() -> bool:
+            return pytest.main([*QUIET, *options, *files], plugins=[_Runner(functions, _note)]) in (0, 5)
+
+        if functions and in_a_process(_work) != SURVIVED:
+            raise RuntimeError("the process that runs the mutants has failed")
+        for trial in trials:
             if not trial.function:
-                outcome = (
-                    in_a_process(functools.partial(_run_anew, trial, options), trial.cpu_s) if trial.tests else SURVIVED
-                )
-                print(number, outcome, sep="\t", file=lines, flush=True)
-                report(number, outcome)
+                work = functools.partial(_run_anew, trial, options)
+                _note(trial, in_a_process(work, trial.cpu_s) if trial.tests else SURVIVED)
 
 
-def outcomes(results: Path) -> dict[int, str]:
-    """Outcome of each trial, by its number."""
-    pairs = (line.split("\t") for line in results.read_text(encoding="utf-8").splitlines())
-    return {int(number): outcome for number, outcome in pairs}
+def outcomes(results: Path) -> dict[str, str]:
+    """Outcome of each trial, by its key; the last one counts."""
+    lines = results.read_text(encoding="utf-8").splitlines() if results.exists() else []
+    return dict(line.split("\t") for line in lines)

@@ -27,7 +27,6 @@ import yaml
 
 from benchmarks.mutant_runs import (
     KILLED,
-    LEAST_CPU_S,
     SLOW_S,
     SURVIVED,
     TIMED_OUT,
@@ -70,14 +69,20 @@ def sampled(path: str, share: float | None) -> tuple[int, list[Mutant]]:
     return len(every), sorted(chosen, key=lambda mutant: mutant.index)
 
 
-def trial_of(path: str, mutant: Mutant, reach: Reach) -> Trial:
+def trial_of(path: str, mutant: Mutant, reach: Reach, budget_s: float) -> Trial:
     tests = reach.of_lines(path, mutant.lines) if mutant.function else reach.of_file(path)
     if not tests and not mutant.function:  # a file of definitions only
         tests = {name for name in reach.cost_s if name.split("/")[1] == path.split("/")[1]}
-    chosen = reach.quickest(tests, BUDGET_S)
+    chosen = reach.quickest(tests, budget_s)
     source = (ROOT / path).read_text(encoding="utf-8")
-    limit = LEAST_CPU_S + 5 * sum(reach.cost_s[name] for name in chosen)
-    return Trial(path, mutant.function, functools.partial(mutated, source, mutant.index), chosen, limit)
+    limit = 3 + 3 * sum(reach.cost_s[name] for name in chosen)
+    return Trial(
+        key(path, mutant.index), path, mutant.function, functools.partial(mutated, source, mutant.index), chosen, limit
+    )
+
+
+def key(path: str, index: int) -> str:
+    return f"{path} {digest(path)[:12]} {index}"
 
 
 def digest(path: str) -> str:
@@ -158,7 +163,7 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
         "`mutants_verdicts.yaml`.",
         "",
         "A mutant is a module with one operator, number, index, condition, argument, result or statement changed. It "
-        "is killed if a test fails, or if the tests need more than five times their processor time (timed out). It "
+        "is killed if a test fails, or if the tests need more than three times their processor time (timed out). It "
         f"meets the tests that reach its line, the quickest first, for up to {BUDGET_S:.0f} s; tests of more than "
         f"{SLOW_S:.0f} s, and those of other rooms, are left out, and can only kill more.",
         "",
@@ -217,7 +222,8 @@ def main() -> int:
     parser.add_argument("--share", type=float, help="another share of each file's mutants, for a try")
     parser.add_argument("--survivors", action="store_true", help="only those that survived the last time")
     parser.add_argument("--page", action="store_true", help="only write the page anew, after a change of the verdicts")
-    parser.add_argument("--reach", type=Path, help="folder that keeps which tests reach which lines, for another try")
+    parser.add_argument("--budget", type=float, default=BUDGET_S, help="seconds of tests for each mutant")
+    parser.add_argument("--keep", type=Path, help="folder that keeps what is found, to go on after an interruption")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for mutants.md and mutants.json")
     asked = parser.parse_args()
     os.chdir(ROOT)
@@ -250,23 +256,17 @@ def campaign(asked: argparse.Namespace, before: dict[str, Any]) -> dict[str, Any
     """The rows of the files that are looked at."""
     chosen = chosen_mutants(asked, before)
     with tempfile.TemporaryDirectory() as folder:
-        options = [f"--basetemp={folder}/tests"]
-        reach = reach_of(asked.reach or Path(folder), [name.split("/")[1] for name in chosen], options)
-        every = [(name, mutant) for name, (_, mutants) in chosen.items() for mutant in mutants]
-        trials = [trial_of(name, mutant, reach) for name, mutant in every]
-
-        def _say(number: int, outcome: str) -> None:
-            if outcome != KILLED:
-                name, mutant = every[number]
-                print(f"{number}/{len(every)} {outcome} {name}:{mutant.lines[0]} {mutant.change}", file=sys.stderr)
-
-        results = Path(folder, "results")
-        run_trials(trials, _say, results, options)
-        ends = outcomes(results)
+        kept, options = asked.keep or Path(folder), [f"--basetemp={folder}/tests"]
+        reach = reach_of(kept, [name.split("/")[1] for name in chosen], options)
+        done = {} if asked.survivors else outcomes(kept / "outcomes")
+        trials = [
+            trial_of(name, mutant, reach, asked.budget) for name, (_, mutants) in chosen.items() for mutant in mutants
+        ]
+        run_trials([trial for trial in trials if trial.key not in done], kept / "outcomes", options)
+        done = outcomes(kept / "outcomes")
     rows = {}
     for name, (count, mutants) in chosen.items():
-        own = [ends[number] for number, (path, _) in enumerate(every) if path == name]
-        row = summed_up(name, count, mutants, own)
+        row = summed_up(name, count, mutants, [done[key(name, mutant.index)] for mutant in mutants])
         rows[name] = updated(before[name], row) if asked.survivors else row
     return rows
 

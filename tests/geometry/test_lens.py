@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.lens import Distortion
+from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
@@ -69,6 +70,57 @@ def test_pinhole_window_holds_all_that_the_lens_shows():
         assert (straight >= 0).all() and (straight <= camera.pinhole.image_size_px).all()
         np.testing.assert_allclose(camera.through_lens(straight), pixels, atol=1e-6)
         assert camera.lens_problem() is None
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+@pytest.mark.parametrize("principal_point", [(300.0, 200.0), (500.0, 400.0)])
+def test_pinhole_window_leaves_one_to_two_pixels_around_what_the_lens_shows(lens, principal_point):
+    camera = Intrinsics((1000.0, 1300.0), principal_point, (800, 600), skew=12.0, distortion=lens)
+    along = np.linspace(0, 1, 4001)[:, None]
+    corners = np.array([[0, 0], [800, 0], [800, 600], [0, 600]])
+    border = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    straight = camera.pinhole.project(camera.unproject(border, np.ones(len(border))))
+    spare = [straight.min(axis=0), camera.pinhole.image_size_px - straight.max(axis=0)]
+    assert np.min(spare) > 0.99  # the window is measured at 256 points of the border
+    assert np.max(spare) < 2.01
+
+
+def worst_bend(camera, chord):
+    """Greatest distance in pixels between a chord at the border of the pinhole image and what the lens makes of it."""
+    border, angle = camera.pinhole.image_border()[:, None], np.linspace(0, np.pi, 36, endpoint=False)
+    half = chord / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    middle = (camera.through_lens(border + half) + camera.through_lens(border - half)) / 2
+    return np.linalg.norm(middle - camera.through_lens(border), axis=-1).max()
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+@pytest.mark.parametrize("principal_point", [(300.0, 200.0), (500.0, 200.0), (300.0, 400.0), (500.0, 400.0)])
+@pytest.mark.parametrize("focal", [(1000.0, 1000.0), (900.0, 1300.0), (1300.0, 900.0)])
+def test_longest_chord_is_bent_by_a_step_of_the_pixel_grid(lens, principal_point, focal):
+    camera = Intrinsics(focal, principal_point, (800, 600), distortion=lens)
+    # Four directions are measured; between two of them the bend may be a tenth larger.
+    assert 0.98 < worst_bend(camera, camera.chord_px) * SUBPIXELS < 1.1
+
+
+def test_longest_chord_is_between_one_pixel_and_256_and_has_no_bound_without_a_lens():
+    assert INTRINSICS.chord_px == np.inf
+    assert replace(INTRINSICS, distortion=Distortion()).chord_px == 256
+    strong = Intrinsics((10.0, 10.0), (16.0, 12.0), (32, 24), distortion=Distortion(k1=0.3))
+    assert strong.lens_problem() is None
+    assert strong.chord_px == 1
+    assert worst_bend(strong, 1.0) > 1 / SUBPIXELS
+
+
+def test_pixels_of_a_camera_without_a_lens_are_those_of_its_pinhole():
+    pixels = np.arange(12.0).reshape(2, 3, 2)
+    np.testing.assert_array_equal(INTRINSICS.through_lens(pixels), pixels)
+
+
+def test_lens_maps_an_array_of_pixels_as_it_maps_each():
+    camera = replace(INTRINSICS, distortion=BARREL)
+    pixels = np.random.default_rng(2).uniform(0, 600, (2, 3, 2))
+    each = [[camera.through_lens(pixel) for pixel in row] for row in pixels]
+    np.testing.assert_array_equal(camera.through_lens(pixels), each)
 
 
 def through(seed, lens):
@@ -182,8 +234,22 @@ def test_scene_runs_through_a_lens_from_every_source(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "coefficients", [{"k1": -3.0}, {"k1": -1.0, "k2": -2.0}, {"k1": -0.9, "k2": 0.27}, {"p1": 5.0}]
+    ("coefficients", "problem"),
+    [
+        ({"k1": -3.0}, "the lens reaches only a part of the image: reduce the coefficients or the image size"),
+        ({"k1": -1.0, "k2": -2.0}, "the lens reaches only a part"),
+        ({"k1": -0.9, "k2": 0.27}, "the lens reaches only a part"),
+        ({"p1": 5.0}, "the lens reaches only a part"),
+        # One to one in the image, but a fold lies between: r (1 − 0.9 r² + 0.35 r⁴) falls from r = 0.79 to 0.96.
+        ({"k1": -0.9, "k2": 0.35}, "folds the image over itself: some pixels show two directions"),
+    ],
 )
-def test_lens_that_folds_the_image_is_refused(tmp_path, coefficients):
-    with pytest.raises(InputError, match=r"cameras\.C0\.distortion: (folds the image|the lens reaches only a part)"):
+def test_lens_that_folds_the_image_is_refused(tmp_path, coefficients, problem):
+    with pytest.raises(InputError, match=rf"cameras\.C0\.distortion: {problem}"):
         load_scene(lens_scene(tmp_path, **coefficients))
+
+
+@pytest.mark.parametrize("size", [(2400, 200), (200, 2400)])
+def test_lens_of_a_long_narrow_image_is_accepted(size):
+    camera = Intrinsics((3000.0, 3000.0), (size[0] / 2, size[1] / 2), size, distortion=Distortion(k1=-0.1))
+    assert camera.lens_problem() is None
