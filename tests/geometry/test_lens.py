@@ -52,6 +52,56 @@ def test_undistort_undoes_distort_where_the_lens_is_one_to_one(coefficients, poi
     np.testing.assert_allclose(lens.undistort(lens.distort(ideal)), ideal, atol=1e-9)
 
 
+GRID = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 7)] * 2), axis=-1)
+"""Points of the ideal plane in all four quadrants and on the axes, shape (7, 7, 2)."""
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_newtons_method_needs_few_steps(lens, monkeypatch):
+    monkeypatch.setattr("modsim3d.geometry.lens.MOST_ITERATIONS", 6)
+    np.testing.assert_allclose(lens.undistort(lens.distort(GRID)), GRID, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_each_point_is_undistorted_and_has_its_derivatives_as_if_it_were_alone(lens):
+    distorted = lens.distort(GRID)
+    for place in np.ndindex(7, 7):
+        alone = lens.undistort(distorted[place])
+        np.testing.assert_allclose(alone, GRID[place], rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(lens.jacobian(GRID)[place], lens.jacobian(GRID[place]))
+    assert lens.undistort(np.empty((0, 2))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_only_points_that_no_direction_is_seen_at_have_none(axis, sign):
+    # On the axis, x + 1.5 x² is at least −1/6.
+    lens = Distortion(**{("p2", "p1")[axis]: 0.5 * sign})
+    along = np.roll(np.eye(2), axis, axis=0)
+    places = sign * np.array([[0.2, 0.1], [-0.3, 0.0], [-0.1, 0.05], [-0.2, 0.0], [0.0, 0.0]]) @ along
+    missing = np.isnan(lens.undistort(places))
+    assert missing.all(axis=1).tolist() == missing.any(axis=1).tolist() == [False, True, False, True, False]
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8), (-0.8, 0.6), (np.sqrt(0.5), np.sqrt(0.5))])
+def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond(direction):
+    lens = Distortion(k1=-1.0)  # r − r³ rises up to r = 1 / √3 = 0.5774
+    inside, outside = np.outer([0.3, 0.577], direction), np.outer([0.3, 0.580], direction)
+    assert lens.one_to_one(inside)
+    assert not lens.one_to_one(outside)
+    assert not lens.one_to_one(outside[::-1])
+    # Beyond r = 1 it mirrors both axes, and the one place of 257 before that is the axis itself.
+    assert not lens.one_to_one(np.outer([300.0], direction))
+    assert not lens.one_to_one(np.concatenate([inside, [[np.nan, 0.1]]]))
+
+
+def test_fold_between_the_axis_and_the_points_is_found():
+    lens = Distortion(k1=-0.9, k2=0.35)  # its radius falls from r = 0.79 to 0.96, and rises again
+    assert lens.one_to_one(np.array([[0.78, 0.0]]))
+    assert (np.linalg.det(lens.jacobian(np.array([[1.1, 0.0]]))) > 0).all()
+    assert not lens.one_to_one(np.array([[1.1, 0.0]]))
+
+
 def test_jacobian_is_the_derivative():
     rng = np.random.default_rng(0)
     points, step = rng.uniform(-0.7, 0.7, (50, 2)), 1e-6

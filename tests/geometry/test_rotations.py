@@ -2,7 +2,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.geometry.rotations import BASE_R_WORLD, attitude, camera_R_parent, heading_of, rotation, world_R_vehicle
+from modsim3d.geometry.rotations import (
+    BASE_R_WORLD,
+    attitude,
+    camera_R_parent,
+    heading_of,
+    rotation,
+    rotation_vector,
+    vehicle_R_nominal,
+    world_R_vehicle,
+)
 
 angles = st.floats(-10, 10)
 
@@ -42,3 +51,12 @@ def test_attitude_broadcasts_over_steps():
     assert stacked.shape == (7, 3, 3)
     for i, a in enumerate(angle):
         np.testing.assert_allclose(stacked[i], rotation(2, a) @ rotation(0, 2 * a) @ rotation(1, 3 * a), atol=1e-15)
+
+
+def test_angles_of_single_precision_are_turned_by_in_double_precision():
+    angle = np.array([0.1, 0.7, -0.3], dtype=np.float32)
+    for turn in (lambda a: rotation(2, a), vehicle_R_nominal, lambda a: rotation_vector(rotation(1, a))):
+        assert turn(angle).dtype == np.float64
+        np.testing.assert_array_equal(turn(angle), turn(angle.astype(np.float64)))
+    single = rotation(0, 0.4).astype(np.float32)
+    np.testing.assert_array_equal(rotation_vector(single), rotation_vector(single.astype(np.float64)))
