@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os.path
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -109,17 +110,22 @@ class _Edit:
 
     def said(self) -> str:
         """The change, with what is around a single number or name."""
-        old = ast.unparse(self.old)
-        if self.around is None or len(old) >= 12:
-            return f"{_short(old)} → {_short(ast.unparse(self.new)) if self.new else 'nothing'}"
-        before = ast.unparse(self.around)
-        self.make()
-        return f"{_short(before)} → {_short(ast.unparse(self.around))}"
+        before = ast.unparse(self.old)
+        if self.around is None or len(before) >= 12:
+            after = ast.unparse(self.new) if self.new else "nothing"
+        else:
+            before = ast.unparse(self.around)
+            self.make()
+            after = ast.unparse(self.around)
+        same = len(os.path.commonprefix([before, after]))
+        return f"{_short(before, same)} → {_short(after, same)}"
 
 
-def _short(code: str) -> str:
-    line = code.splitlines()[0]
-    return line if len(line) <= 140 else f"{line[:137]}…"
+def _short(code: str, place: int) -> str:
+    """Code on one line, or what is at a place in it if it is long."""
+    start = max(0, place - 40) if len(code) > 100 else 0
+    line = " ".join(code[start : start + 100].split())
+    return f"{'…' if start else ''}{line}{'…' if start + 100 < len(code) else ''}"
 
 
 def mutants_of(source: str) -> list[Mutant]:
@@ -195,7 +201,7 @@ def _instead_of(node: ast.AST, parent: ast.AST, field: str) -> Iterator[ast.AST 
 
 
 def _statements(node: ast.stmt) -> Iterator[ast.AST]:
-    if isinstance(node, ast.Return) and node.value is not None:
+    if isinstance(node, ast.Return) and ast.unparse(node) not in ("return", "return None"):
         yield ast.Return(ast.Constant(None))
     elif isinstance(node, ast.Assign):
         if isinstance(node.targets[0], ast.Subscript | ast.Attribute):
