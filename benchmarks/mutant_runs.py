@@ -277,16 +277,24 @@ class Trial:
         path: Of the module, relative to the repository.
         function: Qualified name of the outermost function that changes; empty for the body of a module or class.
         tree: Makes the changed module.
-        tests: Names of tests, in the order in which they run.
-        cpu_s: Processor time after which the mutant has timed out.
+        cost_s: Names of tests, in the order in which they run, and the processor time of each without a mutant.
     """
 
     key: str
     path: str
     function: str
     tree: Callable[[], ast.Module]
-    tests: list[str]
-    cpu_s: float
+    cost_s: dict[str, float]
+
+    @property
+    def tests(self) -> list[str]:
+        """Names of the tests."""
+        return list(self.cost_s)
+
+    @property
+    def limit_s(self) -> float:
+        """Processor time after which the mutant has timed out, if no single test has before."""
+        return 3 + 3 * sum(self.cost_s.values())
 
     @property
     def module(self) -> str:
@@ -320,7 +328,7 @@ class _Runner(_StopAtOnce):
         for trial in self.trials:
             chosen = [items[name] for name in trial.tests]
             work = functools.partial(_run_items, trial, functions, caches, chosen)
-            self.note(trial, in_a_process(work, trial.cpu_s) if chosen else SURVIVED)
+            self.note(trial, in_a_process(work, trial.limit_s) if chosen else SURVIVED)
         return True
 
 
@@ -336,6 +344,7 @@ def _run_items(
         function.__code__ = code
     clear(caches)
     for item, following in zip(items, [*items[1:], None], strict=True):
+        signal.setitimer(signal.ITIMER_PROF, 1 + 3 * trial.cost_s[item.nodeid])  # its signal ends the process
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
     return True
 
@@ -401,7 +410,7 @@ def run_trials(trials: Sequence[Trial], results: Path, options: Sequence[str]) -
         for trial in trials:
             if not trial.function:
                 work = functools.partial(_run_anew, trial, options)
-                _note(trial, in_a_process(work, trial.cpu_s) if trial.tests else SURVIVED)
+                _note(trial, in_a_process(work, trial.limit_s) if trial.tests else SURVIVED)
 
 
 def outcomes(results: Path) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os.path
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -117,7 +116,7 @@ class _Edit:
             before = ast.unparse(self.around)
             self.make()
             after = ast.unparse(self.around)
-        same = len(os.path.commonprefix([before, after]))
+        same = next((place for place, (a, b) in enumerate(zip(before, after, strict=False)) if a != b), 0)
         return f"{_short(before, same)} → {_short(after, same)}"
 
 

@@ -45,7 +45,7 @@ ROOMS = {"geometry": 1.0, "truth": 0.4, "detector": 0.35}
 """Share of the mutants of each file of these rooms that is tried."""
 TESTS = {
     "geometry": ("geometry", "truth", "motion", "scene"),
-    "truth": ("truth", "geometry", "render", "vessels"),
+    "truth": ("truth", "geometry", "render", "vessels", "motion", "scene"),
     "detector": ("detector", "test_random_streams.py", "verify", "learn"),
 }
 """Where the tests of a room are."""
@@ -73,12 +73,9 @@ def trial_of(path: str, mutant: Mutant, reach: Reach, budget_s: float) -> Trial:
     tests = reach.of_lines(path, mutant.lines) if mutant.function else reach.of_file(path)
     if not tests and not mutant.function:  # a file of definitions only
         tests = {name for name in reach.cost_s if name.split("/")[1] == path.split("/")[1]}
-    chosen = reach.quickest(tests, budget_s)
-    source = (ROOT / path).read_text(encoding="utf-8")
-    limit = 3 + 3 * sum(reach.cost_s[name] for name in chosen)
-    return Trial(
-        key(path, mutant.index), path, mutant.function, functools.partial(mutated, source, mutant.index), chosen, limit
-    )
+    chosen = {name: reach.cost_s[name] for name in reach.quickest(tests, budget_s)}
+    tree = functools.partial(mutated, (ROOT / path).read_text(encoding="utf-8"), mutant.index)
+    return Trial(key(path, mutant.index), path, mutant.function, tree, chosen)
 
 
 def key(path: str, index: int) -> str:
@@ -163,7 +160,7 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
         "`mutants_verdicts.yaml`.",
         "",
         "A mutant is a module with one operator, number, index, condition, argument, result or statement changed. It "
-        "is killed if a test fails, or if the tests need more than three times their processor time (timed out). It "
+        "is killed if a test fails, or if a test needs more than three times its processor time (timed out). It "
         f"meets the tests that reach its line, the quickest first, for up to {BUDGET_S:.0f} s; tests of more than "
         f"{SLOW_S:.0f} s, and those of other rooms, are left out, and can only kill more.",
         "",
