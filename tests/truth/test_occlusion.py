@@ -3,8 +3,10 @@
 from dataclasses import fields
 
 import numpy as np
+import shapely
 
 from modsim3d.truth.occlusion import HiddenPixels, Occlusion
+from modsim3d.truth.polygon_occlusion import Hiding, boxes_and_areas, hidden_areas, hidden_by, visible_of
 from tests.scenes import outlines_of, vessel
 
 
@@ -67,3 +69,19 @@ def test_record_has_the_steps_of_the_frames_and_nothing_annotated():
     assert not truth.annotated.any()
     assert truth.occluders_of(2) == [(0, 3.0), (1, 5.0)]
     np.testing.assert_array_equal(truth.intersections, [[7, 3, 0, 3], [7, 3, 1, 4]])
+
+
+def test_what_pieces_of_one_obstacle_hide_together_counts_once():
+    """Columns 0–5 and 4–8 under two pieces of occluder 7, 9–10 under occluder 3, of which 9–12 is before a piece."""
+    silhouettes = np.array([shapely.box(0, 0, 10, 10), shapely.box(0, 0, 5, 10), shapely.box(4, 0, 8, 10)])
+    silhouettes = np.append(silhouettes, shapely.box(7, 0, 12, 10))
+    occluder = np.array([0, 7, 7, 3])
+    hiding = Hiding.of(np.array([0, 0, 0, 2]), np.array([3, 1, 2, 3]))
+    areas = hidden_areas(silhouettes, hiding, occluder)
+    np.testing.assert_allclose(areas, [70, 0, 30, 10])
+    hidden = hidden_by(hiding, areas, occluder)
+    assert (hidden.row.tolist(), hidden.occluder.tolist(), hidden.px.tolist()) == ([0, 0, 2], [3, 7, 3], [30, 70, 10])
+    boxes = np.array([shape.bounds for shape in silhouettes])
+    seen_boxes, seen_px = boxes_and_areas(visible_of(silhouettes, hiding), boxes, shapely.area(silhouettes))
+    np.testing.assert_allclose(seen_px, [0, 50, 30, 50])
+    np.testing.assert_array_equal(seen_boxes, [[np.nan] * 4, boxes[1], [4, 0, 7, 10], boxes[3]])

@@ -203,6 +203,15 @@ def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_
         np.testing.assert_array_equal(getattr(order_of(replace(outlines, parts=parts)), name), getattr(whole, name))
 
 
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_order_is_the_same_for_a_model_of_the_scene(scale):
+    outlines, _ = tumbled_pairs(np.random.default_rng(13), 100)
+    (part,) = outlines.parts
+    model = replace(outlines, parts=(replace(part, vertices_camera=scale * part.vertices_camera),))
+    for name in ("first_can_hide", "second_can_hide", "intersecting"):
+        np.testing.assert_array_equal(getattr(order_of(model), name), getattr(order_of(outlines), name))
+
+
 def test_separating_planes_are_found_exactly_where_linear_programming_finds_one():
     outlines, _ = tumbled_pairs(np.random.default_rng(5), 300)
     order = order_of(outlines)
