@@ -47,8 +47,8 @@ def detect_run(
     settings = settings_of(scene, run.settings["backend"])
     if settings["versions"] != run.settings["versions"]:
         settings["truth_versions"] = run.settings["versions"]
-    with open_block_workers(scene, workers, truth_run=run.folder) as block_workers:
-        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, progress=progress)
+    block_workers = open_block_workers(scene, workers, truth_run=run.folder)
+    return write_run(scene, folder, block_workers, lambda _: settings, overwrite=overwrite, progress=progress)
 
 
 def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -12,8 +14,10 @@ from typing import IO, Any
 import orjson
 
 from modsim3d.errors import RunDirectoryError
+from modsim3d.outputs.locks import LOCK_FILE, locked_folder
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
+from modsim3d.runs.files.file_list import file_list
 from modsim3d.runs.files.own_ships_table import own_ship_table
 from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
@@ -27,8 +31,26 @@ POSES_FILE = "poses.jsonl"
 """The poses that a live scene received, as a pose file for another run."""
 
 
+@contextmanager
+def locked_run(folder: Path) -> Iterator[None]:
+    """Hold the lock of a run directory, which is made if it is not there; hold it before workers start to write.
+
+    Raises:
+        OutputError: Another process writes to the folder.
+        RunDirectoryError: The folder cannot be written to, or is a file.
+    """
+    with ExitStack() as locks:
+        try:
+            if folder.exists() and not folder.is_dir():
+                raise _not_ours(folder)
+            locks.enter_context(locked_folder(folder))
+        except OSError as error:
+            raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
+        yield
+
+
 class RunDirectory:
-    """The folder of one run, while it is written.
+    """The folder of one run, while it is written; `locked_run` holds its lock.
 
     The truth of finished blocks is kept, so that an interrupted run can be resumed. A resumed run writes the files of
     the detector from the start, because the detector is cheap.
@@ -55,20 +77,24 @@ class RunDirectory:
         self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
         try:
             self._prepare(overwrite, resume)
-            scene.copy.write(self.work / SCENE_FOLDER)
-            self._writers = {
-                name: tables.TableWriter(self.work / f"{name}.parquet", schema)
-                for name, schema in schemas_of(scene).items()
-            }
-            self._lines: dict[tuple[str, int], IO[bytes]] = {
-                (kind, index): self._lines_path(kind, index).open("wb")
-                for kind in JSON_LINES
-                for index in range(len(scene.cameras))
-            }
-            self._poses = (self.work / POSES_FILE).open("wb") if scene.live else None
-            self._poses_sha256 = hashlib.sha256()
+            self._open_files()
         except OSError as error:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
+
+    def _open_files(self) -> None:
+        """Copy the scene, and open the files of the run for writing."""
+        self._scene.copy.write(self.work / SCENE_FOLDER)
+        self._writers = {
+            name: tables.TableWriter(self.work / f"{name}.parquet", schema)
+            for name, schema in schemas_of(self._scene).items()
+        }
+        self._lines: dict[tuple[str, int], IO[bytes]] = {
+            (kind, index): self._lines_path(kind, index).open("wb")
+            for kind in JSON_LINES
+            for index in range(len(self._scene.cameras))
+        }
+        self._poses = (self.work / POSES_FILE).open("wb") if self._scene.live else None
+        self._poses_sha256 = hashlib.sha256()
 
     def __enter__(self) -> RunDirectory:
         """Return the folder, which is ready."""
@@ -83,16 +109,19 @@ class RunDirectory:
             RunDirectoryError: The disk is full, or the files cannot be written for another reason.
         """
         try:
-            for stream in self._lines.values():
-                stream.close()
-            for writer in self._writers.values():
-                writer.close()
-            if self._poses is not None:
-                self._poses.close()
+            self._close_files()
         except OSError as failure:
             raise self._unwritable(failure) from failure
         if isinstance(error, OSError):
             raise self._unwritable(error) from error
+
+    def _close_files(self) -> None:
+        for stream in self._lines.values():
+            stream.close()
+        for writer in self._writers.values():
+            writer.close()
+        if self._poses is not None:
+            self._poses.close()
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
         problem = f"{self.folder} cannot be written to: {error.strerror or error}"
@@ -100,7 +129,7 @@ class RunDirectory:
 
     def _prepare(self, overwrite: bool, resume: bool) -> None:
         interrupted, finished = _is_ours(self.work / SETTINGS_FILE), _is_ours(self.folder / RUN_FILE)
-        taken = self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir()))
+        taken = any(path.name != LOCK_FILE for path in self.folder.iterdir())
         if resume and interrupted:
             if (self.work / SETTINGS_FILE).read_bytes() == self._settings:
                 return
@@ -110,7 +139,7 @@ class RunDirectory:
                     "resume it with the same, or use --overwrite"
                 )
         if taken and not (interrupted or finished or self._hardly_begun()):
-            raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
+            raise _not_ours(self.folder)
         if not overwrite and (interrupted or finished):
             state = "an interrupted run: use --resume or --overwrite" if interrupted else "a run: use --overwrite"
             raise RunDirectoryError(f"{self.folder} holds {state}, or choose another folder")
@@ -124,7 +153,8 @@ class RunDirectory:
     def _hardly_begun(self) -> bool:
         """Whether a run was killed before it had written its settings."""
         names = {path.name for path in self.work.iterdir()} if self.work.is_dir() else {"none"}
-        return names <= {f"{SETTINGS_FILE}.partial"} and {path.name for path in self.folder.iterdir()} == {UNFINISHED}
+        beside = {path.name for path in self.folder.iterdir()} - {LOCK_FILE}
+        return names <= {f"{SETTINGS_FILE}.partial"} and beside == {UNFINISHED}
 
     def _remove_replaced(self) -> None:
         """Remove the run that this one replaces; `run.json` first, as it means that all other files are complete."""
@@ -134,7 +164,7 @@ class RunDirectory:
         if not replaced.exists():
             return
         for path in self.folder.iterdir():
-            if path == self.work:
+            if path.name in (UNFINISHED, LOCK_FILE):
                 continue
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
@@ -169,27 +199,37 @@ class RunDirectory:
         """The settings of a live scene that are known only after the run."""
         return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
 
-    def finish(self, run: dict[str, Any]) -> None:
-        """Put every file in its place; `run.json` (the content is `run`) comes last and says that all are complete."""
-        self.__exit__(None, None, None)
-        self._remove_replaced()
-        for name in self._writers:
-            place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
+    def finish(self, run: dict[str, Any], log: str) -> None:
+        """Put every file in its place; `run.json` comes last: `run` and the list of all files, which are complete."""
+        self._close_files()
         for kind, camera in self._lines:
             lines = self._lines_path(kind, camera)
-            joined = lines.with_suffix(".json")
-            with joined.open("wb") as out:
+            with lines.with_suffix(".json").open("wb") as out:
                 thesis_json.join_lines(lines, out)
-            place(joined, self.folder / joined.name)
+        content = {**run, "files": file_list(self.work, self._file_names())}
+        self._remove_replaced()
         if (self.folder / SCENE_FOLDER).is_dir():  # put there by a run that was killed just then
             shutil.rmtree(self.folder / SCENE_FOLDER)
         (self.work / SCENE_FOLDER).replace(self.folder / SCENE_FOLDER)
-        if self._poses is not None:
-            place(self.work / POSES_FILE, self.folder / POSES_FILE)
+        for name in content["files"]:
+            if not name.startswith(f"{SCENE_FOLDER}/"):
+                place(self.work / name, self.folder / name)
+        (self.folder / LOG_FILE).write_text(log)
         partial = self.work / RUN_FILE
-        partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
+        partial.write_bytes(orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
         place(partial, self.folder / RUN_FILE)
         shutil.rmtree(self.work)
+
+    def _file_names(self) -> list[str]:
+        """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
+        names = [f"{name}.parquet" for name in self._writers]
+        names += [self._lines_path(*key).with_suffix(".json").name for key in self._lines]
+        names += [f"{SCENE_FOLDER}/{name}" for name in self._scene.copy.names]
+        return [*names, POSES_FILE] if self._poses is not None else names
+
+
+def _not_ours(folder: Path) -> RunDirectoryError:
+    return RunDirectoryError(f"{folder} exists and is not a run directory: choose another folder")
 
 
 def _is_ours(path: Path) -> bool:
