@@ -85,9 +85,10 @@ def page(found: dict[str, dict[str, Any]], limits: dict[str, Any], versions: dic
         "",
         "Each case is a good input – a shipped scene, a sample, a small run – with one to eight things wrong: a value "
         "of another kind, huge, tiny, negative, not finite, of 400 digits, empty or very long; a key or an entry that "
-        "is missing, repeated, renamed or nested; aliases and tags of YAML; lost, repeated or retyped columns of tables; "
-        "flipped, cut and inserted bytes; files that are missing, empty, packed or in another encoding. A case may be "
-        "accepted, and what was read is then used for a moment, or refused: with a ModsimError that names its source, "
+        "is missing, repeated, renamed or nested; aliases and tags of YAML; lost, repeated or retyped columns of "
+        "tables, mostly with checksums that are right again; flipped, cut and inserted bytes; files that are missing, "
+        "empty, packed or in another encoding. A case may be accepted, and what was read is then used for a moment, or "
+        "refused: with a ModsimError that names its source, "
         f"in at most {limits['lines']} lines of at most {limits['characters']} characters, without control characters. "
         "Anything else is a failure: another exception, a warning, a crash, a hang, more than "
         f"{limits['cpu_s']:g} s of processor time, or more than {limits['memory_mb']:g} MB above the warm process.",

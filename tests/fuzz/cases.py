@@ -37,7 +37,7 @@ _BY_ENDING: dict[str, tuple[Change, ...]] = {
     ".npz": (*[change_archive] * 5, change_bytes),
     **dict.fromkeys((".png", ".jpeg", ".bmp", ".webp", ".tiff"), (change_image,)),
 }
-_SPOILS_ALL = 0.05
+_SPOILS_ALL, _FINISHED = 0.05, 0.75
 
 
 def files_of(reader: str, number: int) -> Files:
@@ -46,6 +46,8 @@ def files_of(reader: str, number: int) -> Files:
     files = dict(READERS[reader].bases()[base_number(reader, number)])
     for _ in range(rng.choices((1, 2, 3, 8), (80, 12, 5, 3))[0]):
         _spoil(rng, files)
+    if rng.random() < _FINISHED:
+        READERS[reader].finish(files)
     return files
 
 
