@@ -6,13 +6,14 @@ import gzip
 import random
 import re
 import struct
-import zlib
+from functools import cache
 
 from tests.fuzz.values import CELLS, MAGIC
 
 _CELL = re.compile(rb"[^\s,;/\\=:*]+|(?<=,)(?=,)")
 WORDS = (0, 1, 2, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x7F800000, 0x7FC00000, 0x00000400)
 _REPEATS = (2, 10, 1000)
+_BOMB_BYTES = 64_000_000
 
 
 def change_cell(rng: random.Random, content: bytes, others: list[bytes]) -> bytes:
@@ -132,9 +133,10 @@ def _pack(content: bytes) -> bytes:
 
 
 def change_packed(rng: random.Random, content: bytes, others: list[bytes]) -> bytes:
-    """A few kilobytes that unpack to megabytes: the file, and then its beginning or nothing again and again."""
-    filler = rng.choice((b"\0", b" ", b"\n", b"[", b"1,1\n", content[:1000] or b"x"))
-    packer = zlib.compressobj(1, wbits=31)
-    block = filler * (1_000_000 // len(filler))
-    count = rng.choice((1, 3))
-    return b"".join([packer.compress(content), *(packer.compress(block) for _ in range(count)), packer.flush()])
+    """A bomb: the file, and then the same few bytes, in all 64 MB that take some kilobytes."""
+    return _pack(content) + _bomb(rng.choice((b"\0", b" ", b"\n", b"[", b"1,1\n", b"- a\n")))
+
+
+@cache
+def _bomb(filler: bytes) -> bytes:
+    return _pack(filler * (_BOMB_BYTES // len(filler)))
