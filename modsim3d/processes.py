@@ -43,10 +43,9 @@ class Workers(Protocol[W_co]):
         """
 
 
-@contextmanager
 def open_workers(
     count: int, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
-) -> Iterator[Workers[W]]:
+) -> AbstractContextManager[Workers[W]]:
     """One worker in this process, or several in processes of their own.
 
     Args:
@@ -58,15 +57,22 @@ def open_workers(
     Raises:
         ModsimError: Several workers are asked for, and this process is itself a worker.
     """
-    if count == 1:
-        with set_up(*arguments) as worker:
-            yield _ThisProcess(worker)
-        return
-    if multiprocessing.parent_process() is not None:
+    if count > 1 and _made_by_multiprocessing():
         raise ModsimError(
             "workers cannot be started inside a process that multiprocessing made; a script that starts them must do "
             "so under `if __name__ == '__main__':`"
         )
+    return _opened(count, if_killed, set_up, *arguments)
+
+
+@contextmanager
+def _opened(
+    count: int, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
+) -> Iterator[Workers[W]]:
+    if count == 1:
+        with set_up(*arguments) as worker:
+            yield _ThisProcess(worker)
+        return
     context = multiprocessing.get_context(_start_method())
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(set_up, *arguments))
     try:
@@ -126,6 +132,12 @@ def _work_here(work: Callable[[Any, P], T], piece: P) -> T:
     if isinstance(_worker, ModsimError):
         raise _worker
     return work(_worker, piece)
+
+
+def _made_by_multiprocessing() -> bool:
+    """Whether this process is a worker, or one that still imports the script that starts workers."""
+    importing = getattr(multiprocessing.current_process(), "_inheriting", False)  # before `parent_process` is set
+    return bool(importing) or multiprocessing.parent_process() is not None
 
 
 def _start_method() -> str:
