@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -13,6 +15,27 @@ from modsim3d.render.id_pass import IdRenderer
 # A busy machine fails no test, and a run of the tests is the same as the one before.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+
+TERMINAL = (
+    *("COLUMNS", "LINES", "TERM", "TERMINAL_WIDTH", "TTY_COMPATIBLE", "TTY_INTERACTIVE"),
+    *("FORCE_COLOR", "NO_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "PY_COLORS", "PYTHON_COLORS", "GITHUB_ACTIONS"),
+)
+"""Variables that change width and colour of what programs print."""
+
+
+def forget_who_started_the_tests() -> None:
+    """Take from this process, and so from those that tests start, what its shell or its user gave it.
+
+    A shell lets the programs that it starts in the background ignore Ctrl-C.
+    """
+    for name in TERMINAL:
+        os.environ.pop(name, None)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+forget_who_started_the_tests()  # now, because some libraries look at the terminal when they are imported
 
 
 @pytest.fixture(scope="session")

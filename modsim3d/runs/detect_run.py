@@ -37,10 +37,7 @@ def detect_run(
     Raises:
         ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
     """
-    if not run.finished:
-        raise RunDirectoryError(
-            f"{run.folder} holds an interrupted run, whose truth is not complete: {run.how_to_finish}"
-        )
+    run.finished_tables.check_checksums()
     if folder.resolve().is_relative_to(run.folder.resolve()):
         raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
     scene = with_detector(run, detector, seed)

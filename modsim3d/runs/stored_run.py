@@ -8,15 +8,23 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-import orjson
 import pyarrow as pa
 
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.runs.blocks import Block, Frame, frames_of
 from modsim3d.runs.files.block_files import TABLES, finished_truth
-from modsim3d.runs.files.columns import read_rows
-from modsim3d.runs.files.reading import read_detections, read_truth
+from modsim3d.runs.files.reading import detections_of, truth_of
 from modsim3d.runs.files.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER, SETTINGS_FILE, UNFINISHED
+from modsim3d.runs.files.run_file import (
+    RunFile,
+    Settings,
+    check_content,
+    check_files,
+    check_same_scene,
+    check_scene_copy,
+    read_settings,
+)
+from modsim3d.runs.files.stored_tables import StoredTables
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -35,15 +43,31 @@ class StoredRun:
         folder: The run directory.
         settings: The content of `run.json`; of an interrupted run, without counts.
         scene: The scene, read from its copy in the folder.
-        finished: Whether the run was finished.
         steps: Number of steps that are there; of an interrupted run, those whose truth was kept.
+        stored: The tables of a finished run; None of an interrupted one.
     """
 
     folder: Path
     settings: dict[str, Any]
     scene: Scene
-    finished: bool
     steps: int
+    stored: StoredTables | None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run was finished."""
+        return self.stored is not None
+
+    @property
+    def finished_tables(self) -> StoredTables:
+        """The tables of a finished run.
+
+        Raises:
+            RunDirectoryError: The run was interrupted.
+        """
+        if self.stored is None:
+            raise RunDirectoryError(f"{self.folder} holds an interrupted run: {self.how_to_finish}")
+        return self.stored
 
     @property
     def how_to_finish(self) -> str:
@@ -65,24 +89,25 @@ class StoredRun:
         return next(frame for frame in self.frames(step, step + 1) if frame.camera == camera)
 
     def tables(self) -> dict[str, pa.Table]:
-        """All rows of `frames`, `truth` and `detections`: much faster than `frames()`, but all in memory."""
-        if self.finished:
-            return {name: read_rows(self.folder / f"{name}.parquet") for name in TABLES}
+        """All rows of `frames`, `truth` and `detections`: much faster than `frames()`, but all in memory.
+
+        Raises:
+            RunDirectoryError: They are not what a run has written.
+        """
+        if self.stored is not None:
+            return self.stored.rows(0, self.steps)
         blocks = (self._simulation.detect(truth, *steps) for truth, *steps in self._kept_blocks())
         parts = [{name: table(block, self.scene) for name, (_, table) in TABLES.items()} for block in blocks]
         return {name: pa.concat_tables([part[name] for part in parts]) for name in TABLES}
 
-    def truth(self, first: int, stop: int) -> Truth:
-        """The truth of steps first to stop − 1 of a finished run."""
-        return read_truth(self.folder, self.scene, first, stop)
-
     def _block(self, first: int, stop: int, wanted: range) -> Block:
         """The truth and detections of the wanted steps at least, of a block of steps first to stop − 1."""
-        if not self.finished:
+        if self.stored is None:
             return self._simulation.detect(self._kept(first, stop), first, stop)
         first, stop = wanted.start, wanted.stop
-        read = partial(read_detections, self.folder, self.scene.detector)
-        return detected_block(self.scene, self.truth(first, stop), first, stop, read)
+        tables = self.stored.rows(first, stop)
+        read = partial(detections_of, tables, self.scene.detector)
+        return detected_block(self.scene, truth_of(tables["truth"], self.scene), first, stop, read)
 
     @cached_property
     def _simulation(self) -> Simulation:
@@ -107,29 +132,51 @@ class StoredRun:
 
 
 def open_run(folder: Path) -> StoredRun:
-    """Open a run directory.
+    """Open a run directory, and check all of it that can be checked without reading it whole.
+
+    These are `run.json`, the copy of the scene, the size of each file, and columns, types, steps and number of rows of
+    each table. Rows are checked as they are read.
 
     Raises:
-        RunDirectoryError: There is no run in it.
+        RunDirectoryError: There is no run in it, or it is not what a run has written.
         InputError: The scene in it cannot be read.
     """
-    finished = (folder / RUN_FILE).is_file()
-    settings_file = folder / RUN_FILE if finished else folder / UNFINISHED / SETTINGS_FILE
-    scene_folder = (folder if finished else folder / UNFINISHED) / SCENE_FOLDER
-    try:
-        settings = orjson.loads(settings_file.read_bytes())
-        name = settings["scene"]
-    except FileNotFoundError:
-        what = "is no run directory: it has no run.json" if folder.is_dir() else "does not exist"
-        raise RunDirectoryError(f"{folder} {what}") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunDirectoryError(f"{settings_file} is not what a run has written: {error}") from None
-    if not scene_folder.is_dir():
+    if (folder / RUN_FILE).is_file():
+        return _finished_run(folder)
+    if (folder / UNFINISHED / SETTINGS_FILE).is_file():
+        return _interrupted_run(folder)
+    if not folder.is_dir():
         raise RunDirectoryError(
-            f"{folder} holds no copy of its scene ({scene_folder}): it was written by an older version"
+            f"{folder} " + ("is a file, not a run directory" if folder.exists() else "does not exist")
         )
-    scene = load_scene(scene_folder / f"{name}.json")
-    return StoredRun(folder, settings, scene, finished, scene.steps if finished else _kept_steps(folder, scene))
+    if any((folder / f"{name}.parquet").exists() for name in TABLES):
+        raise RunDirectoryError(f"{folder / RUN_FILE} is missing: a finished run has it; copy the whole run directory")
+    raise RunDirectoryError(f"{folder} is no run directory: it has no run.json")
+
+
+def _finished_run(folder: Path) -> StoredRun:
+    source = folder / RUN_FILE
+    content, run = read_settings(source, RunFile)
+    check_files(folder, run)
+    check_scene_copy(folder / SCENE_FOLDER, run, source)
+    if run.poses_sha256 is not None:
+        check_content(folder / POSES_FILE, run.poses_sha256, RUN_FILE)
+    scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
+    check_same_scene(run, scene, source)
+    stored = StoredTables(folder, scene, run.files)
+    stored.check_counts(run.counts)
+    return StoredRun(folder, content, scene, scene.steps, stored)
+
+
+def _interrupted_run(folder: Path) -> StoredRun:
+    work = folder / UNFINISHED
+    content, settings = read_settings(work / SETTINGS_FILE, Settings)
+    check_scene_copy(work / SCENE_FOLDER, settings, work / SETTINGS_FILE)
+    scene = load_scene(work / SCENE_FOLDER / f"{settings.scene}.json")
+    if (work / POSES_FILE).is_file():  # the copy of a live scene has the steps that came in
+        settings = settings.model_copy(update={"steps": scene.steps})
+    check_same_scene(settings, scene, work / SETTINGS_FILE)
+    return StoredRun(folder, content, scene, _kept_steps(folder, scene), None)
 
 
 def _kept_steps(folder: Path, scene: Scene) -> int:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.parts import CONFUSION, MARKOV_CHAIN, Part, used_models
-from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.reading import read_detections
+from modsim3d.runs.files.reading import detections_of, truth_of
 from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.reading import load_scene
@@ -72,14 +71,13 @@ def verify_run(run: StoredRun, detector: Path | None = None) -> VerifiedRun:
     Raises:
         ModsimError: The run was interrupted, or this detector cannot have made it.
     """
-    if not run.finished:
-        raise RunDirectoryError(f"{run.folder} holds an interrupted run: {run.how_to_finish}")
+    tables = run.finished_tables.rows(0, run.steps)
     scene = run.scene if detector is None else load_scene(run.scene.path, detector=detector)
     model = scene.detector
     evidence = Evidence.of(
         [
-            CameraEvidence(part.frames, part.targets, read_detections(run.folder, model, part.frames, part.targets))
-            for part in detector_inputs(scene, run.truth(0, run.steps), 0, run.steps)
+            CameraEvidence(part.frames, part.targets, detections_of(tables, model, part.frames, part.targets))
+            for part in detector_inputs(scene, truth_of(tables["truth"], scene), 0, run.steps)
         ]
     )
     return VerifiedRun(run, detector, model, evidence, verify(model, evidence))

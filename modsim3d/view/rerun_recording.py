@@ -38,6 +38,7 @@ def write_recording(
         raise ModsimError("modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'") from None
     if not run.steps:
         raise RunDirectoryError(f"{run.folder} was interrupted before its first steps were finished")
+    rows, steps = RunRows.of(run), np.arange(0, run.steps, every)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.open("wb").close()
@@ -49,7 +50,6 @@ def write_recording(
     stream.save(out)
     recorder = _Recorder(rerun, stream, run.scene)
     recorder.fixed()
-    rows, steps = RunRows.of(run), np.arange(0, run.steps, every)
     for first in range(0, len(steps), SIGHT_STEPS):
         some = steps[first : first + SIGHT_STEPS]
         recorder.space(some)

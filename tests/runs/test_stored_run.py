@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
@@ -65,7 +66,8 @@ def test_steps_at_which_nothing_is_seen_read_back_as_empty_frames(tmp_path):
 
 
 def test_truth_read_back_is_the_truth(scene, finished):
-    read = open_run(finished).truth(10, 120)
+    run = open_run(finished)
+    read = truth_of(run.finished_tables.truth(10, 120), run.scene)
     with open_renderer(scene) as renderer:
         made = truth_block(scene, 10, 120, renderer)
     for name in COLUMNS:

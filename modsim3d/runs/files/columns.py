@@ -2,60 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import corner_form
-from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
 
 NOBODY = -1
 """The index of a name that is null, or not among the names."""
-Filters = list[tuple[str, str, Any]]
-"""Conditions on rows, as `pyarrow.parquet.read_table` takes them."""
-
-
-def read_rows(path: Path, filters: Filters | None = None, columns: Sequence[str] | None = None) -> pa.Table:
-    """The rows of a table that meet all filters; only the row groups are read that may hold such rows.
-
-    Raises:
-        RunDirectoryError: The file is not the table that a run has written.
-    """
-    with _damage_named(path):
-        return pq.read_table(path, columns=columns, filters=filters)
-
-
-@contextmanager
-def opened_table(path: Path) -> Iterator[pq.ParquetFile]:
-    """A table of a run, to be read row group by row group.
-
-    Raises:
-        RunDirectoryError: The file is not the table that a run has written.
-    """
-    with _damage_named(path), pq.ParquetFile(path) as file:
-        yield file
-
-
-@contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (pa.ArrowException, KeyError) as error:
-        raise RunDirectoryError(f"{path} is not what a run has written: {str(error).splitlines()[0]}") from None
-
-
-def of_steps(first: int, stop: int) -> Filters:
-    """The condition that a row belongs to one of steps first to stop − 1."""
-    return [("step", ">=", first), ("step", "<", stop)]
 
 
 def numbers(table: pa.Table, name: str) -> Array:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from modsim3d.arrays import Indices
 from modsim3d.detector.model import DetectorModel
@@ -14,16 +14,13 @@ from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, T
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.columns import (
     NOBODY,
-    Filters,
     Occluders,
     detection_boxes_px,
     flags,
     indices,
     integers,
     numbers,
-    of_steps,
     positions,
-    read_rows,
     truth_boxes_px,
 )
 from modsim3d.runs.files.tables import ERRORS, TRUTH_NUMBERS
@@ -31,12 +28,11 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import Truth
 
 
-def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
-    """The truth of steps first to stop − 1 of a finished run of a scene.
+def truth_of(table: pa.Table, scene: Scene) -> Truth:
+    """The truth in rows of the table `truth` of a run of a scene.
 
     The table does not say which boxes intersect in space, so `intersections` is empty.
     """
-    table = read_rows(folder / "truth.parquet", of_steps(first, stop))
     occluders = Occluders.of(table, scene.occluder_names)
     return Truth(
         step=integers(table, "step"),
@@ -53,28 +49,36 @@ def read_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth:
     )
 
 
-def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, targets: Targets) -> Detections:
-    """The detections of some frames of a camera in a finished run, whose detector was given these targets.
+def detections_of(
+    tables: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
+) -> Detections:
+    """The detections of a camera in a run, whose detector was given these targets.
 
     The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
     limit on the number of detections removed either, so `gated` knows only the other gates.
 
+    Args:
+        tables: Rows of `frames`, `truth` and `detections` of the same steps as the camera's frames.
+        model: The detector, which need not be the run's.
+        frames: All frames of the camera at these steps.
+        targets: The annotated vessels in these frames.
+
     Raises:
-        RunDirectoryError: The tables name a state, label, kind or vessel that is not known.
+        RunDirectoryError: The model does not know a performance state or a label in the tables.
     """
-    chosen = _of_frames(frames)
-    path, frames_path = folder / "detections.parquet", folder / "frames.parquet"
-    table, states = read_rows(path, chosen), read_rows(frames_path, chosen, ["step", "state"])
-    frame = np.searchsorted(frames.steps, integers(table, "step"))
-    kind = _known_indices(table, "kind", KINDS, path)
-    target = _targets(table, targets, frame, path)
+    chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in tables.items()}
+    table = chosen["detections"]
+    frame, kind = np.searchsorted(frames.steps, integers(table, "step")), indices(table, "kind", KINDS)
+    count, vessel = len(targets.vessel_ids), indices(table, "vessel", targets.vessel_ids)
+    wanted = np.where(vessel == NOBODY, NOBODY, frame * count + vessel)
+    target = positions(targets.frame * count + targets.vessel, wanted)
     return Detections(
-        states=_known_indices(states, "state", [state.name for state in model.states], frames_path),
+        states=_known_indices(chosen["frames"], "state", [state.name for state in model.states]),
         frame=frame,
         target=target,
-        partner=_partners(folder, frames, targets, frame, target, kind),
+        partner=_partners(chosen["truth"], targets, frame, target, kind),
         kind=kind,
-        label=_known_indices(table, "label", model.labels, path),
+        label=_known_indices(table, "label", model.labels),
         confidence=numbers(table, "confidence"),
         boxes_px=detection_boxes_px(table),
         errors_px=np.column_stack([numbers(table, name) for name in ERRORS]),
@@ -83,9 +87,7 @@ def read_detections(folder: Path, model: DetectorModel, frames: CameraFrames, ta
     )
 
 
-def _partners(
-    folder: Path, frames: CameraFrames, targets: Targets, frame: Indices, target: Indices, kind: Indices
-) -> Indices:
+def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices, kind: Indices) -> Indices:
     """Row of the second target of each merged box, else −1, shape (m,).
 
     The second targets of a frame are those that were detected and have no box of their own. The tables do not say which
@@ -93,43 +95,21 @@ def _partners(
     """
     partner = np.full(len(frame), -1)
     merged = np.flatnonzero(kind == MERGED)
-    if not len(merged):
-        return partner
-    chosen: Filters = [*_of_frames(frames), ("annotated", "=", True)]
-    without_box = flags(read_rows(folder / "truth.parquet", chosen, ["detected"]), "detected").copy()
+    without_box = flags(truth, "detected")[flags(truth, "annotated")]
     without_box[target[target >= 0]] = False
     rows = np.flatnonzero(without_box)
     for where in np.unique(frame[merged]):
-        boxes, seconds = merged[frame[merged] == where], rows[targets.frame[rows] == where]
-        count = min(len(boxes), len(seconds))
-        partner[boxes[:count]] = seconds[:count]
+        partner[merged[frame[merged] == where]] = rows[targets.frame[rows] == where]
     return partner
 
 
-def _of_frames(frames: CameraFrames) -> Filters:
-    """The condition that a row belongs to one of these consecutive frames of a camera."""
-    first, stop = (int(frames.steps[0]), int(frames.steps[-1]) + 1) if len(frames) else (0, 0)
-    return [("camera", "=", frames.camera), *of_steps(first, stop)]
-
-
-def _known_indices(table: pa.Table, name: str, names: Sequence[str], path: Path) -> Indices:
-    """A column of names as indices; a name that is not known is an error."""
+def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
+    """A column of names as indices; a name that the detector does not know is an error."""
     found = indices(table, name, names)
     unknown = np.flatnonzero(found == NOBODY)
     if len(unknown):
         raise RunDirectoryError(
-            f"{path}: the {name} '{table[name][int(unknown[0])]}' is not one of the detector file's "
+            f"the run has the {name} '{table[name][int(unknown[0])]}', which is not one of the detector file's "
             f"({', '.join(names)}): this detector cannot have made this run"
         )
     return found
-
-
-def _targets(table: pa.Table, targets: Targets, frame: Indices, path: Path) -> Indices:
-    """Row of the target that each detection came from, −1 for a false positive, shape (m,)."""
-    count, vessel = len(targets.vessel_ids), indices(table, "vessel", targets.vessel_ids)
-    row = positions(targets.frame * count + targets.vessel, np.where(vessel < 0, NOBODY, frame * count + vessel))
-    strange = np.flatnonzero(table["vessel"].is_valid().to_numpy() & (row < 0))
-    if len(strange):
-        name = table["vessel"][int(strange[0])]
-        raise RunDirectoryError(f"{path}: vessel '{name}' is detected at a step where it is not annotated")
-    return row

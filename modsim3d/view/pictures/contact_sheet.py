@@ -29,7 +29,7 @@ def draw_contact_sheet(run: StoredRun) -> Path:
     """Draw the contact sheet of a finished run into its folder: panels of frames that are worth a look."""
     path = run.folder / SHEET_FILE
     with open_id_renderer(run.scene) as id_renderer:
-        _sheet(run, pick_highlights(run.folder), id_renderer).save(path)
+        _sheet(run, pick_highlights(run.finished_tables), id_renderer).save(path)
     return path
 
 

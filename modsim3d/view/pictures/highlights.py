@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.arrays import Array
-from modsim3d.runs.files.columns import flags, numbers, opened_table
+from modsim3d.runs.files.columns import flags, numbers
+from modsim3d.runs.files.stored_tables import StoredTable, StoredTables
 from modsim3d.runs.files.tables import BOX_SIDES
 from modsim3d.view.pictures.window import Box
 
@@ -27,10 +27,10 @@ class Highlight:
     caption: str
 
 
-def pick_highlights(folder: Path) -> list[Highlight]:
+def pick_highlights(tables: StoredTables) -> list[Highlight]:
     """One highlight of each kind that a finished run has: occlusion, recovery from it, a miss, a false alarm, ..."""
-    truth = _least(folder / "truth.parquet", len(CAPTIONS), _truth_ranks)
-    (false,) = _least(folder / "detections.parquet", 1, _false_alarm_ranks)
+    truth = _least(tables.by_name["truth"], len(CAPTIONS), _truth_ranks)
+    (false,) = _least(tables.by_name["detections"], 1, _false_alarm_ranks)
     found = [
         Highlight(
             row["step"],
@@ -72,20 +72,15 @@ def _false_alarm_ranks(detections: pa.Table) -> list[Array]:
     return [np.where(detections["vessel"].is_null().to_numpy(), -size, np.inf)]
 
 
-def _least(path: Path, kinds: int, ranks_of: Callable[[pa.Table], list[Array]]) -> list[dict[str, Any] | None]:
-    """For each kind the row of a table that ranks least, None if no row is of the kind.
-
-    The table is read row group by row group, because that of a long run is larger than memory.
-    """
+def _least(stored: StoredTable, kinds: int, ranks_of: Callable[[pa.Table], list[Array]]) -> list[dict[str, Any] | None]:
+    """For each kind the row of a table that ranks least, None if no row is of the kind."""
     least = [np.inf] * kinds
     rows: list[dict[str, Any] | None] = [None] * kinds
-    with opened_table(path) as file:
-        for group in range(file.num_row_groups):
-            table = file.read_row_group(group)
-            for kind, rank in enumerate(ranks_of(table)):
-                if rank.min(initial=np.inf) < least[kind]:
-                    least[kind] = float(rank.min())
-                    rows[kind] = table.slice(int(np.argmin(rank)), 1).to_pylist()[0]
+    for table in stored.groups():
+        for kind, rank in enumerate(ranks_of(table)):
+            if rank.min(initial=np.inf) < least[kind]:
+                least[kind] = float(rank.min())
+                rows[kind] = table.slice(int(np.argmin(rank)), 1).to_pylist()[0]
     return rows
 
 

@@ -1,0 +1,305 @@
+"""What holds in the rows of a run's tables: each value alone, in its row, in its frame, and between the tables.
+
+Rows are checked as they are read, so that no reader has to guess. An error names file, row, column and value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
+from modsim3d.errors import RunDirectoryError
+from modsim3d.inputs.validation import MAX_COORDINATE_M, shown
+from modsim3d.runs.files.columns import (
+    NOBODY,
+    Occluders,
+    detection_boxes_px,
+    flags,
+    indices,
+    integers,
+    numbers,
+    positions,
+    truth_boxes_px,
+)
+from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM, ERRORS
+from modsim3d.scene.scene import Scene
+
+ROUNDING = 1e-6
+"""Relative error that sums of areas and boxes in another form may have."""
+MOST_DEPTH_M = 4 * MAX_COORDINATE_M
+MOST_ERROR_PX = 1e12
+OF_NO_VESSEL = (FALSE_POSITIVE, PERSISTENT)
+"""Kinds of detections that belong to no vessel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Consecutive rows of a table of a run, with the steps that they may belong to.
+
+    Attributes:
+        path: The table's file.
+        first_row: Number of the first of these rows in the file.
+        first: First step of the rows.
+        stop: The step after the last.
+    """
+
+    path: Path
+    first_row: int
+    table: pa.Table
+    first: int
+    stop: int
+
+    def refuse(self, column: str, wrong: Mask, right: str) -> None:
+        """Refuse the first row that is wrong (shape (n,)), if there is one; `right` says what the value must be.
+
+        Raises:
+            RunDirectoryError: A row is wrong.
+        """
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise RunDirectoryError(
+                f"{self.path} is not what a run has written: row {self.first_row + row}, column '{column}': "
+                f"must be {right} (got {_text(self.table[column][row])})"
+            )
+
+    def filled(self, column: str) -> None:
+        """Refuse null."""
+        if self.table[column].null_count:
+            self.refuse(column, self.table[column].is_null().to_numpy(), "there")
+
+    def integers(self, column: str, least: int = 0) -> Indices:
+        """A column of whole numbers, shape (n,)."""
+        self.filled(column)
+        values = integers(self.table, column)
+        self.refuse(column, values < least, f"at least {least}")
+        return values
+
+    def flags(self, column: str) -> Mask:
+        """A column of truth values, shape (n,)."""
+        self.filled(column)
+        return flags(self.table, column)
+
+    def numbers(self, column: str, least: float, greatest: float | Array, *, nullable: bool = False) -> Array:
+        """A column of numbers; `greatest` may be one for each row. NaN for null, shape (n,)."""
+        values = numbers(self.table, column)
+        if not nullable:
+            self.refuse(column, np.isnan(values), "a number")
+        wrong = (values < least) | (values > greatest)
+        if wrong.any():
+            most = float(np.broadcast_to(greatest, values.shape)[np.argmax(wrong)])
+            self.refuse(column, wrong, f"from {least:g} to {most:g}")
+        return values
+
+    def names(self, column: str, known: Sequence[str], *, nullable: bool = False) -> Indices:
+        """A column of names as indices, `NOBODY` for null, shape (n,)."""
+        found = indices(self.table, column, known)
+        wrong = found == NOBODY
+        if nullable and wrong.any():
+            wrong &= self.table[column].is_valid().to_numpy()
+        self.refuse(column, wrong, f"one of {', '.join(known[:12])}{', …' if len(known) > 12 else ''}")
+        return found
+
+
+def _text(value: pa.Scalar) -> str:
+    try:
+        return "null" if value.as_py() is None else shown(value.as_py())
+    except UnicodeDecodeError:
+        return "bytes that are no UTF-8"
+
+
+def check_frames(rows: Rows, scene: Scene) -> Indices:
+    """Check rows of `frames`; the index of each frame's performance state, shape (n,).
+
+    Raises:
+        RunDirectoryError: A value is not what a run has written.
+    """
+    frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
+    if not np.array_equal(frame, taken):
+        common = min(len(frame), len(taken))
+        row = int(np.argmax(np.append(frame[:common] != taken[:common], True)))
+        raise RunDirectoryError(
+            f"{rows.path} is not what a run has written: row {rows.first_row + row} must be "
+            + (_frame_text(scene, int(taken[row])) if row < len(taken) else "that of a later step")
+            + f" (got {_frame_text(scene, int(frame[row])) if row < len(frame) else 'none'})"
+        )
+    for name in ("n_annotated", "n_detected", "n_false"):
+        rows.integers(name)
+    return rows.names("state", [state.name for state in scene.detector.states])
+
+
+def frames_taken(scene: Scene, first: int, stop: int) -> Indices:
+    """Numbers (step × cameras + camera) of the frames that a scene's cameras take at steps first to stop − 1."""
+    cameras = len(scene.cameras)
+    of_cameras = [scene.frame_steps(camera, first, stop) * cameras + i for i, camera in enumerate(scene.cameras)]
+    return np.sort(np.concatenate(of_cameras))
+
+
+def _frame_text(scene: Scene, frame: int) -> str:
+    step, camera = divmod(frame, len(scene.cameras))
+    return f"step {step} of camera '{scene.cameras[camera].name}'"
+
+
+def _frame_numbers(rows: Rows, scene: Scene) -> Indices:
+    """Check camera, step and timestamp; the number of each row's frame, shape (n,)."""
+    step = rows.integers("step")
+    rows.refuse("step", (step < rows.first) | (step >= rows.stop), f"from {rows.first} to {rows.stop - 1}")
+    camera = rows.names("camera", [camera.name for camera in scene.cameras])
+    times = pa.array(scene.timestamps(rows.first, rows.stop), pa.string()).take(pa.array(step - rows.first))
+    written = rows.table["timestamp"].combine_chunks()
+    if not written.equals(times):
+        wrong = np.array([a != b for a, b in zip(written.cast(pa.binary()), times.cast(pa.binary()), strict=True)])
+        rows.refuse("timestamp", wrong, f"'{times[int(np.argmax(wrong))]}', the time of its step")
+    return step * len(scene.cameras) + camera
+
+
+def check_truth(rows: Rows, scene: Scene) -> None:
+    """Check rows of `truth`.
+
+    Raises:
+        RunDirectoryError: A value is not what a run has written.
+    """
+    frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
+    rows.refuse("step", positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
+    vessel = rows.names("vessel", scene.vessel_names)
+    key = frame * len(scene.vessels) + vessel
+    rows.refuse("vessel", np.diff(key, prepend=-1) <= 0, "after the row before, in order of step, camera and vessel")
+    label = rows.names("label", labels := list(dict.fromkeys(vessel.label for vessel in scene.vessels)))
+    of_vessel = np.array([labels.index(vessel.label) for vessel in scene.vessels])
+    rows.refuse("label", label != of_vessel[vessel], "the vessel's")
+    size_px = _image_sizes_px(rows, scene)
+    _check_boxes(rows, "full", truth_boxes_px(rows.table, "full"), size_px, nullable=False)
+    visible = truth_boxes_px(rows.table, "visible")
+    _check_boxes(rows, "visible", visible, size_px, nullable=True)
+    _check_visibility(rows, scene, size_px.prod(axis=1) * (1 + ROUNDING))
+    annotated, detected = rows.flags("annotated"), rows.flags("detected")
+    if scene.annotation.mode == 2:
+        rows.refuse("annotated", annotated & np.isnan(visible[:, 0]), "false, as the vessel has no visible box")
+    rows.refuse("detected", detected & ~annotated, "false, as the vessel is not annotated")
+
+
+def _image_sizes_px(rows: Rows, scene: Scene) -> Array:
+    """Width and height of the image of each row, shape (n, 2)."""
+    sizes_px = np.array([camera.intrinsics.image_size_px for camera in scene.cameras], dtype=np.float64)
+    return sizes_px[indices(rows.table, "camera", [camera.name for camera in scene.cameras])]
+
+
+def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nullable: bool) -> None:
+    """Check that boxes, shape (n, 4), lie in their images and have no side below 0; a missing one has no number."""
+    for i, side in enumerate(BOX_SIDES):
+        rows.numbers(f"{prefix}_{side}", 0.0, size_px[:, i % 2] * (1 + ROUNDING), nullable=nullable)
+        missing = np.isnan(boxes_px[:, i]) != np.isnan(boxes_px[:, 0])
+        rows.refuse(f"{prefix}_{side}", missing, "a number like the other sides of the box, or null like them")
+    for i, side in enumerate(BOX_SIDES[2:]):
+        wrong = boxes_px[:, i + 2] < boxes_px[:, i]
+        rows.refuse(f"{prefix}_{side}", wrong, f"at least {prefix}_{BOX_SIDES[i]}")
+
+
+def _check_visibility(rows: Rows, scene: Scene, most_px: Array) -> None:
+    silhouette_px = rows.numbers("silhouette_px", 0.0, most_px)
+    rows.numbers("visible_px", 0.0, silhouette_px * (1 + ROUNDING) + ROUNDING, nullable=True)
+    rows.numbers("visible_fraction", 0.0, 1 + ROUNDING, nullable=True)
+    rows.numbers("in_frame_fraction", 0.0, 1 + ROUNDING, nullable=True)
+    rows.numbers("depth_m", -MOST_DEPTH_M, MOST_DEPTH_M)
+    rows.filled("occluded_by")
+    occluders, wrong = Occluders.of(rows.table, scene.occluder_names), np.zeros(len(rows.table), dtype=bool)
+    wrong[occluders.hidden[occluders.name == NOBODY]] = True
+    rows.refuse("occluded_by", wrong, "a list of vessels and obstacles of the scene")
+    hidden = occluders.hidden
+    wrong[hidden[~((occluders.px >= 0) & (occluders.px <= most_px[hidden]))]] = True
+    rows.refuse("occluded_by", wrong, "a list with numbers of pixels")
+
+
+def check_detections(rows: Rows, scene: Scene) -> None:
+    """Check rows of `detections`.
+
+    Raises:
+        RunDirectoryError: A value is not what a run has written.
+    """
+    frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
+    rows.refuse("step", positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", np.diff(frame, prepend=-1) < 0, "after the row before, in order of step and camera")
+    number = np.arange(len(frame)) - np.searchsorted(frame, frame)
+    rows.refuse("detection", rows.integers("detection") != number, "the number of the row in its frame, from 0")
+    rows.names("label", scene.detector.labels)
+    rows.names("state", [state.name for state in scene.detector.states])
+    kind, vessel = rows.names("kind", KINDS), rows.names("vessel", scene.vessel_names, nullable=True)
+    of_nobody = np.isin(kind, OF_NO_VESSEL)
+    rows.refuse("vessel", of_nobody != (vessel == NOBODY), "null for a false positive and for nothing else")
+    rows.numbers("confidence", 0.0, 1.0)
+    size_px = _image_sizes_px(rows, scene)
+    for i, name in enumerate(CENTRE_FORM):
+        rows.numbers(name, 0.0, size_px[:, i % 2] * (1 + ROUNDING))
+    boxes_px, slack = detection_boxes_px(rows.table), ROUNDING * np.tile(size_px, 2)
+    outside = (boxes_px < -slack) | (boxes_px > np.tile(size_px, 2) + slack)
+    for i, name in enumerate(CENTRE_FORM[:2]):
+        rows.refuse(name, outside[:, i] | outside[:, i + 2], "the centre of a box inside the image")
+    errors = np.column_stack([rows.numbers(name, -MOST_ERROR_PX, MOST_ERROR_PX, nullable=True) for name in ERRORS])
+    for i, name in enumerate(ERRORS):
+        one_missing = np.isnan(errors[:, i]) != np.isnan(errors[:, 0])
+        rows.refuse(name, one_missing, "a number like the other errors of the box, or null like them")
+
+
+def check_together(frames: Rows, truth: Rows, detections: Rows, scene: Scene) -> None:
+    """Check that the rows of the same steps in the three tables, each checked before, are of one run.
+
+    Raises:
+        RunDirectoryError: They contradict each other.
+    """
+    frame, of_truth, drawn = (_numbers_of(rows.table, scene) for rows in (frames, truth, detections))
+    state = indices(frames.table, "state", [state.name for state in scene.detector.states])
+    written = indices(detections.table, "state", [state.name for state in scene.detector.states])
+    detections.refuse("state", written != state[positions(frame, drawn)], "that of the frame in frames.parquet")
+    annotated, detected = flags(truth.table, "annotated"), flags(truth.table, "detected")
+    kind = indices(detections.table, "kind", KINDS)
+    own = ~np.isin(kind, FALSE_KINDS)
+    boxes = _boxes_of(truth, detections, drawn, own, scene)
+    truth.refuse("detected", (boxes > 0) & ~detected, "true, as detections.parquet has a box of the vessel")
+
+    def count(numbers: Indices) -> Indices:
+        """How many of some frame numbers are that of each row of `frames`."""
+        return np.bincount(positions(frame, numbers), minlength=len(frame))
+
+    merged, without_box = count(drawn[kind == MERGED]), count(of_truth[detected & (boxes == 0)])
+    strange, right = merged != without_box, "so that each merged box has a second vessel, detected without a box"
+    truth.refuse("detected", detected & (boxes == 0) & strange[positions(frame, of_truth)], right)
+    detections.refuse("kind", (kind == MERGED) & strange[positions(frame, drawn)], right)
+    counts = count(of_truth[annotated]), count(drawn[own]), count(drawn[~own])
+    for name, found in zip(("n_annotated", "n_detected", "n_false"), counts, strict=True):
+        right = "the number in truth.parquet and detections.parquet"
+        frames.refuse(name, integers(frames.table, name) != found, right)
+
+
+def _numbers_of(table: pa.Table, scene: Scene) -> Indices:
+    """The number of each row's frame, see `frames_taken`, shape (n,)."""
+    cameras = [camera.name for camera in scene.cameras]
+    return integers(table, "step") * len(cameras) + indices(table, "camera", cameras)
+
+
+def _boxes_of(truth: Rows, detections: Rows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
+    """How many boxes of its own each row of the truth has, 0 or 1, shape (n,).
+
+    Args:
+        truth: Rows of the truth table.
+        detections: Rows of the table of detections.
+        drawn: Number of the frame of each detection, shape (m,).
+        own: Whether it is the one box of its vessel, shape (m,).
+        scene: The scene.
+    """
+    vessels = len(scene.vessels)
+    rows = np.flatnonzero(flags(truth.table, "annotated"))
+    key = _numbers_of(truth.table, scene)[rows] * vessels + indices(truth.table, "vessel", scene.vessel_names)[rows]
+    vessel = indices(detections.table, "vessel", scene.vessel_names)
+    place = positions(key, drawn * vessels + vessel)
+    strange = (vessel != NOBODY) & (place == NOBODY)
+    detections.refuse("vessel", strange, "annotated in truth.parquet in this frame")
+    found = np.flatnonzero(own)
+    second = np.ones(len(own), dtype=bool)
+    second[found[np.unique(place[found], return_index=True)[1]]] = False
+    detections.refuse("vessel", second & own, "in one box of its own in a frame")
+    return np.bincount(rows[place[own]], minlength=len(truth.table))

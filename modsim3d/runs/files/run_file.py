@@ -1,0 +1,208 @@
+"""What a run says about itself: `run.json` of a finished run, `settings.json` of an interrupted one."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, fields
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import Field, ValidationError, field_validator
+
+from modsim3d.errors import InputError, RunDirectoryError
+from modsim3d.inputs.strict_json import load_json
+from modsim3d.inputs.validation import Count, Number, Strict, describe, shown
+from modsim3d.runs.counts import Counts
+from modsim3d.scene.scene import Scene
+
+Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
+Text = Annotated[str, Field(strict=True)]
+FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$")]
+Estimate = Number | None
+"""A number, null where too few boxes tell it."""
+Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
+MOST_PROBLEMS = 5
+
+
+class FileEntry(Strict):
+    """Size and checksum of a file."""
+
+    bytes: Count
+    sha256: Sha256
+
+
+class Truncation(Strict):
+    """How resampling shifts the box errors of a performance state, see `BoxSample.truncation`."""
+
+    unit: Literal["px", "relative"]
+    detections: Count
+    boxes: Count
+    redrawn: Estimate
+    mean: Four
+    mean_shift: Four
+    mean_standard_error: Four
+    covariance: Annotated[list[Four], Field(min_length=4, max_length=4)]
+
+
+class Settings(Strict):
+    """Everything that decides the content of the files, see `runs.run.settings_of`."""
+
+    format: Literal[1]
+    scene: FileName
+    scene_sha256: Sha256
+    seed: Count
+    detector_seed: Count
+    steps: Count
+    annotation: dict[Text, Any]
+    cameras: list[Text]
+    backend: Text
+    plugins: dict[Text, Text]
+    versions: dict[Text, Text]
+    truth_versions: dict[Text, Text] | None = None
+
+
+class RunFile(Settings):
+    """The settings, and what is known after the run.
+
+    Attributes:
+        files: Size and checksum of each file that the run has written, by its path in the run directory; None in a run
+            that was written before this was kept.
+        poses_sha256: Checksum of the poses that a live scene received.
+    """
+
+    counts: dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]]
+    truncation: dict[Text, Truncation]
+    poses_sha256: Sha256 | None = None
+    files: dict[Text, FileEntry] | None = None
+
+    @field_validator("counts")
+    @classmethod
+    def _has_every_count(cls, counts: dict[str, float]) -> dict[str, float]:
+        names = {field.name for field in fields(Counts)}
+        if missing := sorted(names - counts.keys()):
+            raise ValueError(f"these counts are missing: {', '.join(missing)}")
+        if unknown := sorted(counts.keys() - names):
+            raise ValueError(f"these counts are unknown: {', '.join(unknown)}")
+        if broken := [name for name in counts if name != "largest_curvature_px" and counts[name] % 1]:
+            raise ValueError(f"these counts are no whole numbers: {', '.join(broken)}")
+        return counts
+
+    @field_validator("files")
+    @classmethod
+    def _lie_in_the_folder(cls, files: dict[str, FileEntry] | None) -> dict[str, FileEntry] | None:
+        for name in files or {}:
+            path = PurePosixPath(name)
+            if not name or path.is_absolute() or ".." in path.parts or "\0" in name:
+                raise ValueError(f"'{name}' is no path in a run directory")
+        return files
+
+
+Model = TypeVar("Model", bound=Settings)
+
+
+def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model]:
+    """The content of `run.json` or `settings.json`, as it is and validated.
+
+    Raises:
+        RunDirectoryError: It is not what a run has written.
+    """
+    try:
+        content = load_json(path, "run")
+        return content, model.model_validate(content)
+    except InputError as error:
+        problems = list(error.problems)
+    except ValidationError as error:
+        problems = describe(error, model)
+    more = [f"and {len(problems) - MOST_PROBLEMS} more"] if len(problems) > MOST_PROBLEMS else []
+    raise RunDirectoryError(f"{path} is not what a run has written: {'; '.join([*problems[:MOST_PROBLEMS], *more])}")
+
+
+def check_scene_copy(folder: Path, settings: Settings, source: Path) -> None:
+    """Check that the copy of the scene is the one that the run has made.
+
+    Args:
+        folder: The folder of the copy.
+        settings: The content of the run's `source`.
+        source: `run.json` or `settings.json`.
+
+    Raises:
+        RunDirectoryError: It is missing, or was changed; see `SceneCopy.sha256`.
+    """
+    scene_file = folder / f"{settings.scene}.json"
+    if not scene_file.is_file():
+        raise RunDirectoryError(f"{scene_file} is missing: {source} names it as the copy of the run's scene")
+    try:
+        digest = hashlib.sha256(_sha256(scene_file))
+        paths = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+        for name, path in sorted(paths.items()):
+            if path != scene_file:
+                digest.update(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest())
+                digest.update(_sha256(path))
+    except OSError as error:
+        raise RunDirectoryError(f"{error.filename or folder} cannot be read: {error.strerror or error}") from None
+    if digest.hexdigest() != settings.scene_sha256:
+        raise RunDirectoryError(
+            f"{folder} is not the scene that the run was made of: its files have the checksum {digest.hexdigest()}, "
+            f"{source.name} has scene_sha256 {settings.scene_sha256}; was a file in it changed, added or lost?"
+        )
+
+
+def _sha256(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
+
+
+def check_same_scene(settings: Settings, scene: Scene, source: Path) -> None:
+    """Check that the settings are those of the scene in its copy.
+
+    Raises:
+        RunDirectoryError: One of them is another.
+    """
+    expected = {
+        "seed": scene.seed,
+        "detector_seed": scene.detector_seed,
+        "steps": scene.steps,
+        "annotation": asdict(scene.annotation),
+        "cameras": [camera.name for camera in scene.cameras],
+    }
+    for name, value in expected.items():
+        if getattr(settings, name) != value:
+            raise RunDirectoryError(
+                f"{source}: {name} is {shown(getattr(settings, name))}, but {shown(value)} in the run's copy of its "
+                f"scene ({scene.path})"
+            )
+
+
+def check_files(folder: Path, run: RunFile) -> None:
+    """Check that every file that a run has listed is there, with its size.
+
+    Raises:
+        RunDirectoryError: One is missing, or has another size.
+    """
+    for name, entry in (run.files or {}).items():
+        path = folder / name
+        if not path.is_file():
+            raise RunDirectoryError(f"{path} is missing: run.json lists it")
+        if (size := path.stat().st_size) != entry.bytes:
+            raise RunDirectoryError(f"{path} has {size} bytes, and had {entry.bytes} when the run was finished")
+
+
+def check_content(path: Path, sha256: str, source: str) -> None:
+    """Check that a file has a checksum.
+
+    Args:
+        path: The file.
+        sha256: Its checksum when it was written.
+        source: The file that says so, for the message.
+
+    Raises:
+        RunDirectoryError: It has another, is missing, or cannot be read.
+    """
+    try:
+        found = _sha256(path).hex()
+    except FileNotFoundError:
+        raise RunDirectoryError(f"{path} is missing: {source} lists it") from None
+    except OSError as error:
+        raise RunDirectoryError(f"{path} cannot be read: {error.strerror or error}") from None
+    if found != sha256:
+        raise RunDirectoryError(f"{path} was changed after the run: its checksum is {found}, {source} has {sha256}")

@@ -1,0 +1,226 @@
+"""The tables of a finished run, checked when they are opened and as their rows are read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from modsim3d.arrays import Indices
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
+from modsim3d.runs.files.row_checks import (
+    Rows,
+    check_detections,
+    check_frames,
+    check_together,
+    check_truth,
+)
+from modsim3d.runs.files.run_directory import RUN_FILE
+from modsim3d.runs.files.run_file import FileEntry, check_content
+from modsim3d.scene.scene import Scene
+
+CHECKS: dict[str, Callable[[Rows, Scene], object]] = {
+    "frames": check_frames,
+    "truth": check_truth,
+    "detections": check_detections,
+}
+
+
+class StoredTable:
+    """A table of a finished run, whose footer has been checked; its rows are checked as they are read."""
+
+    def __init__(self, folder: Path, name: str, scene: Scene) -> None:
+        """Check the footer: the columns and their types, and the steps of each row group.
+
+        Raises:
+            RunDirectoryError: The file is not the table that a run of the scene has written.
+        """
+        self.path = folder / f"{name}.parquet"
+        self._name, self._scene = name, scene
+        with damage_named(self.path):
+            self._metadata = pq.read_metadata(self.path)
+            _check_schema(self.path, self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name])
+            self._steps = self._steps_of_groups()
+        rows = [self._metadata.row_group(i).num_rows for i in range(self._metadata.num_row_groups)]
+        self._first_row = np.concatenate([[0], np.cumsum(rows, dtype=np.int64)])
+        self._check_steps()
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return int(self._metadata.num_rows)
+
+    def groups(self) -> Iterator[pa.Table]:
+        """The rows, row group by row group: the table of a long run is larger than memory.
+
+        Raises:
+            RunDirectoryError: A row is not what a run has written.
+        """
+        for group, (least, greatest) in enumerate(self._steps.tolist()):
+            yield self._checked(group, group + 1, least, greatest + 1).table
+
+    def rows(self, first: int, stop: int) -> Rows:
+        """The rows of steps first to stop − 1; only the row groups are read that may hold such rows.
+
+        Raises:
+            RunDirectoryError: A row is not what a run has written.
+        """
+        here = np.flatnonzero((self._steps[:, 1] >= first) & (self._steps[:, 0] < stop))
+        begin, end = (int(here[0]), int(here[-1]) + 1) if len(here) else (0, 0)
+        return self._checked(begin, end, first, stop)
+
+    def _checked(self, begin: int, end: int, first: int, stop: int) -> Rows:
+        """The checked rows of steps first to stop − 1 in row groups begin to end − 1."""
+        with damage_named(self.path), pq.ParquetFile(self.path, metadata=self._metadata) as file:
+            table = file.read_row_groups(range(begin, end)).combine_chunks()
+            table.validate()
+        whole = Rows(self.path, int(self._first_row[begin]), table, first, stop)
+        steps = whole.integers("step")
+        whole.refuse("step", np.diff(steps, prepend=-1) < 0, "in ascending order")
+        low, high = np.searchsorted(steps, (first, stop)).tolist()
+        rows = Rows(self.path, whole.first_row + low, table.slice(low, high - low), first, stop)
+        CHECKS[self._name](rows, self._scene)
+        return rows
+
+    def _steps_of_groups(self) -> Indices:
+        """The least and the greatest step of each row group, shape (groups, 2)."""
+        column = self._metadata.schema.names.index("step")
+        ranges = []
+        for group in range(self._metadata.num_row_groups):
+            found = self._metadata.row_group(group).column(column).statistics
+            if found is not None and found.has_min_max:
+                ranges.append((found.min, found.max))
+                continue
+            with pq.ParquetFile(self.path) as file:
+                steps = file.read_row_group(group, columns=["step"])["step"].drop_null().to_numpy()
+            if len(steps):
+                ranges.append((steps.min(), steps.max()))
+            else:
+                ranges.append(ranges[-1] if ranges else (0, 0))
+        return np.array(ranges, dtype=np.int64).reshape(-1, 2)
+
+    def _check_steps(self) -> None:
+        stop = self._scene.steps
+        for group, (least, greatest) in enumerate(self._steps.tolist()):
+            if least < 0 or greatest >= stop:
+                step = least if least < 0 else greatest
+                raise RunDirectoryError(
+                    f"{self.path} is not what a run has written: column 'step' has {step} in rows "
+                    f"{self._first_row[group]} to {self._first_row[group + 1] - 1}; the run has steps 0 to {stop - 1}"
+                )
+            if group and least < self._steps[group - 1, 1]:
+                raise RunDirectoryError(
+                    f"{self.path} is not what a run has written: column 'step' has {least} after "
+                    f"{self._steps[group - 1, 1]}, at or after row {self._first_row[group]}; steps must ascend"
+                )
+
+
+class StoredTables:
+    """The tables `frames`, `truth` and `detections` of a finished run."""
+
+    def __init__(self, folder: Path, scene: Scene, listed: Mapping[str, FileEntry] | None = None) -> None:
+        """Check the footers of all tables.
+
+        Args:
+            folder: The run directory.
+            scene: The run's scene, if need be with another detector.
+            listed: The list of files in `run.json`; None if it has none, or if it was compared before.
+
+        Raises:
+            RunDirectoryError: A table is missing, or is not what a run of the scene has written.
+        """
+        self._scene, self._listed = scene, listed or {}
+        self.by_name = {name: StoredTable(folder, name, scene) for name in CHECKS}
+        if OWN_SHIP in schemas_of(scene):
+            path = folder / f"{OWN_SHIP}.parquet"
+            with damage_named(path):
+                _check_schema(path, pq.read_schema(path), schemas_of(scene)[OWN_SHIP])
+
+    def check_counts(self, counts: dict[str, float]) -> None:
+        """Check the number of rows of each table against the counts of `run.json`.
+
+        Raises:
+            RunDirectoryError: A table has another number of rows.
+        """
+        expected = {
+            "frames": counts["frames"],
+            "truth": counts["vessel_frames"],
+            "detections": counts["detected"] - counts["merged"] + counts["false_positives"],
+        }
+        for name, rows in expected.items():
+            if len(table := self.by_name[name]) != rows:
+                raise RunDirectoryError(f"{table.path} has {len(table)} rows, but {rows:g} by the counts of run.json")
+
+    def truth(self, first: int, stop: int) -> pa.Table:
+        """The truth of steps first to stop − 1.
+
+        Raises:
+            RunDirectoryError: A row is not what a run has written.
+        """
+        return self.by_name["truth"].rows(first, stop).table
+
+    def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
+        """The rows of steps first to stop − 1 by the table's name.
+
+        Raises:
+            RunDirectoryError: A row is not what a run has written, two tables contradict each other, or all rows are
+                read and a table is not the one that the run has listed.
+        """
+        rows = {name: table.rows(first, stop) for name, table in self.by_name.items()}
+        check_together(rows["frames"], rows["truth"], rows["detections"], self._scene)
+        if stop - first == self._scene.steps:
+            self.check_checksums()
+        return {name: part.table for name, part in rows.items()}
+
+    def check_checksums(self) -> None:
+        """Check that each table has the checksum in `run.json`, where this lists it.
+
+        Raises:
+            RunDirectoryError: A table was changed.
+        """
+        for table in self.by_name.values():
+            if entry := self._listed.get(table.path.name):
+                check_content(table.path, entry.sha256, RUN_FILE)
+
+
+def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
+    """Check the columns of a table, in their order, and their types.
+
+    Raises:
+        RunDirectoryError: A column is missing, is not known, or has another type or place.
+    """
+    problems = [f"column '{name}' is missing" for name in wanted.names if name not in found.names]
+    problems += [f"column '{name}' is there twice" for name in wanted.names if found.names.count(name) > 1]
+    problems += [f"column '{name}' is unknown" for name in found.names if name not in wanted.names]
+    problems += [
+        f"column '{field.name}' has type {field.type}, not {wanted.field(field.name).type}"
+        for field in found
+        if field.name in wanted.names and field.type != wanted.field(field.name).type
+    ]
+    if not problems and found.names != wanted.names:
+        problems = [f"its columns are in another order: {', '.join(found.names)}"]
+    if problems:
+        more = f", and {len(problems) - 1} more" if len(problems) > 1 else ""
+        raise RunDirectoryError(f"{path} is not what a run has written: {problems[0]}{more}")
+
+
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """Errors of reading a table as one error that names its file.
+
+    Raises:
+        RunDirectoryError: The file is missing, cannot be read, or is not the table that a run has written.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise RunDirectoryError(f"{path} is missing: a finished run has it; copy the whole run directory") from None
+    except PermissionError as error:
+        raise RunDirectoryError(f"{path} cannot be read: {error.strerror or error}") from None
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+        text = str(error).splitlines() or [type(error).__name__]
+        raise RunDirectoryError(f"{path} is not what a run has written: {text[0]}") from None
