@@ -104,7 +104,7 @@ def test_poses_are_unpacked_if_they_are_packed_whatever_their_name(tmp_path, for
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_poses_that_unpack_to_more_than_can_be_read_are_refused(tmp_path, refused, monkeypatch, packed):
-    monkeypatch.setattr("modsim3d.inputs.text_files.MAX_TEXT_BYTES", 100_000)
+    monkeypatch.setattr("modsim3d.inputs.budgets.MAX_TEXT_BYTES", 100_000)
     long = whole("json") + b" " * 100_000
     (tmp_path / "poses.json").write_bytes(gzip.compress(long) if packed else long)
     said = refused(scene_of(tmp_path, "poses.json"))

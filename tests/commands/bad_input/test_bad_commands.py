@@ -35,7 +35,7 @@ from tests.commands.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inp
         (["check", "simulaton_1"], "no shipped scene has this name (did you mean 'simulation_1'?)"),
         (["check", "."], "this is a folder"),
         (["check", "x" * 5000], "File name too long"),
-        (["check", "/dev/null"], "the file is empty"),
+        (["check", "/dev/null"], "this is a device, a file was expected"),
     ],
     ids=lambda value: "-".join(value)[:40] if isinstance(value, list) else "",
 )
