@@ -10,3 +10,14 @@ FREE_UNPACKED_BYTES = 1 << 23
 """Bytes that any gzipped file may unpack to."""
 PIECE_BYTES = 1 << 20
 """Read at once. A single read would reserve memory for the whole budget."""
+MAX_PROBLEMS = 10_000
+"""Wrong entries of one file after which no more of it is read, unless they are to be left out."""
+MAX_LINE_CHARACTERS = 10_000
+"""Of a line of numbers: MOT has ten of them, YOLO six."""
+FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000
+"""Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
+three hours at 10 Hz, and a vessel every minute and a half in a longer night."""
+MAX_FRAMES = 2_000_000
+"""Of a MOT sequence: 18 hours at 30 Hz. Learning draws each frame 300 times."""
+MAX_IMAGE_BYTES = 1 << 29
+"""Of an image whose size is to be known: some kinds are read as a whole for it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ MOST_PX = 1e7
 """A larger coordinate is no place in an image, and its square would leave no digits."""
 MOST_NUMBER = 1e15
 """A larger number is no identity, distance or time, and neighbours of it cannot be told apart."""
+_HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
 
 @dataclass(frozen=True)
@@ -232,13 +234,17 @@ def labelled_set(
     """A labelled set of one source; images that name no condition of their own have the given one.
 
     Raises:
-        InputError: Two labels have the same name.
+        InputError: Two labels have the same name, or a name cannot be written.
     """
     repeated = sorted(name for name, count in Counter(labels).items() if count > 1)[:MOST_PROBLEMS]
     if repeated:
         raise InputError(f"labels of {condition}", [f"{shown(name)} names more than one class" for name in repeated])
     of_image = [condition if name is None else name for name in images.condition]
     conditions = tuple(dict.fromkeys(of_image)) or (condition,)
+    broken = [name for name in (*labels, *conditions) if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
+    if broken:
+        problems = [f"{shown(name)} holds half a character, which no file can hold" for name in broken]
+        raise InputError("labels and conditions", problems)
     number_of = {name: number for number, name in enumerate(conditions)}
     columns = Images(
         tuple(images.names),

@@ -51,7 +51,7 @@ def image_size_px(path: Path) -> tuple[float, float]:
             # PIL looks for the tag of a PNG behind its pixels, and would unpack all of them for it.
             lying = image.format != "PNG" and image.getexif().get(_ORIENTATION) in _LYING
     except UnidentifiedImageError:
-        problem = f"is no image of a kind that can be read ({', '.join(_FORMATS)}), or a damaged one"
+        problem = f"cannot be read: no image of a known kind ({', '.join(_FORMATS)}), or a damaged one"
         raise InputError(source, [problem]) from None
     except Exception as error:  # PIL lets errors of many kinds through for damaged files
         raise InputError(source, [f"cannot be read: {shown(str(error))}"]) from None

@@ -35,7 +35,9 @@ def number_lines(
     begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
     if begin and not any(map(_is_number, _cells(begin, separator))):
         form = "white space" if separator is None else f"'{separator}'"
-        raise InputError(f"{what} {path}", [f"its first lines hold no numbers, must be numbers with {form} between them"])
+        raise InputError(
+            f"{what} {path}", [f"its first lines hold no numbers, must be numbers with {form} between them"]
+        )
     for index, line in enumerate(lines):
         if not line.strip():
             continue
