@@ -27,6 +27,10 @@ NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
+MOST_CHARACTERS = 120
+"""Of a name or a ship type, which have 20 in the messages. All are stored as wide as the widest, so the rest is cut."""
+FIRST_S, LAST_S = 0.0, 4_102_444_800.0
+"""Reports are from 1970 to 2099; others have a wrong clock."""
 NOT_SAID = "Unknown"
 """Text in Danish files where no name was received."""
 
@@ -43,10 +47,11 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
         header = header_names(stream.readline(LONGEST_LINE))
         columns = layout.found(header)
         first_row, nothing = 2, True  # the header is row 1
-        for block in _blocks(stream, path):
-            rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
-            first_row += block.count(b"\n")
-            if not len(rows):
+        for raw in _blocks(stream, path):
+            block, blank = _in_utf8(raw), not raw.strip()
+            rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")] if not blank else [])
+            rows, first_row = rows + first_row, first_row + block.count(b"\n")
+            if blank or not len(rows):
                 continue
             table, skipped = _table(block, path, header, list(columns.values()))
             table = pa.table({ours: table.column(name) for ours, name in columns.items()})
@@ -79,6 +84,15 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         yield rest
 
 
+def _in_utf8(block: bytes) -> bytes:
+    """The block itself, or with a mark in place of each byte that is not UTF-8, as in a name in another encoding."""
+    try:
+        block.decode("utf-8")
+    except UnicodeDecodeError:
+        return block.decode("utf-8", "replace").encode("utf-8")
+    return block
+
+
 def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
     """Some columns of whole rows, as texts, and which rows have more or fewer cells than the header."""
     skipped: list[int] = []
@@ -93,14 +107,14 @@ def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> t
             csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=header),
             csv.ParseOptions(invalid_row_handler=skip),
             csv.ConvertOptions(
-                check_utf8=False,  # a ship's name may be in another encoding
+                check_utf8=False,  # the block is UTF-8
                 strings_can_be_null=False,
                 include_columns=columns,
                 column_types=dict.fromkeys(columns, pa.string()),
             ),
         )
     except pa.ArrowInvalid as error:
-        raise InputError(source_of(path), [f"cannot be read as CSV: {error}"]) from None
+        raise InputError(source_of(path), [f"cannot be read as CSV: {shown(str(error))}"]) from None
     return table, np.array(sorted(skipped), dtype=np.int64)
 
 
@@ -157,7 +171,7 @@ def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> 
     last = reported.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
 
     def words(name: str) -> Any:
-        texts = [_text(cell).strip() for cell in last.column(name)]
+        texts = [_text(cell).strip()[:MOST_CHARACTERS] for cell in last.column(name)]
         return np.array(["" if text == NOT_SAID else text for text in texts], dtype=object)
 
     return Particulars(
@@ -194,10 +208,10 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
 
 
 def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
-    """Unix times, and which cells are not times, shape (n,) each; fractions of a second and a final Z are ignored."""
+    """Unix times, and which cells are not times of AIS, shape (n,) each; fractions and a final Z are ignored."""
     plain = pc.replace_substring(pc.ascii_trim_whitespace(texts), "T", " ")
     plain = pc.replace_substring_regex(plain, r"(?:\.[0-9]+)?Z?$", "")
     stamps = pc.strptime(plain, format=time_format, unit="s", error_is_null=True)
     wrong = np.asarray(pc.is_null(stamps))
-    seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0)
-    return seconds.to_numpy(zero_copy_only=False).astype(np.float64), wrong
+    seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0).to_numpy(zero_copy_only=False).astype(np.float64)
+    return seconds, wrong | (seconds < FIRST_S) | (seconds >= LAST_S)

@@ -53,6 +53,8 @@ def image_size_px(path: Path) -> tuple[float, float]:
     except UnidentifiedImageError:
         problem = f"cannot be read: no image of a known kind ({', '.join(_FORMATS)}), or a damaged one"
         raise InputError(source, [problem]) from None
+    except Image.DecompressionBombError as error:
+        raise InputError(source, [f"cannot be read: {error}"]) from None
     except Exception as error:  # PIL lets errors of many kinds through for damaged files
         raise InputError(source, [f"cannot be read: {shown(str(error))}"]) from None
     if not (0 < width <= MOST_PX and 0 < height <= MOST_PX):
