@@ -17,6 +17,7 @@ from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, source_of
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
+from modsim3d.inputs.budgets import MAX_BAD_ROWS
 from modsim3d.inputs.validation import shown
 
 BLOCK_BYTES = 1 << 24
@@ -99,7 +100,7 @@ def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> t
 
     def skip(row: Any) -> str:
         skipped.append(int(row.number) - 1)
-        return "skip"
+        return "skip" if len(skipped) <= MAX_BAD_ROWS else "error"
 
     try:
         table = csv.read_csv(
@@ -114,6 +115,9 @@ def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> t
             ),
         )
     except pa.ArrowInvalid as error:
+        if len(skipped) > MAX_BAD_ROWS:
+            problem = f"more than {MAX_BAD_ROWS:,} rows in a row do not have the {len(header)} cells of the header"
+            raise InputError(source_of(path), [f"too much of it cannot be read: {problem}"]) from None
         raise InputError(source_of(path), [f"cannot be read as CSV: {shown(str(error))}"]) from None
     return table, np.array(sorted(skipped), dtype=np.int64)
 

@@ -46,7 +46,7 @@ MOST_PARTS, MOST_PENDING = 9, 1000
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard")
 TIME_NEEDED = (
     r"has no times, and AIS sentences carry none of their own: record them with a tag block "
-    r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time before or after each sentence"
+    r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time, in seconds or milliseconds, before or after each sentence"
 )
 
 

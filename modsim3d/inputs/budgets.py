@@ -12,6 +12,8 @@ PIECE_BYTES = 1 << 20
 """Read at once. A single read would reserve memory for the whole budget."""
 MAX_PROBLEMS = 10_000
 """Wrong entries of one file after which no more of it is read, unless they are to be left out."""
+MAX_BAD_ROWS = 50_000
+"""Without the cells of the header, in 16 MB of a table of AIS, after which no more is read: a third of its rows."""
 MAX_LINE_CHARACTERS = 10_000
 """Of a line of numbers: MOT has ten of them, YOLO six."""
 FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000

@@ -145,10 +145,9 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
     frame, number, to_label = numbers[0], _class_of(numbers), known.to_label
     if not 1 <= frame <= known.most_frames or frame != int(frame):
         problems.add(f"{where}: frame must be a whole number from 1 to {known.most_frames} (got {frame:.15g})")
-        if known.most_frames < frame <= MAX_FRAMES:
-            problems.hint = (
-                f"so few lines may span {known.most_frames:,} frames, and more where seqLength in a seqinfo.ini says so"
-            )
+        if known.most_frames < frame:
+            spanned = f"so few lines may span {known.most_frames:,} frames"
+            problems.hint = f"{spanned}, and up to {MAX_FRAMES:,} where seqLength in a seqinfo.ini says so"
     elif number > _MOST_CLASSES:
         problems.add(f"{where}: class must be at most {_MOST_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
