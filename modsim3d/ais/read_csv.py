@@ -49,8 +49,8 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
         columns = layout.found(header)
         first_row, nothing = 2, True  # the header is row 1
         for raw in _blocks(stream, path):
-            block, blank = _in_utf8(raw), not raw.strip()
-            rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")] if not blank else [])
+            block, blank = _plain(raw), not raw.strip(b"\r\n")
+            rows = np.flatnonzero([line != b"" for line in block.split(b"\n")] if not blank else [])
             rows, first_row = rows + first_row, first_row + block.count(b"\n")
             if blank or not len(rows):
                 continue
@@ -85,8 +85,9 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         yield rest
 
 
-def _in_utf8(block: bytes) -> bytes:
-    """The block itself, or with a mark in place of each byte that is not UTF-8, as in a name in another encoding."""
+def _plain(block: bytes) -> bytes:
+    """A block whose lines end with line feeds only, with a mark for each byte that is not UTF-8, as some names have."""
+    block = block.replace(b"\r\n", b"\n").replace(b"\r", b" ")
     try:
         block.decode("utf-8")
     except UnicodeDecodeError:

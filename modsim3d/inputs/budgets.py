@@ -19,7 +19,9 @@ MAX_LINE_CHARACTERS = 10_000
 FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000
 """Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
 three hours at 10 Hz, and a vessel every minute and a half in a longer night."""
-MAX_FRAMES = 2_000_000
-"""Of a MOT sequence: 18 hours at 30 Hz. Learning draws each frame 300 times."""
+MAX_FRAMES = 1_000_000
+"""Of a MOT sequence: nine hours at 30 Hz. Learning takes 2.4 kB for each, with 300 replicates."""
+MAX_TABLE_CELLS = 15_000_000
+"""Of the confusion matrices of all states with all replicates, at 50 bytes each: 220 classes with 300 replicates."""
 MAX_IMAGE_BYTES = 1 << 29
 """Of an image whose size is to be known: some kinds are read as a whole for it."""
