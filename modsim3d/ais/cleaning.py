@@ -18,6 +18,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
 
 NO_LATITUDE, NO_LONGITUDE = 91.0, 181.0
+LOOKED_BACK_PIECES = 1000
+"""For the piece before, so that the time grows with the number of pieces, not with its square."""
 SLACK_S = 1.0
 """Most files round times to seconds, so two reports may be up to a second further apart than their times."""
 LISTED_ROWS = 5
@@ -131,8 +133,9 @@ def reachable(times_s: Array, places_m: Array, max_speed_m_s: float) -> Mask:
     """The largest part of a track in which each position can be reached from the one before, as a mask, shape (n,).
 
     The track is cut wherever the speed between neighbours is too high. Of the chains of pieces in which each piece can
-    be reached from the one before, the one with most positions is kept. So a single wrong position is dropped wherever
-    it stands, also at the beginning, and of two vessels that share an identity the one with more reports is kept.
+    be reached from the one before, which is one of the thousand pieces before it, the one with most positions is kept.
+    So a single wrong position is dropped wherever it stands, also at the beginning, and of two vessels that share an
+    identity the one with more reports is kept.
 
     Args:
         times_s: Ascending, shape (n,).
@@ -151,7 +154,8 @@ def reachable(times_s: Array, places_m: Array, max_speed_m_s: float) -> Mask:
     best = stops - firsts  # positions in the longest chain that ends with a piece
     before = np.full(len(firsts), -1)
     for piece in range(1, len(firsts)):
-        reached = np.flatnonzero(possible(stops[:piece] - 1, firsts[piece]))
+        begin = max(0, piece - LOOKED_BACK_PIECES)
+        reached = begin + np.flatnonzero(possible(stops[begin:piece] - 1, firsts[piece]))
         if len(reached):
             before[piece] = reached[np.argmax(best[reached])]
             best[piece] += best[before[piece]]

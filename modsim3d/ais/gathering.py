@@ -18,6 +18,7 @@ from modsim3d.ais.read_nmea import read_nmea
 from modsim3d.ais.recognise import recognise, source_of
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
+from modsim3d.inputs.budgets import MAX_PROBLEMS
 
 NMEA = "NMEA sentences"
 BAD_SHARE, FEW_BAD = 0.1, 2
@@ -49,10 +50,11 @@ class FileTally:
         self.dropped["particulars_only"] += chunk.messages - len(chunk.positions) - sum(chunk.dropped.values())
         self.problems += chunk.problems[: SHOWN_PROBLEMS - len(self.problems)]
 
-    def refuse_rubbish(self) -> None:
-        """Raise an InputError if too many messages could not be read."""
+    def refuse_rubbish(self, whole: bool = True) -> None:
+        """Raise an InputError if too many messages could not be read; of a part of the file, only if most of many."""
         bad = sum(self.dropped[reason] for reason in BAD)
-        if bad and (bad == self.messages or bad > max(FEW_BAD, BAD_SHARE * self.messages)):
+        most = max(FEW_BAD, BAD_SHARE * self.messages) if whole else max(MAX_PROBLEMS, self.messages / 2)
+        if bad > most or (whole and bad and bad == self.messages):
             too_much = f"too much of it cannot be read: {bad} of {self.messages} messages"
             raise InputError(source_of(self.path), [*self.problems, too_much])
 
@@ -148,6 +150,7 @@ def _read_file(
     """Positions and particulars of one file, a part at a time; fills in its tally and widens the extent."""
     for chunk in read_nmea(tally.path) if layout is None else read_csv(tally.path, layout):
         tally.add(chunk)
+        tally.refuse_rubbish(whole=False)
         positions = chunk.positions
         if layout is not None and options.swap_coordinates:
             positions = exchanged(positions)

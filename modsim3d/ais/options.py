@@ -10,9 +10,11 @@ from datetime import UTC, datetime
 from modsim3d.ais.geography import Region
 from modsim3d.ais.ship_types import ship_types
 from modsim3d.errors import InputError
-from modsim3d.inputs.validation import nearest
+from modsim3d.inputs.validation import nearest, shown
 
 COMMAND_LINE = "command line"
+LEAST_VALUE, MOST_VALUE = 1e-6, 1e9
+"""Of every time and speed: a microsecond, and 30 years."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +65,14 @@ class Options:
             InputError: With every problem found.
         """
         problems = [
-            f"--{name}: must be above 0 (got {value:g})"
+            f"--{name}: must be above 0, from {LEAST_VALUE:g} to {MOST_VALUE:g} (got {value:g})"
             for name, value in (
                 ("time-step", self.time_step_s),
                 ("max-gap", self.max_gap_s),
                 ("max-speed", self.max_speed_kn),
                 ("duration", self.duration_s),
             )
-            if value is not None and not (math.isfinite(value) and value > 0)
+            if value is not None and not LEAST_VALUE <= value <= MOST_VALUE
         ]
         if self.end_s is not None and self.duration_s is not None:
             problems.append("--end and --duration: only one of them can be given")
@@ -80,8 +82,13 @@ class Options:
             raise InputError(COMMAND_LINE, problems)
 
 
+FIRST_TEXT_S, LAST_TEXT_S = (datetime(year, 1, 2, tzinfo=UTC).timestamp() for year in (1, 9999))
+
+
 def time_text(unix_s: float) -> str:
-    """A time as text, such as 2024-01-04T10:00:00Z."""
+    """A time as text, such as 2024-01-04T10:00:00Z; years from 1 to 9999, a time outside as a number of seconds."""
+    if not FIRST_TEXT_S <= unix_s < LAST_TEXT_S:
+        return f"{unix_s:g} s after 1970"
     text = datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds")
     return text.removesuffix("+00:00").removesuffix(".000") + "Z"
 
@@ -95,7 +102,7 @@ def parse_time(text: str, option: str) -> float:
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
-        problem = f"{option}: a time such as 2024-01-04T10:00:00 is needed, in UTC (got '{text}')"
+        problem = f"{option}: a time such as 2024-01-04T10:00:00 is needed, in UTC (got {shown(text)})"
         raise InputError(COMMAND_LINE, [problem]) from None
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
@@ -123,7 +130,7 @@ def _degrees(text: str, option: str, form: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != len(form.split(",")) or not all(map(math.isfinite, values)):
-        raise InputError(COMMAND_LINE, [f"{option}: {form} in degrees is needed (got '{text}')"])
+        raise InputError(COMMAND_LINE, [f"{option}: {form} in degrees is needed (got {shown(text)})"])
     problems = [
         f"{option}: latitude {latitude:g} is beyond ±90"
         + (": latitude comes first" if abs(longitude) <= 90 and abs(latitude) <= 180 else "")
@@ -149,9 +156,9 @@ def parse_labels(texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         group, sign, label = (part.strip() for part in text.partition("="))
         if not sign or not label or not label.isprintable():
-            problems.append(f"--label: GROUP=LABEL is needed (got '{text}')")
+            problems.append(f"--label: GROUP=LABEL is needed (got {shown(text)})")
         elif group not in ship_types():
-            problems.append(f"--label: no group '{group}' ({nearest(group, ship_types())})")
+            problems.append(f"--label: no group {shown(group)} ({nearest(shown(group), ship_types())})")
         labels[group] = label
     if problems:
         raise InputError(COMMAND_LINE, problems)

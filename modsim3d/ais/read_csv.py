@@ -17,6 +17,7 @@ from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import LONGEST_LINE, header_names, open_reports, source_of
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.errors import InputError
+from modsim3d.inputs.budgets import MAX_BAD_ROWS
 from modsim3d.inputs.validation import shown
 
 BLOCK_BYTES = 1 << 24
@@ -27,6 +28,10 @@ NUMBER = r"^[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?$"
 MOTION = ("latitude", "longitude", "speed", "course", "heading")
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard", "length", "beam")
 PARTICULARS = ("name", "ship_type", *SIZES)
+MOST_CHARACTERS = 120
+"""Of a name or a ship type, which have 20 in the messages. All are stored as wide as the widest, so the rest is cut."""
+FIRST_S, LAST_S = 0.0, 4_102_444_800.0
+"""Reports are from 1970 to 2099; others have a wrong clock."""
 NOT_SAID = "Unknown"
 """Text in Danish files where no name was received."""
 
@@ -43,10 +48,11 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
         header = header_names(stream.readline(LONGEST_LINE))
         columns = layout.found(header)
         first_row, nothing = 2, True  # the header is row 1
-        for block in _blocks(stream, path):
-            rows = np.flatnonzero([line.strip(b"\r") != b"" for line in block.split(b"\n")]) + first_row
-            first_row += block.count(b"\n")
-            if not len(rows):
+        for raw in _blocks(stream, path):
+            block, blank = _plain(raw), not raw.strip(b"\r\n")
+            rows = np.flatnonzero([line != b"" for line in block.split(b"\n")] if not blank else [])
+            rows, first_row = rows + first_row, first_row + block.count(b"\n")
+            if blank or not len(rows):
                 continue
             table, skipped = _table(block, path, header, list(columns.values()))
             table = pa.table({ours: table.column(name) for ours, name in columns.items()})
@@ -79,13 +85,23 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
         yield rest
 
 
+def _plain(block: bytes) -> bytes:
+    """A block whose lines end with line feeds only, with a mark for each byte that is not UTF-8, as some names have."""
+    block = block.replace(b"\r\n", b"\n").replace(b"\r", b" ")
+    try:
+        block.decode("utf-8")
+    except UnicodeDecodeError:
+        return block.decode("utf-8", "replace").encode("utf-8")
+    return block
+
+
 def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> tuple[pa.Table, Indices]:
     """Some columns of whole rows, as texts, and which rows have more or fewer cells than the header."""
     skipped: list[int] = []
 
     def skip(row: Any) -> str:
         skipped.append(int(row.number) - 1)
-        return "skip"
+        return "skip" if len(skipped) <= MAX_BAD_ROWS else "error"
 
     try:
         table = csv.read_csv(
@@ -93,14 +109,17 @@ def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> t
             csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=header),
             csv.ParseOptions(invalid_row_handler=skip),
             csv.ConvertOptions(
-                check_utf8=False,  # a ship's name may be in another encoding
+                check_utf8=False,  # the block is UTF-8
                 strings_can_be_null=False,
                 include_columns=columns,
                 column_types=dict.fromkeys(columns, pa.string()),
             ),
         )
     except pa.ArrowInvalid as error:
-        raise InputError(source_of(path), [f"cannot be read as CSV: {error}"]) from None
+        if len(skipped) > MAX_BAD_ROWS:
+            problem = f"more than {MAX_BAD_ROWS:,} rows in a row do not have the {len(header)} cells of the header"
+            raise InputError(source_of(path), [f"too much of it cannot be read: {problem}"]) from None
+        raise InputError(source_of(path), [f"cannot be read as CSV: {shown(str(error))}"]) from None
     return table, np.array(sorted(skipped), dtype=np.int64)
 
 
@@ -157,7 +176,7 @@ def _particulars(table: pa.Table, mmsi: Indices, times_s: Array, rows: Mask) -> 
     last = reported.group_by(["mmsi", *PARTICULARS], use_threads=False).aggregate([("time", "max")])
 
     def words(name: str) -> Any:
-        texts = [_text(cell).strip() for cell in last.column(name)]
+        texts = [_text(cell).strip()[:MOST_CHARACTERS] for cell in last.column(name)]
         return np.array(["" if text == NOT_SAID else text for text in texts], dtype=object)
 
     return Particulars(
@@ -194,10 +213,10 @@ def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
 
 
 def _times(texts: pa.Array, time_format: str) -> tuple[Array, Mask]:
-    """Unix times, and which cells are not times, shape (n,) each; fractions of a second and a final Z are ignored."""
+    """Unix times, and which cells are not times of AIS, shape (n,) each; fractions and a final Z are ignored."""
     plain = pc.replace_substring(pc.ascii_trim_whitespace(texts), "T", " ")
     plain = pc.replace_substring_regex(plain, r"(?:\.[0-9]+)?Z?$", "")
     stamps = pc.strptime(plain, format=time_format, unit="s", error_is_null=True)
     wrong = np.asarray(pc.is_null(stamps))
-    seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0)
-    return seconds.to_numpy(zero_copy_only=False).astype(np.float64), wrong
+    seconds = pc.fill_null(pc.cast(stamps, pa.int64()), 0).to_numpy(zero_copy_only=False).astype(np.float64)
+    return seconds, wrong | (seconds < FIRST_S) | (seconds >= LAST_S)

@@ -31,22 +31,22 @@ from modsim3d.ais.messages import Chunk, Particulars, Positions
 from modsim3d.ais.recognise import open_reports, source_of
 from modsim3d.errors import InputError
 
-LINE = re.compile(
-    r"(?P<before>[^\\!$]*)(?:\\(?P<tag>[^\\]*)\\)?(?P<between>[^\\!$]*)"
-    r"(?P<sentence>[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2})(?P<after>.*)"
-)
+SENTENCE = re.compile(r"[!$][A-Z]{2}VD[MO],[^*]*\*[0-9A-Fa-f]{2}")
 UNIX_TIME = re.compile(r"(?<![\w.:+-])(\d{13}|\d{9,10}(?:\.\d+)?)(?![\w.:])")
-TAG_TIME = re.compile(r"(?:^|,)c:(\d+)(?:,|$)")
+TAG_TIME = re.compile(r"(?:^|,)c:(\d{13}|\d{1,10})(?:,|$)")
+OTHER_SENTENCE = re.compile(r"[\\!$]")
 POSITIONS, PARTICULARS, STATIONS, LONG_RANGE = {1, 2, 3, 18, 19}, {5, 19, 24}, {4, 9, 11, 21}, 27
 PENDING_S = 60.0
 """Parts of a message that are further apart do not belong together: their sequence numbers, 0 to 9, are used again."""
 CHUNK_MESSAGES, SHOWN_PROBLEMS = 200_000, 5
-LONGEST_LINE, SKIPPED_AT_ONCE = 1024, 1 << 20
+LONGEST_LINE, READ_AT_ONCE = 1024, 1 << 20
 """A sentence has at most 82 characters and a tag block 80. The time to search a line grows with its square."""
+MOST_PARTS, MOST_PENDING = 9, 1000
+"""Parts of a message, by the standard, and messages that wait for parts: sequence numbers and channels are few."""
 SIZES = ("to_bow", "to_stern", "to_port", "to_starboard")
 TIME_NEEDED = (
     r"has no times, and AIS sentences carry none of their own: record them with a tag block "
-    r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time before or after each sentence"
+    r"(\c:1423133048*hh\!AIVDM,...) or with a Unix time, in seconds or milliseconds, before or after each sentence"
 )
 
 
@@ -127,11 +127,18 @@ def _messages(stream: IO[bytes], rows: _Rows) -> Iterator[list[_Part]]:
             rows.drop("incomplete", part.line, "other parts of this message are missing")
             parts.clear()
         parts[sentence.frag_num] = part
+        if len(pending) > MOST_PENDING:
+            _give_up(pending.pop(next(iter(pending))), rows)
         if len(parts) == sentence.frag_cnt:
             yield [parts[place] for place in sorted(parts)]
             pending.pop(key, None)
     for parts in pending.values():
-        rows.drop("incomplete", min(part.line for part in parts.values()), "other parts of this message are missing")
+        _give_up(parts, rows)
+
+
+def _give_up(parts: dict[int, _Part], rows: _Rows) -> None:
+    """Count a message as dropped whose other parts have not come."""
+    rows.drop("incomplete", min(part.line for part in parts.values()), "other parts of this message are missing")
 
 
 def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
@@ -139,27 +146,70 @@ def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:
     from pyais.exceptions import AISBaseException
     from pyais.messages import AISSentence, NMEASentenceFactory
 
-    for number, line in enumerate(_lines(stream), start=1):
-        if b"VD" not in line or (match := LINE.search(line.decode("ascii", "replace"))) is None:
+    for number, raw in _lines(stream):
+        line = _split(raw.decode("ascii", "replace"))
+        if line is None:
             continue
         try:
-            sentence = NMEASentenceFactory.produce(match["sentence"].encode("ascii"))
+            sentence = NMEASentenceFactory.produce(line.sentence.encode("ascii"))
         except (AISBaseException, ValueError, IndexError, UnicodeEncodeError):
             rows.drop("undecodable", number, "is not a whole AIS sentence")
             continue
-        if isinstance(sentence, AISSentence) and sentence.is_valid and _tag_holds(match["tag"]):
-            yield _Part(sentence, _time_s(match), number)
-        else:
+        if not isinstance(sentence, AISSentence) or not sentence.is_valid or not _tag_holds(line.tag):
             rows.drop("checksum", number, "does not match its checksum")
+        elif not 1 <= sentence.frag_num <= sentence.frag_cnt <= MOST_PARTS:
+            rows.drop("undecodable", number, f"a message has 1 to {MOST_PARTS} parts")
+        else:
+            yield _Part(sentence, _time_s(line), number)
 
 
-def _lines(stream: IO[bytes]) -> Iterator[bytes]:
-    """The lines of a log; a line that is too long for a sentence is given as an empty one."""
-    while line := stream.readline(LONGEST_LINE):
-        piece = line
-        while not piece.endswith(b"\n") and (piece := stream.readline(SKIPPED_AT_ONCE)):
-            line = b""
-        yield line
+def _lines(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Numbers and texts of the lines that may hold a sentence: they have its letters, and are not too long for one."""
+    number, rest = 1, b""
+    while piece := stream.read(READ_AT_ONCE):
+        block = rest + piece
+        stop = block.rfind(b"\n") + 1
+        yield from _telling(block[:stop], number)
+        number += block.count(b"\n")
+        rest = block[max(stop, len(block) - LONGEST_LINE - 1) :]  # of a line that is too long, enough to know it
+    yield from _telling(rest, number)
+
+
+def _telling(block: bytes, first: int) -> Iterator[tuple[int, bytes]]:
+    """Lines of a block that have a sentence's letters, of at most the longest length, numbered from `first`."""
+    at, counted = block.find(b"VD"), 0
+    while at >= 0:
+        begin, end = block.rfind(b"\n", 0, at) + 1, block.find(b"\n", at)
+        end = len(block) if end < 0 else end
+        first, counted = first + block.count(b"\n", counted, begin), begin
+        if end - begin <= LONGEST_LINE:
+            yield first, block[begin:end]
+        at = block.find(b"VD", end)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line with a sentence: the text before it, the content of a tag block, and the text after it."""
+
+    before: str
+    tag: str | None
+    sentence: str
+    after: str
+
+
+def _split(line: str) -> _Line | None:
+    """The first sentence of a line and what stands around it; None if there is none."""
+    found = SENTENCE.search(line)
+    if found is None:
+        return None
+    before, tag = line[: found.start()], None
+    start, stop = before.rfind("\\", 0, max(before.rfind("\\"), 0)), before.rfind("\\")
+    between = before[stop + 1 :]
+    if start >= 0 and not OTHER_SENTENCE.search(between):
+        tag, before = before[start + 1 : stop], before[:start]
+    else:
+        before, between = between, ""
+    return _Line(f"{OTHER_SENTENCE.split(before)[-1]} {between}", tag, found[0], line[found.end() :])
 
 
 def _close(parts: dict[int, _Part], part: _Part) -> bool:
@@ -176,13 +226,13 @@ def _tag_holds(tag: str | None) -> bool:
     return parts is not None and reduce(xor, parts[1].encode("ascii", "replace"), 0) == int(parts[2], 16)
 
 
-def _time_s(match: re.Match[str]) -> float | None:
+def _time_s(line: _Line) -> float | None:
     """Unix time beside a sentence."""
-    if match["tag"] and (found := TAG_TIME.search(match["tag"].rpartition("*")[0])):
+    if line.tag and (found := TAG_TIME.search(line.tag.rpartition("*")[0])):
         return _seconds(found[1])
-    if times := UNIX_TIME.findall(match["after"]):
+    if times := UNIX_TIME.findall(line.after):
         return _seconds(times[-1])
-    if times := UNIX_TIME.findall(f"{match['before']} {match['between']}"):
+    if times := UNIX_TIME.findall(line.before):
         return _seconds(times[0])
     return None
 

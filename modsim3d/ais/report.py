@@ -92,7 +92,7 @@ def _vessel(traffic: Traffic, vessel: VesselTrack) -> dict[str, Any]:
         "ship_type": hull.group,
         "label": traffic.options.label(hull.group),
         "messages": vessel.messages,
-        "steps_present": int(vessel.present.sum()),
+        "steps_present": len(vessel.steps),
         "length_m": hull.length_m,
         "beam_m": hull.beam_m,
         "air_draft_m": hull.air_draft_m,
@@ -136,7 +136,7 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
     """Tables for the terminal: title, and rows of name, number and meaning."""
     options = traffic.options
     times = f"{time_text(traffic.grid.start_s)} to {time_text(traffic.grid.end_s)}"
-    present = sum(int(vessel.present.sum()) for vessel in traffic.vessels)
+    present = sum(len(vessel.steps) for vessel in traffic.vessels)
     away = f"{len(traffic.elsewhere)} more are there at no step" if traffic.elsewhere else ""
     read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
     made = [
@@ -166,7 +166,7 @@ def summary_rows(traffic: Traffic) -> list[tuple[str, list[tuple[str, str, str]]
 
 def _farthest_m(traffic: Traffic) -> float:
     """The greatest distance of a vessel from the origin."""
-    return max(float(np.linalg.norm(vessel.places_m[vessel.present], axis=1).max()) for vessel in traffic.vessels)
+    return max(float(np.linalg.norm(vessel.places_m, axis=1).max()) for vessel in traffic.vessels)
 
 
 def _flatness(distance_m: float) -> str:

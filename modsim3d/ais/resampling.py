@@ -31,6 +31,21 @@ class ReportedTrack:
     headings_rad: Array
 
 
+def steps_near(known_s: Array, times_s: Array, max_gap_s: float) -> Indices:
+    """The times, shape (m,) ascending, at which a vessel with some reports may be there, as indices, shape (k,).
+
+    These are all from one report, shape (n,) ascending, to the next, where they are not further apart than the longest
+    gap, and those at a report. A vessel with a few reports costs little then, however long the scene is.
+    """
+    joined = np.append(np.diff(known_s) <= max_gap_s, False)
+    last = np.where(joined, np.append(known_s[1:], known_s[-1:]), known_s)
+    stops = np.searchsorted(times_s, last + ROUNDING_S, side="right")
+    starts = np.searchsorted(times_s, known_s - ROUNDING_S, side="left")
+    starts = np.maximum(starts, np.maximum.accumulate(np.append(0, stops[:-1])))
+    counts = np.maximum(stops - starts, 0)
+    return np.repeat(starts - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
+
+
 def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
     """Whether a vessel is there at some times, shape (m,), its places in metres, (m, 2), and headings in radians, (m,).
 

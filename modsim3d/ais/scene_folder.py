@@ -124,9 +124,8 @@ def _poses_text(traffic: Traffic) -> str:
     """Poses as in Figure 7.3 of Jessen & Mohr (2023), to a millimetre and 0.01 mrad, one line a step."""
     entries: list[list[str]] = [[] for _ in traffic.grid.timestamps]
     for vessel in traffic.vessels:
-        steps = vessel.present.nonzero()[0].tolist()
-        places, headings = vessel.places_m[vessel.present].tolist(), vessel.headings_rad[vessel.present].tolist()
-        for step, (w1, w2), heading in zip(steps, places, headings, strict=True):
+        columns = vessel.steps.tolist(), vessel.places_m.tolist(), vessel.headings_rad.tolist()
+        for step, (w1, w2), heading in zip(*columns, strict=True):
             pose = f'{{"center_position_m":[{w1:.3f},{w2:.3f},0.0],"heading_rad":{heading:.5f}}}'
             entries[step].append(f'"{vessel.mmsi}":{pose}')
     lines = (f'"{time}":{{{",".join(entry)}}}' for time, entry in zip(traffic.grid.timestamps, entries, strict=True))

@@ -71,10 +71,10 @@ def read_traffic(paths: Sequence[Path], options: Options) -> Traffic:
     every_hull = hulls(gathered.particulars, np.unique(positions.mmsi).tolist())
     tracks = _limited(_tracks(positions, origin, every_hull, grid, options))
     dropped["jump"] += sum(track.jumps for track in tracks)
-    vessels = [track for track in tracks if track.present.any()]
+    vessels = [track for track in tracks if len(track.steps)]
     if not vessels:
         raise _nothing_left(gathered, options)
-    elsewhere = [track.mmsi for track in tracks if not track.present.any()]
+    elsewhere = [track.mmsi for track in tracks if not len(track.steps)]
     return Traffic(options, gathered.files, dropped, origin, grid, vessels, elsewhere, _camera(vessels))
 
 
@@ -93,7 +93,7 @@ def _limited(tracks: Iterable[VesselTrack]) -> list[VesselTrack]:
     """All tracks, unless they hold more poses than a scene can."""
     kept, poses = [], 0
     for track in tracks:
-        poses += int(track.present.sum())
+        poses += len(track.steps)
         if poses > MAX_POSES:
             raise ModsimError(
                 f"this would be more than {MAX_POSES:,} poses: take less of it (--start, --duration, --region), "
@@ -112,11 +112,11 @@ def _origin(positions: Positions, grid: TimeGrid) -> tuple[float, float]:
 
 
 def _camera(vessels: list[VesselTrack]) -> Viewpoint:
-    return viewpoint(
-        np.stack([vessel.present for vessel in vessels], axis=1),
-        np.stack([vessel.places_m for vessel in vessels], axis=1),
-        np.array([vessel.hull.length_m / 2 for vessel in vessels]),
-    )
+    number = np.repeat(np.arange(len(vessels)), [len(vessel.steps) for vessel in vessels])
+    order = np.lexsort((number, np.concatenate([vessel.steps for vessel in vessels])))
+    places = np.concatenate([vessel.places_m for vessel in vessels])
+    half_lengths = np.array([vessel.hull.length_m / 2 for vessel in vessels])
+    return viewpoint(number[order], places[order], half_lengths)
 
 
 def _nothing_left(gathered: Gathered, options: Options) -> InputError:

@@ -12,9 +12,9 @@ from modsim3d.ais.headings import KNOT_M_S, MOVING_KN, HeadingSource, fill_headi
 from modsim3d.ais.hulls import Hull
 from modsim3d.ais.messages import Positions
 from modsim3d.ais.options import Options
-from modsim3d.ais.resampling import ReportedTrack, resample, to_hull_centre
+from modsim3d.ais.resampling import ReportedTrack, resample, steps_near, to_hull_centre
 from modsim3d.ais.time_grid import TimeGrid
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices
 
 HEADING_NAMES = {
     HeadingSource.COURSE: "heading_from_course",
@@ -32,9 +32,9 @@ class VesselTrack:
         messages: Number of positions that were used.
         jumps: Number of positions that the vessel cannot have reached, and that were dropped.
         replaced: What was missing → in how many of the used positions it was replaced.
-        present: At which steps it is there, shape (S,).
-        places_m: w1 and w2 of the hull's centre, shape (S, 2).
-        headings_rad: Counter-clockwise from w1, shape (S,).
+        steps: The steps at which it is there, ascending, shape (n,).
+        places_m: w1 and w2 of the hull's centre at these, shape (n, 2).
+        headings_rad: Counter-clockwise from w1 at these, shape (n,).
     """
 
     mmsi: int
@@ -42,7 +42,7 @@ class VesselTrack:
     messages: int
     jumps: int
     replaced: Counter[str]
-    present: Mask
+    steps: Indices
     places_m: Array
     headings_rad: Array
 
@@ -60,7 +60,9 @@ def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGr
     course_taken = np.isnan(course) & ~np.isnan(heading) & (speed >= MOVING_KN)
     course = np.where(course_taken, heading, course)
     track = ReportedTrack(since_s, places, _velocities(speed, course), heading_rad(compass))
-    present, antenna, headings = resample(track, grid.times_s, options.max_gap_s)
+    steps = steps_near(since_s, grid.times_s, options.max_gap_s)
+    present, antenna, headings = resample(track, grid.times_s[steps], options.max_gap_s)
+    steps, antenna, headings = steps[present], antenna[present], headings[present]
     replaced = Counter({name: int((source == kind).sum()) for kind, name in HEADING_NAMES.items()})
     replaced["course_from_heading"] = int(course_taken.sum())
     replaced["course_unknown"] = int((np.isnan(course) & ~(speed < MOVING_KN)).sum())
@@ -71,7 +73,7 @@ def vessel_track(positions: Positions, places_m: Array, hull: Hull, grid: TimeGr
         messages=len(used),
         jumps=int((~kept).sum()),
         replaced=+replaced,
-        present=present,
+        steps=steps,
         places_m=to_hull_centre(antenna, headings, hull.ahead_m, hull.to_port_m),
         headings_rad=headings,
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices
 
 CELL_M = 1000.0
 HEIGHT_M = 20.0
@@ -31,7 +31,7 @@ class Viewpoint:
     distance_m: float
 
 
-def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoint:
+def viewpoint(vessels: Indices, places_m: Array, half_lengths_m: Array) -> Viewpoint:
     """A camera that looks across the busiest patch of water.
 
     The patch is the square kilometre that most vessels visit. The camera looks at right angles to the main direction of
@@ -39,16 +39,14 @@ def viewpoint(present: Mask, places_m: Array, half_lengths_m: Array) -> Viewpoin
     camera is turned aside or moved further away.
 
     Args:
-        present: Which vessel is there at which step, shape (S, V).
-        places_m: Centres of hulls, shape (S, V, 2).
+        vessels: The vessel of each pose, in the order of time, shape (n,).
+        places_m: Centre of its hull, shape (n, 2).
         half_lengths_m: Half the length of each hull, shape (V,).
     """
-    steps, vessels = np.nonzero(present)
-    places = places_m[steps, vessels]
-    spacing = max(1, len(steps) // MAX_POSES)
-    target = _busiest(places[::spacing], vessels[::spacing])
-    bearing, distance = _across(places, target)
-    place = _clear_place(places, half_lengths_m[vessels] + CLEARANCE_M, target, bearing, distance)
+    spacing = max(1, len(vessels) // MAX_POSES)
+    target = _busiest(places_m[::spacing], vessels[::spacing])
+    bearing, distance = _across(places_m, target)
+    place = _clear_place(places_m, half_lengths_m[vessels] + CLEARANCE_M, target, bearing, distance)
     look = target - place
     distance = float(np.hypot(*look))
     return Viewpoint(

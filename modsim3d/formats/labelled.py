@@ -149,8 +149,9 @@ def _counts(part: LabelledSet) -> list[int]:
 def _moved(part: LabelledSet, offset: Sequence[int], labels: Sequence[str], conditions: Sequence[str]) -> LabelledSet:
     """A set whose numbers and indices continue those before it, in the joined labels and conditions."""
     first_image, first_annotation, first_source, first_sequence, first_identity = offset
-    to_label = np.array([labels.index(name) for name in part.labels], dtype=np.int64)
-    to_condition = np.array([conditions.index(name) for name in part.conditions], dtype=np.int64)
+    label_of, condition_of = ({name: k for k, name in enumerate(names)} for names in (labels, conditions))
+    to_label = np.array([label_of[name] for name in part.labels], dtype=np.int64)
+    to_condition = np.array([condition_of[name] for name in part.conditions], dtype=np.int64)
     images, annotations, results = part.images, part.annotations, part.results
     origin, probabilities = results.origin, None
     if results.probabilities is not None:

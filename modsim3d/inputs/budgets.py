@@ -22,3 +22,18 @@ POSE_BYTES_PER_VALUE = 8
 """A pose file may have more values than that if they are as long as those of poses, which take 12 bytes each."""
 MAX_POSES = 200_000_000
 """Vessels times steps, present or not: 33 bytes each in memory. Two thousand vessels for a day take 173 million."""
+MAX_PROBLEMS = 10_000
+"""Wrong entries of one file after which no more of it is read, unless they are to be left out."""
+MAX_BAD_ROWS = 50_000
+"""Without the cells of the header, in 16 MB of a table of AIS, after which no more is read: a third of its rows."""
+MAX_LINE_CHARACTERS = 10_000
+"""Of a line of numbers: MOT has ten of them, YOLO six."""
+FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000
+"""Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
+three hours at 10 Hz, and a vessel every minute and a half in a longer night."""
+MAX_FRAMES = 1_000_000
+"""Of a MOT sequence: nine hours at 30 Hz. Learning takes 2.4 kB for each, with 300 replicates."""
+MAX_TABLE_CELLS = 15_000_000
+"""Of the confusion matrices of all states with all replicates, at 50 bytes each: 220 classes with 300 replicates."""
+MAX_IMAGE_BYTES = 1 << 29
+"""Of an image whose size is to be known: some kinds are read as a whole for it."""

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from modsim3d.errors import InputError
 from modsim3d.formats.matching import Rule
+from modsim3d.inputs.budgets import MAX_TABLE_CELLS
 from modsim3d.learn.box_error_estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
 from modsim3d.learn.class_estimate import ClassForm, LearnedClasses, choose_classes
 from modsim3d.learn.confidence_estimate import ConfidenceForm, LearnedConfidence, choose_confidence
@@ -159,7 +161,12 @@ class Learned:
 
 
 def learn(observed: Observed, transitions: Transitions, settings: Settings) -> Learned:
-    """Learn a detector from data that were matched by the rule and at the threshold of the settings."""
+    """Learn a detector from data that were matched by the rule and at the threshold of the settings.
+
+    Raises:
+        InputError: There are too many classes for the memory.
+    """
+    _check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
     run_s = _run_s(observed, form)
     resampling = resample(images, settings.replicates, settings.seed, run_s)
@@ -168,6 +175,23 @@ def learn(observed: Observed, transitions: Transitions, settings: Settings) -> L
     }
     units[None] = resampling.units(observed.image_state >= 0)
     return Learned(observed, form, form.estimate(observed, resampling), transitions, resampling, run_s, units)
+
+
+def _check_size(classes: int, states: int, replicates: int) -> None:
+    """Refuse so many classes that the tables of the replicates would fill the memory.
+
+    Raises:
+        InputError: There are too many.
+    """
+    cells = (1 + replicates) * states * classes * (classes + 1)
+    if cells > MAX_TABLE_CELLS:
+        needed = (
+            f"{classes:,} classes in {states:,} states with {replicates:,} replicates need tables of {cells:,} cells"
+        )
+        problem = (
+            f"{needed}, more than {MAX_TABLE_CELLS:,}: give fewer classes, fewer states (--states) or --replicates"
+        )
+        raise InputError("labelled set", [problem])
 
 
 def learn_again(learned: Learned, observed: Observed) -> LearnedDetector:

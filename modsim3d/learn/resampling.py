@@ -52,8 +52,9 @@ class Resampling:
         """
         size = int(np.prod(shape))
         amount = np.ones(len(image)) if amount is None else amount
-        by_image = csr_array((amount, (image, cell)), shape=(self.weights.shape[1], size))
-        total: Array = np.asarray((by_image.T @ self.weights.T).T)
+        used, row = np.unique(image, return_inverse=True)  # most frames of a long night are empty
+        by_image = csr_array((amount, (row, cell)), shape=(len(used), size))
+        total: Array = np.asarray((by_image.T @ self.weights[:, used].T).T)
         return total.reshape(len(self.weights), *shape)
 
     def units(self, chosen: Mask) -> int:
@@ -74,9 +75,10 @@ def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> 
     weights = np.ones((1 + replicates, len(images)))
     for source in np.unique(source_of_unit):
         units = np.flatnonzero(source_of_unit == source)
-        drawn = generator.multinomial(len(units), np.full(len(units), 1 / len(units)), size=replicates)
         ours = np.flatnonzero(images.source == source)
-        weights[1:, ours] = drawn[:, np.searchsorted(units, unit[ours])]
+        place, chances = np.searchsorted(units, unit[ours]), np.full(len(units), 1 / len(units))
+        for row in range(1, 1 + replicates):  # all at once would take three times the memory
+            weights[row, ours] = generator.multinomial(len(units), chances)[place]
     return Resampling(weights, unit)
 
 

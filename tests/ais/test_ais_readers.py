@@ -199,15 +199,16 @@ def test_infinite_numbers_are_unreadable_and_nan_is_as_good_as_empty(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "level", "says"),
     [
-        (b"a" * 3_000_000, "is none of the formats"),
-        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, "has a row of more than 1048576 bytes"),
+        (b"a" * 3_000_000, 1, "is none of the formats"),
+        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, 0, "has a row of more than 1048576 bytes"),
+        ((SAMPLES / "danish.csv").read_bytes() + b"a" * 40_000_000, 1, "unpacks to more than 100 times its own size"),
     ],
-    ids=["no line", "endless row"],
+    ids=["no line", "endless row", "bomb"],
 )
-def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, says):
-    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, 1))
+def test_what_unpacks_to_endless_lines_is_one_error(tmp_path, content, level, says):
+    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content, level))
     done = subprocess.run(
         [sys.executable, "-m", "modsim3d.cli", "ais", "bomb.csv.gz", "--out", "scene"],
         cwd=tmp_path,

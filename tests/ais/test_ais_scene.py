@@ -56,7 +56,7 @@ def test_danish_files_and_sentences_of_the_same_traffic_agree_to_their_precision
     for one, other in zip(danish.vessels, nmea.vessels, strict=True):
         assert one.hull == other.hull
         assert one.replaced == other.replaced
-        np.testing.assert_array_equal(one.present, other.present)
+        np.testing.assert_array_equal(one.steps, other.steps)
         # Sentences hold 1/10000 of a minute, half of which is 0.09 m; Danish files hold 0.06 m.
         np.testing.assert_allclose(one.places_m, other.places_m, atol=0.3)
         np.testing.assert_allclose(one.headings_rad, other.headings_rad, atol=0.01)
@@ -96,7 +96,7 @@ def test_sample_vessels_are_where_the_script_drove_them():
     for vessel in traffic.vessels:
         ship = ships[vessel.mmsi]
         a, b, c, d = ship.dimensions
-        for step in np.flatnonzero(vessel.present):
+        for place, step in enumerate(vessel.steps):
             east, north, course = ship.at(float(traffic.grid.timestamps[step]))
             angle = heading_rad(course)
             ahead, port = (a - b) / 2, (c - d) / 2
@@ -109,8 +109,8 @@ def test_sample_vessels_are_where_the_script_drove_them():
             # Headings are rounded to a degree, which moves the centre by up to 0.5° of the antenna's distance from
             # it; 0.6 m where a report of the speed is missing in a turn.
             slack = 0.7 + np.deg2rad(0.6) * np.hypot(ahead, port)
-            np.testing.assert_allclose(vessel.places_m[step], centre, atol=slack)
-            assert abs(np.angle(np.exp(1j * (vessel.headings_rad[step] - angle)))) < np.deg2rad(1.1)
+            np.testing.assert_allclose(vessel.places_m[place], centre, atol=slack)
+            assert abs(np.angle(np.exp(1j * (vessel.headings_rad[place] - angle)))) < np.deg2rad(1.1)
 
 
 @pytest.mark.parametrize("name", SAMPLE_NAMES)
@@ -231,8 +231,9 @@ def test_dimensions_come_from_the_four_distances(dimensions, length, beam, anten
 def test_a_gap_is_absence(tmp_path):
     rows = [text for place, text in enumerate(steady()) if not 5 < place < 20]
     vessel = only(traffic_of(old_file(tmp_path, *rows), max_gap_s=120))
-    assert np.flatnonzero(~vessel.present).tolist() == list(range(51, 200))
-    assert only(traffic_of(old_file(tmp_path, *rows), max_gap_s=150)).present.all()
+    assert np.setdiff1d(np.arange(vessel.steps[-1]), vessel.steps).tolist() == list(range(51, 200))
+    whole = traffic_of(old_file(tmp_path, *rows), max_gap_s=150)
+    assert len(only(whole).steps) == len(whole.grid.times_s)
 
 
 def test_window_and_time_step_make_the_time_grid(tmp_path):
@@ -240,10 +241,10 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
     start = 1704362400.0
     traffic = traffic_of(path, start_s=start + 15, duration_s=1, time_step_s=0.2)
     assert traffic.grid.timestamps == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
-    assert only(traffic).present.all()
+    assert len(only(traffic).steps) == len(traffic.grid.times_s)
     assert only(traffic).messages == 30  # reports up to the longest gap away carry the track over the edges
     early = traffic_of(path, start_s=start - 10, end_s=start + 10)
-    assert only(early).present.tolist() == [False] * 10 + [True] * 11
+    assert only(early).steps.tolist() == list(range(10, 21))
     whole = only(traffic_of(path, origin=traffic.origin))
     np.testing.assert_allclose(only(traffic).places_m[-1], whole.places_m[16], atol=1e-6)
 
@@ -266,7 +267,7 @@ def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
 def test_slow_and_small_vessels_are_kept_and_lie_still(tmp_path):
     rows = [row(60 * k, speed=0.0, course=(77 * k) % 360, heading=511, length=3, beam=1) for k in range(5)]
     vessel = only(traffic_of(old_file(tmp_path, *rows)))
-    assert vessel.present.all()
+    assert np.ptp(vessel.steps) == len(vessel.steps) - 1
     assert np.ptp(vessel.headings_rad) == 0
     assert np.ptp(vessel.places_m, axis=0).tolist() == [0, 0]
 
@@ -312,7 +313,7 @@ def test_camera_looks_at_the_busiest_water_and_no_hull_comes_near():
     np.testing.assert_allclose(direction[:2], 0, atol=0.5)  # the target is on the optical axis
     assert direction[2] > 0
     for vessel in traffic.vessels:
-        near = np.linalg.norm(vessel.places_m[vessel.present] - place[:2], axis=1).min()
+        near = np.linalg.norm(vessel.places_m - place[:2], axis=1).min()
         assert near > vessel.hull.length_m / 2 + CLEARANCE_M - 1
 
 
@@ -324,7 +325,7 @@ def test_camera_is_clear_of_hulls_in_any_traffic(seed):
     present = rng.uniform(size=(30, number)) < 0.8
     present[0, 0] = True
     half = rng.uniform(2, 200, number)
-    camera = viewpoint(present, places, half)
+    camera = viewpoint(np.nonzero(present)[1], places[present], half)
     off = np.linalg.norm(places - np.array(camera.position_m[:2]), axis=-1)
     assert (off > half + CLEARANCE_M - 1)[present].all()
 

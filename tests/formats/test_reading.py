@@ -213,7 +213,7 @@ def test_a_sequence_without_size_or_rate_is_refused(entry, tmp_path):
     values = {"imWidth": "640", "imHeight": "480", "frameRate": "5", "seqLength": "3"} | dict([entry.split("=")])
     lines = "\n".join(f"{key}={value}" for key, value in values.items())
     (tmp_path / "seqinfo.ini").write_text(f"[Sequence]\n{lines}\n")
-    with pytest.raises(InputError, match="must be above 0"):
+    with pytest.raises(InputError, match=rf"{entry.split('=')[0]}: must be (above|from) 0"):
         mot(tmp_path)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from modsim3d.errors import InputError, ModsimError
 
 ACCEPTED, REFUSED, FAILED = "accepted", "refused", "failed"
-MOST_LINES, MOST_CHARACTERS = 60, 500
+MOST_LINES, MOST_CHARACTERS = 202, 2010
 """Most lines of a message, and most characters of a line, without the folder of the input."""
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,10 +15,15 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import NOBODY, Annotations, Images, LabelledSet, Results
+from modsim3d.inputs.budgets import MAX_PROBLEMS
+from modsim3d.inputs.validation import shown
 
 MOST_PROBLEMS = 20
 MOST_PX = 1e7
 """A larger coordinate is no place in an image, and its square would leave no digits."""
+MOST_NUMBER = 1e15
+"""A larger number is no identity, distance or time, and neighbours of it cannot be told apart."""
+_HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
 
 @dataclass(frozen=True)
@@ -45,17 +52,26 @@ NO_OPTIONS = ReadOptions()
 class Problems:
     """What is wrong with the entries of a file: a line for each, and a hint that may help with many of them at once.
 
-    With `skip`, wrong entries are left out and counted; without it, they are an error.
+    With `skip`, wrong entries are left out and counted; without it, they are an error. Only the first lines are kept.
     """
 
     source: str
     skip: bool = False
     lines: list[str] = field(default_factory=list)
+    count: int = 0
     hint: str = ""
 
     def add(self, line: str) -> None:
-        """Record an entry that cannot be used."""
-        self.lines.append(line)
+        """Record an entry that cannot be used.
+
+        Raises:
+            InputError: There are too many of them, and they are not to be skipped.
+        """
+        self.count += 1
+        if self.count <= MOST_PROBLEMS:
+            self.lines.append(line)
+        if self.count >= MAX_PROBLEMS and not self.skip:
+            self.settle()
 
     def settle(self) -> list[str]:
         """A remark on how many entries were left out, if any.
@@ -66,12 +82,19 @@ class Problems:
         if not self.lines:
             return []
         if self.skip:
-            return [f"{self.source}: {len(self.lines)} entries left out, the first because {self.lines[0]}"]
-        shown = self.lines[:MOST_PROBLEMS]
-        if len(self.lines) > MOST_PROBLEMS:
-            shown.append(f"... and {len(self.lines) - MOST_PROBLEMS} more; --skip-bad leaves all such entries out")
-        shown += [self.hint] if self.hint else []
-        raise InputError(self.source, shown)
+            return [f"{self.source}: {self.count} entries left out, the first because {self.lines[0]}"]
+        told = list(self.lines)
+        if self.count >= MAX_PROBLEMS:
+            told.append(f"... {self.count:,} in all so far; the rest was not read. --skip-bad leaves such entries out")
+        elif self.count > MOST_PROBLEMS:
+            told.append(f"... and {self.count - MOST_PROBLEMS} more; --skip-bad leaves all such entries out")
+        told += [self.hint] if self.hint else []
+        raise InputError(self.source, told)
+
+
+def is_number(value: Any, least: float = -MOST_NUMBER, most: float = MOST_NUMBER) -> bool:
+    """Whether a value of JSON is a number in a range: not true or false, NaN, or a number of 400 digits."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and least <= value <= most
 
 
 def valid_box(values: Any, where: str, problems: Problems) -> bool:
@@ -81,13 +104,11 @@ def valid_box(values: Any, where: str, problems: Problems) -> bool:
         or len(values) != 4
         or not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     ):
-        problems.add(f"{where}: bbox must be [x, y, width, height] in pixels (got {str(values)[:60]})")
+        problems.add(f"{where}: bbox must be [x, y, width, height] in pixels (got {shown(values)})")
         return False
     _, _, width, height = values
-    if not all(map(math.isfinite, values)):
-        problems.add(f"{where}: bbox must be finite (got {values})")
-    elif max(map(abs, values)) > MOST_PX:
-        problems.add(f"{where}: bbox must be in pixels, at most {MOST_PX:g} (got {values})")
+    if not all(is_number(value, -MOST_PX, MOST_PX) for value in values):
+        problems.add(f"{where}: bbox must be in pixels, at most {MOST_PX:g} (got {shown(values)})")
     elif width <= 0 or height <= 0:
         problems.add(f"{where}: bbox has no area: width {width:g}, height {height:g}")
     else:
@@ -213,17 +234,22 @@ def labelled_set(
     """A labelled set of one source; images that name no condition of their own have the given one.
 
     Raises:
-        InputError: Two labels have the same name.
+        InputError: Two labels have the same name, or a name cannot be written.
     """
-    repeated = sorted({name for name in labels if list(labels).count(name) > 1})
+    repeated = sorted(name for name, count in Counter(labels).items() if count > 1)[:MOST_PROBLEMS]
     if repeated:
-        raise InputError(f"labels of {condition}", [f"'{name}' names more than one class" for name in repeated])
+        raise InputError(f"labels of {condition}", [f"{shown(name)} names more than one class" for name in repeated])
     of_image = [condition if name is None else name for name in images.condition]
     conditions = tuple(dict.fromkeys(of_image)) or (condition,)
+    broken = [name for name in (*labels, *conditions) if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
+    if broken:
+        problems = [f"{shown(name)} holds half a character, which no file can hold" for name in broken]
+        raise InputError("labels and conditions", problems)
+    number_of = {name: number for number, name in enumerate(conditions)}
     columns = Images(
         tuple(images.names),
         np.array(images.sizes_px, dtype=np.float64).reshape(-1, 2),
-        np.array([conditions.index(name) for name in of_image], dtype=np.int64),
+        np.array([number_of[name] for name in of_image], dtype=np.int64),
         np.zeros(len(of_image), dtype=np.int64),
         np.array(images.sequence, dtype=np.int64),
         np.array(images.time_s, dtype=np.float64),

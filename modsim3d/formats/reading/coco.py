@@ -14,6 +14,7 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -22,6 +23,7 @@ import orjson
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import (
+    MOST_NUMBER,
     MOST_PROBLEMS,
     MOST_PX,
     NO_OPTIONS,
@@ -31,13 +33,19 @@ from modsim3d.formats.reading.builder import (
     Problems,
     ReadOptions,
     ResultRows,
+    is_number,
     labelled_set,
     valid_box,
 )
-from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.validation import nearest
+from modsim3d.inputs.strict_json import parse_json
+from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.validation import nearest, shown
 
 ID = int | str
+_MOST_DIGITS = 18
+"""Of a file's name that is a number."""
+_MOST_NAMES = 1000
+"""The search for a similar name among more of them takes seconds."""
 
 
 def read_coco(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
@@ -85,7 +93,7 @@ def _known_to_results(
     An `image_id` may be the name of a file, and category IDs may start at another number.
     """
     rows = [entry for entry in entries if isinstance(entry, dict)]
-    given = {image for entry in rows if isinstance(image := entry.get("image_id"), ID)}
+    given = {image for entry in rows if _is_id(image := entry.get("image_id"))}
     files, stems = _by_file(names)
     images, doubt = known.images, []
     if len(given & stems.keys()) > len(given & images.keys()):
@@ -110,7 +118,7 @@ def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
     for row, name in enumerate(names):
         path = PurePosixPath(name.replace("\\", "/"))
         names_of: set[ID] = {name, path.name}
-        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() else set()
+        number: set[ID] = {int(path.stem)} if path.stem.isdecimal() and len(path.stem) <= _MOST_DIGITS else set()
         for key in names_of:
             files[key].append(row)
         for key in names_of | {path.stem} | number:
@@ -121,16 +129,19 @@ def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
 
 def _parse(path: Path, what: str) -> Any:
     """Read JSON; if it is broken, read it again with a slower reader that names the place."""
+    text = read_text(path, what).removeprefix("\ufeff")
+    if not text.strip():
+        raise InputError(f"{what} {path}", ["the file is empty"])
     try:
-        return orjson.loads(path.read_bytes())
-    except (OSError, orjson.JSONDecodeError):
-        return load_json(path, what)
+        return orjson.loads(text)
+    except orjson.JSONDecodeError:
+        return parse_json(text, f"{what} {path}")
 
 
 def _object(path: Path, what: str, source: str) -> Mapping[str, Any]:
     content = _parse(path, what)
     if not isinstance(content, dict):
-        kind = "a list: is it the results file?" if isinstance(content, list) else f"{str(content)[:40]!r}"
+        kind = "a list: is it the results file?" if isinstance(content, list) else shown(content)
         raise InputError(source, [f"must be a mapping with images, annotations and categories (got {kind})"])
     missing = [key for key in ("images", "annotations", "categories") if key not in content]
     if missing:
@@ -142,10 +153,9 @@ def _results(path: Path) -> list[Any]:
     content = _parse(path, "detections")
     if isinstance(content, list):
         return content
-    got = ", ".join(list(content)[:5]) if isinstance(content, dict) else str(content)[:40]
+    got = f"a mapping with {', '.join(map(shown, list(content)[:5]))}" if isinstance(content, dict) else shown(content)
     raise InputError(
-        f"detections {path}",
-        [f"must be a list of results with image_id, category_id, bbox and score (got a mapping with {got})"],
+        f"detections {path}", [f"must be a list of results with image_id, category_id, bbox and score (got {got})"]
     )
 
 
@@ -158,18 +168,17 @@ def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]
 def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
     """Name and label of each category's ID, in the order of the file."""
     known: dict[Any, tuple[str, int]] = {}
+    names = set[str]()
     for index, entry in enumerate(_list(content, "categories", problems)):
         where = f"categories[{index}]"
-        if (
-            not isinstance(entry, dict)
-            or not isinstance(entry.get("id"), int)
-            or not isinstance(entry.get("name"), str)
-            or not entry["name"]
-        ):
+        identity, name = (entry.get("id"), entry.get("name")) if isinstance(entry, dict) else (None, None)
+        if not _is_id(identity) or isinstance(identity, str) or not isinstance(name, str) or not name:
             raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
-        if entry["id"] in known or entry["name"] in (name for name, _ in known.values()):
-            raise InputError(problems.source, [f"{where}: id {entry['id']} or name '{entry['name']}' appears twice"])
-        known[entry["id"]] = (entry["name"], len(known))
+        if identity in known or name in names:
+            said = f"id {identity} or name {shown(name)} appears twice"
+            raise InputError(problems.source, [f"{where}: {said}"])
+        names.add(name)
+        known[identity] = (name, len(known))
     if not known:
         raise InputError(problems.source, ["categories: is empty, must name at least one"])
     return known
@@ -182,10 +191,10 @@ def _images(
     entries: dict[Any, tuple[str, dict[str, Any]]] = {}
     for index, entry in enumerate(_list(content, "images", problems)):
         where = f"images[{index}]"
-        if not isinstance(entry, dict) or not isinstance(entry.get("id"), ID):
+        if not isinstance(entry, dict) or not _is_id(entry.get("id")):
             problems.add(f"{where}: must have an id, a whole number or text")
         elif entry["id"] in entries:
-            problems.add(f"{where}: id {entry['id']} appears twice")
+            problems.add(f"{where}: id {shown(entry['id'])} appears twice")
         else:
             entries[entry["id"]] = where, entry
     rows_of: dict[Any, int] = {}
@@ -205,24 +214,35 @@ def _image(
     problems: Problems,
 ) -> bool:
     """Append an image, whose sequence is numbered; False with a problem if it cannot be used."""
-    known, given = len(problems.lines), [entry.get("width"), entry.get("height")]
-    size_px = [float(side) for side in given if isinstance(side, int | float) and 0 < side <= MOST_PX]
+    known, given = problems.count, [entry.get("width"), entry.get("height")]
+    size_px = [float(side) for side in given if is_number(side, _LEAST_PX, MOST_PX)]
     if len(size_px) < 2:
-        problems.add(f"{where}: width and height must be pixels, above 0 (got {given[0]!r} and {given[1]!r})")
-    sequence = entry.get("sequence", entry.get("video_id"))
-    if not isinstance(sequence, ID | None):
-        problems.add(f"{where}: sequence must be a whole number or text (got {str(sequence)[:40]})")
+        got = f"{shown(given[0])} and {shown(given[1])}"
+        problems.add(f"{where}: width and height must be pixels, above 0 (got {got})")
+    sequence, condition = entry.get("sequence", entry.get("video_id")), entry.get("condition")
+    if sequence is not None and not _is_id(sequence):
+        problems.add(f"{where}: sequence must be a whole number or text (got {shown(sequence)})")
+    name = entry.get("file_name", entry["id"])
+    for key, value in (("file_name", name), ("condition", condition)):
+        if value is not None and not (_is_id(value) or is_number(value)):
+            problems.add(f"{where}: {key} must be text (got {shown(value)})")
     time_s = _time_s(entry, frame_rate_hz)
     if time_s is None:
-        problems.add(
-            f"{where}: time_s and frame_id must be numbers (got {entry.get('time_s', entry.get('frame_id'))!r})"
-        )
-    if time_s is None or len(problems.lines) > known:
+        got = shown(entry.get("time_s", entry.get("frame_id")))
+        problems.add(f"{where}: time_s and frame_id must be numbers (got {got})")
+    if time_s is None or problems.count > known:
         return False
-    number, condition = sequences.setdefault(sequence, len(sequences)), entry.get("condition")
-    own = None if condition is None else str(condition)
-    images.add(str(entry.get("file_name", entry["id"])), size_px, number, time_s, own)
+    number = sequences.setdefault(sequence, len(sequences))
+    images.add(str(name), size_px, number, time_s, None if condition is None else str(condition))
     return True
+
+
+_LEAST_PX = 1e-6
+
+
+def _is_id(value: Any) -> bool:
+    """Whether a value can name something: text or a whole number."""
+    return isinstance(value, str) or (isinstance(value, int) and is_number(value))
 
 
 def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | None:
@@ -230,16 +250,16 @@ def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | No
     time = entry.get("time_s")
     if time is None and frame_rate_hz is not None:
         frame = entry.get("frame_id")
-        time = frame / frame_rate_hz if isinstance(frame, int | float) else frame
+        time = frame / frame_rate_hz if is_number(frame) else frame
     if time is None:
         return math.nan
-    return float(time) if isinstance(time, int | float) and math.isfinite(time) else None
+    return float(time) if is_number(time) else None
 
 
 def _place(entry: Any, where: str, known: _Known, problems: Problems) -> Place | None:
     """Image, label and box of an entry; None with a problem if it has none."""
     if not isinstance(entry, dict):
-        problems.add(f"{where}: must be a mapping (got {str(entry)[:40]!r})")
+        problems.add(f"{where}: must be a mapping (got {shown(entry)})")
         return None
     file = entry.get("file_name")
     row = known.files.get(file) if isinstance(file, str) else None
@@ -253,15 +273,17 @@ def _place(entry: Any, where: str, known: _Known, problems: Problems) -> Place |
 def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: str, problems: Problems) -> Any:
     """The value that an entry refers to by a key; None with a problem if there is no such value."""
     value = entry.get(key)
-    if isinstance(value, int | float | str) and value in known:
+    if (isinstance(value, str) or is_number(value)) and value in known:
         return known[value]
-    # The search for similar names takes long: not for problems that will not be shown.
-    hint = f" ({nearest(str(value), map(str, known))})" if len(problems.lines) < MOST_PROBLEMS else ""
-    problems.add(f"{where}: unknown {key} {value!r}{hint}" if key in entry else f"{where}: {key} is missing")
+    # The search for similar names takes long: not for problems that will not be shown, and not among very many.
+    hint = (
+        f" ({nearest(shown(value), map(shown, islice(known, _MOST_NAMES)))})" if problems.count < MOST_PROBLEMS else ""
+    )
+    problems.add(f"{where}: unknown {key} {shown(value)}{hint}" if key in entry else f"{where}: {key} is missing")
     return None
 
 
-_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": math.inf}
+_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": MOST_NUMBER}
 
 
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
@@ -269,19 +291,20 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
     value = entry.get(key)
     if value is None:
         return math.nan
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        problems.add(f"{where}: {key} must be a number (got {value!r})")
-    elif not 0 <= value <= _MOST[key]:
-        problems.add(f"{where}: {key} must be {'from 0 to 1' if _MOST[key] < math.inf else '0 or more'} (got {value})")
-    else:
+    if is_number(value, 0, _MOST[key]):
         return float(value)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        problems.add(f"{where}: {key} must be a number (got {shown(value)})")
+    else:
+        wanted = "from 0 to 1" if key == "visible_fraction" else "0 or more"
+        problems.add(f"{where}: {key} must be {wanted} (got {shown(value)})")
     return math.nan
 
 
 def _identity(entry: Mapping[str, Any]) -> ID | None:
     """Identity of an annotation; None where it is not given or a number below 0, as in MOT."""
     identity = entry.get("track_id", entry.get("instance_id"))
-    known = isinstance(identity, str) or (isinstance(identity, int) and identity >= 0)
+    known = isinstance(identity, str) or (isinstance(identity, int) and is_number(identity, 0, math.inf))
     return identity if known else None
 
 
@@ -289,12 +312,12 @@ def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, pro
     place = _place(entry, where, known, problems)
     if place is None:
         return
-    before = len(problems.lines)
+    before = problems.count
     visible_fraction, depth_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
     identity = _identity(entry)
     if rows.has(place.image, identity):
-        problems.add(f"{where}: identity {identity!r} is in the image {entry['image_id']!r} already")
-    if len(problems.lines) == before:
+        problems.add(f"{where}: identity {shown(identity)} is in the image {shown(entry.get('image_id'))} already")
+    if problems.count == before:
         crowd = bool(entry.get("iscrowd", 0))
         rows.add(place, crowd or bool(entry.get("ignore", 0)), crowd, identity, visible_fraction, depth_m)
 
@@ -304,19 +327,13 @@ def _result(entry: Any, where: str, known: _Known, rows: ResultRows, problems: P
     if place is None:
         return
     score, given = entry.get("score"), entry.get("probabilities")
-    if not isinstance(score, int | float) or isinstance(score, bool) or not 0 <= score <= 1:
-        problems.add(f"{where}: score must be from 0 to 1 (got {score!r})")
+    if not is_number(score, 0, 1):
+        problems.add(f"{where}: score must be from 0 to 1 (got {shown(score)})")
     elif given is not None and not _distribution(given, len(known.categories)):
-        problems.add(
-            f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {str(given)[:60]})"
-        )
+        problems.add(f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {shown(given)})")
     else:
         rows.add(place, float(score), given)
 
 
 def _distribution(values: Any, count: int) -> bool:
-    return (
-        isinstance(values, list)
-        and len(values) == count
-        and all(isinstance(value, int | float) and 0 <= value <= 1 for value in values)
-    )
+    return isinstance(values, list) and len(values) == count and all(is_number(value, 0, 1) for value in values)

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import configparser
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import (
+    MOST_NUMBER,
+    MOST_PX,
     NO_OPTIONS,
     AnnotationRows,
     ImageRows,
@@ -23,13 +26,25 @@ from modsim3d.formats.reading.builder import (
     Problems,
     ReadOptions,
     ResultRows,
+    is_number,
     labelled_set,
     valid_box,
 )
 from modsim3d.formats.reading.text_lines import number_lines
+from modsim3d.inputs.budgets import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES
+from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.validation import shown
 
-_MOST_FRAMES = 10_000_000
-"""A larger number is no frame but something else, such as a time."""
+_MOST_CLASSES = 10_000
+"""A larger number is no class but something else."""
+_TINY = 1e-6
+_RANGES = {
+    "imWidth": (_TINY, MOST_PX),
+    "imHeight": (_TINY, MOST_PX),
+    "frameRate": (_TINY, 1e6),
+    "seqLength": (0.0, MAX_FRAMES),
+}
+"""Least and largest value of each key of a `seqinfo.ini`."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +52,14 @@ class _Sequence:
     size_px: tuple[float, float]
     frames: int
     rate_hz: float | None
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What a line may name: a class by its number, where detections name classes, and a frame."""
+
+    to_label: Mapping[int, int]
+    most_frames: int
 
 
 Lines = list[tuple[str, list[float]]]
@@ -57,9 +80,10 @@ def read_mot(condition: str, truth: Path, detections: Path, options: ReadOptions
     detected = list(number_lines(detections, "detections", ",", 7, wrong))
     info = _sequence(truth, options.image_size_px, problems.source)
     names = _class_names(annotated, detected, labels)
-    to_label = {number: k for k, number in enumerate(names)}
-    annotations = _annotations(annotated, to_label, problems)
-    results = _results(detected, to_label, wrong)
+    spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
+    known = _Known({number: k for k, number in enumerate(names)}, min(spanned, MAX_FRAMES))
+    annotations = _annotations(annotated, known, problems)
+    results = _results(detected, known, wrong)
     notes = problems.settle() + wrong.settle()
     rate_hz = options.frame_rate_hz or info.rate_hz
     if rate_hz is None:
@@ -81,18 +105,22 @@ def _class_names(annotated: Lines, detected: Lines, labels: tuple[str, ...]) -> 
     """Names of the classes by number; none if detections name no classes."""
     if not any(_class_of(numbers) >= 1 for _, numbers in detected):
         return {}
-    classes = sorted({number for _, numbers in annotated + detected if (number := _class_of(numbers)) >= 1})
+    found = {_class_of(numbers) for _, numbers in annotated + detected}
+    classes = sorted(number for number in found if 1 <= number <= _MOST_CLASSES)
     return {number: labels[number - 1] if number <= len(labels) else f"class_{number}" for number in classes}
 
 
-def _annotations(lines: Lines, to_label: dict[int, int], problems: Problems) -> AnnotationRows:
+def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationRows:
     rows = AnnotationRows()
     for where, numbers in lines:
+        if not is_number(numbers[1]):
+            problems.add(f"{where}: identity must be at most {MOST_NUMBER:g} (got {numbers[1]:g})")
+            continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None
         if rows.has(int(numbers[0]) - 1, identity):
             problems.add(f"{where}: identity {identity} is in frame {numbers[0]:g} already")
             continue
-        place = _place(where, numbers, problems, to_label)
+        place = _place(where, numbers, problems, known)
         if place is not None:
             visible = numbers[8] if len(numbers) > 8 and 0 <= numbers[8] <= 1 else math.nan
             ignored = len(numbers) > 6 and numbers[6] == 0
@@ -100,23 +128,28 @@ def _annotations(lines: Lines, to_label: dict[int, int], problems: Problems) -> 
     return rows
 
 
-def _results(lines: Lines, to_label: dict[int, int], problems: Problems) -> ResultRows:
+def _results(lines: Lines, known: _Known, problems: Problems) -> ResultRows:
     rows = ResultRows()
     for where, numbers in lines:
         if not 0 <= numbers[6] <= 1:
             problems.add(f"{where}: confidence must be from 0 to 1 (got {numbers[6]:g})")
             continue
-        place = _place(where, numbers, problems, to_label)
+        place = _place(where, numbers, problems, known)
         if place is not None:
             rows.add(place, numbers[6])
     return rows
 
 
-def _place(where: str, numbers: list[float], problems: Problems, to_label: dict[int, int]) -> Place | None:
+def _place(where: str, numbers: list[float], problems: Problems, known: _Known) -> Place | None:
     """Image, label and box of a line; None with a problem if it has none."""
-    frame, number = numbers[0], _class_of(numbers)
-    if not 1 <= frame <= _MOST_FRAMES or frame != int(frame):
-        problems.add(f"{where}: frame must be a whole number from 1 to {_MOST_FRAMES} (got {frame:g})")
+    frame, number, to_label = numbers[0], _class_of(numbers), known.to_label
+    if not 1 <= frame <= known.most_frames or frame != int(frame):
+        problems.add(f"{where}: frame must be a whole number from 1 to {known.most_frames} (got {frame:.15g})")
+        if known.most_frames < frame:
+            spanned = f"so few lines may span {known.most_frames:,} frames"
+            problems.hint = f"{spanned}, and up to {MAX_FRAMES:,} where seqLength in a seqinfo.ini says so"
+    elif number > _MOST_CLASSES:
+        problems.add(f"{where}: class must be at most {_MOST_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
         problems.add(f"{where}: has no class in its eighth column, but detections have (got {number})")
     elif valid_box(numbers[2:6], where, problems):
@@ -129,22 +162,40 @@ def _sequence(truth: Path, size_px: tuple[float, float] | None, source: str) -> 
         path = folder / "seqinfo.ini"
         if not path.is_file():
             continue
-        parser = configparser.ConfigParser()
-        try:
-            parser.read(path, encoding="utf-8")
-            section = parser["Sequence"]
-            size = (float(section["imWidth"]), float(section["imHeight"]))
-            frames = int(section.get("seqLength", "0"))
-            rate_hz = float(section["frameRate"]) if "frameRate" in section else None
-        except (configparser.Error, KeyError, ValueError) as error:
-            raise InputError(f"sequence {path}", [f"needs imWidth and imHeight under [Sequence]: {error}"]) from None
-        given = (*size, 1.0 if rate_hz is None else rate_hz)
-        if not all(0 < value < math.inf for value in given) or not 0 <= frames <= _MOST_FRAMES:
-            got = f"{size[0]:g}, {size[1]:g}, {given[2]:g} and seqLength {frames}"
-            raise InputError(f"sequence {path}", [f"imWidth, imHeight and frameRate must be above 0 (got {got})"])
-        return _Sequence(size, frames, rate_hz)
+        section = _section(path)
+        problems = [
+            f"{key}: must be {'above 0, and at most' if least else 'from 0 to'} {most:g} (got {shown(section[key])})"
+            for key, (least, most) in _RANGES.items()
+            if key in section and not least <= _number(section[key]) <= most
+        ]
+        if problems:
+            raise InputError(f"sequence {path}", problems)
+        width, height, rate, frames = (_number(section.get(key, "0")) for key in _RANGES)
+        return _Sequence((width, height), int(frames), rate or None)
     if size_px is None:
         raise InputError(
             source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]
         )
     return _Sequence(size_px, 0, None)
+
+
+def _section(path: Path) -> Mapping[str, str]:
+    """The keys of `[Sequence]` in a `seqinfo.ini`."""
+    parser = configparser.ConfigParser(interpolation=None)
+    try:
+        parser.read_string(read_text(path, "sequence"))
+        section = parser["Sequence"]
+        missing = [key for key in ("imWidth", "imHeight") if key not in section]
+    except (configparser.Error, KeyError):
+        missing = ["[Sequence]"]
+    if missing:
+        needed = "needs imWidth and imHeight under [Sequence]"
+        raise InputError(f"sequence {path}", [f"{needed}: {' and '.join(missing)} is missing, or cannot be read"])
+    return section
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 
+from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import Problems
+from modsim3d.inputs.budgets import MAX_LINE_CHARACTERS
 from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.validation import shown
+
+_LOOKED_AT_LINES = 20
 
 
 def number_lines(
@@ -21,19 +27,45 @@ def number_lines(
         separator: Between numbers, and perhaps at the end of a line; white space if None.
         least: Numbers that a line must have.
         problems: Collects the lines that are wrong.
+
+    Raises:
+        InputError: The file cannot be read, or its first lines hold no number at all.
     """
-    for index, line in enumerate(read_text(path, what).splitlines()):
+    lines = read_text(path, what).splitlines()
+    begin = list(islice(filter(str.strip, lines), _LOOKED_AT_LINES))
+    if begin and not any(map(_is_number, _cells(begin, separator))):
+        form = "white space" if separator is None else f"'{separator}'"
+        raise InputError(
+            f"{what} {path}", [f"its first lines hold no numbers, must be numbers with {form} between them"]
+        )
+    for index, line in enumerate(lines):
         if not line.strip():
             continue
         where = f"{path.name} line {index + 1}"
+        if len(line) > MAX_LINE_CHARACTERS:
+            problems.add(f"{where}: has {len(line):,} characters, must have at most {MAX_LINE_CHARACTERS:,}")
+            continue
         try:
             numbers = [float(part) for part in line.strip().removesuffix(separator or "").split(separator)]
         except ValueError:
-            problems.add(f"{where}: must be numbers (got {line[:60]!r})")
+            problems.add(f"{where}: must be numbers (got {shown(line)})")
             continue
         if len(numbers) < least:
-            problems.add(f"{where}: has {len(numbers)} numbers, must have at least {least} (got {line[:60]!r})")
+            problems.add(f"{where}: has {len(numbers)} numbers, must have at least {least} (got {shown(line)})")
         elif not all(map(math.isfinite, numbers)):
-            problems.add(f"{where}: must be finite (got {line[:60]!r})")
+            problems.add(f"{where}: must be finite (got {shown(line)})")
         else:
             yield where, numbers
+
+
+def _cells(lines: Iterable[str], separator: str | None) -> Iterator[str]:
+    for line in lines:
+        yield from line[:MAX_LINE_CHARACTERS].split(separator)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -9,6 +9,8 @@ image without a file of labels, or with an empty one, has nothing in it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from modsim3d.boxes import corner_form
@@ -29,6 +31,7 @@ from modsim3d.formats.reading.image_sizes import image_size_px, images_in
 from modsim3d.formats.reading.text_lines import number_lines
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.text_files import read_text
+from modsim3d.inputs.validation import shown
 
 
 def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
@@ -55,9 +58,14 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     wrong = Problems(f"detections {detections}", options.skip_bad)
     annotations = _annotations(_files(folder), images, problems)
     results = _results(_files(predicted), images, wrong)
-    largest = max([place.label for place in annotations.places + results.places] + [len(names) - 1])
-    whole = [names[k] if k < len(names) else f"class_{k}" for k in range(largest + 1)]
-    return labelled_set(condition, whole, images, annotations, results, problems.settle() + wrong.settle())
+    notes = problems.settle() + wrong.settle()
+    found = {place.label for place in annotations.places + results.places}
+    numbers = sorted({*range(len(names)), *found})
+    whole = [names[number] if number < len(names) else f"class_{number}" for number in numbers]
+    to_label = {number: label for label, number in enumerate(numbers)}
+    for rows in (annotations, results):
+        rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
+    return labelled_set(condition, whole, images, annotations, results, notes)
 
 
 def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> AnnotationRows:
@@ -103,7 +111,9 @@ def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float
     if not 0 <= number < _MOST_CLASSES or number != int(number):
         problems.add(f"{where}: class must be a whole number from 0 to {_MOST_CLASSES - 1} (got {number:g})")
     elif max(abs(x), abs(y), width, height) > 2:
-        problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {numbers[1:5]})")
+        problems.add(
+            f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {shown(numbers[1:5])})"
+        )
     elif valid_box(box_px, where, problems):
         return Place(image, int(number), box_px)
     return None
@@ -112,6 +122,8 @@ def _place(where: str, numbers: list[float], image: int, size_px: Sequence[float
 _MOST_CLASSES = 10_000
 """A larger number is no class but something else."""
 _NOT_LABELS = ("classes.txt", "images.txt")
+_LOOKED_AT_FILES = 10_000
+"""Below a folder without labels, for a hint: it may be the root of a disk."""
 
 
 def _folder(path: Path, needed: bool = False) -> Path:
@@ -124,7 +136,8 @@ def _folder(path: Path, needed: bool = False) -> Path:
         raise InputError(f"folder {path}", ["no such folder"])
     folder = path / "labels" if (path / "labels").is_dir() else path
     if not _files(folder):
-        below = sorted({str(file.parent) for file in folder.rglob("*.txt") if file.parent != folder})
+        entries = islice(folder.rglob("*"), _LOOKED_AT_FILES)
+        below = sorted({str(file.parent) for file in entries if file.suffix == ".txt" and file.parent != folder})
         if below:
             raise InputError(f"folder {path}", [f"has no labels itself; those below it have: {', '.join(below[:5])}"])
         if needed:
@@ -166,8 +179,10 @@ def _names(truth: Path, folder: Path) -> tuple[str, ...]:
             names = content.get("names") if isinstance(content, dict) else None
             if isinstance(names, dict):
                 if any(type(key) is not int or not 0 <= key < _MOST_CLASSES for key in names):
-                    raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {list(names)[:5]})"])
+                    raise InputError(f"data {path}", [f"names: must be numbered 0, 1, ... (got {shown(list(names))})"])
                 names = [names.get(number, f"class_{number}") for number in range(max(names, default=-1) + 1)]
             if isinstance(names, list):
+                if wrong := [name for name in names if isinstance(name, dict | list)]:
+                    raise InputError(f"data {path}", [f"names: must be a list of names (got {shown(wrong[0])})"])
                 return tuple(str(name) for name in names)
     return ()
