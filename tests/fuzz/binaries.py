@@ -111,7 +111,7 @@ def change_sentence(rng: random.Random, content: bytes, others: list[bytes]) -> 
 
 
 def change_archive(rng: random.Random, content: bytes, others: list[bytes]) -> bytes:
-    """Kept truth with one array of another kind, another shape or other values, or without it; its checksum is right."""
+    """Kept truth with one array of another kind or shape, with other values, or gone; its checksum is right."""
     try:
         with np.load(io.BytesIO(content[:-DIGEST_BYTES])) as archive:
             arrays: dict[str, Any] = dict(archive)

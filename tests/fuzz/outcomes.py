@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import sys
 import traceback
 import unicodedata
@@ -9,11 +11,14 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from modsim3d.commands.terminal import say_error
 from modsim3d.errors import InputError, ModsimError
 
 ACCEPTED, REFUSED, FAILED = "accepted", "refused", "failed"
 MOST_LINES, MOST_CHARACTERS = 202, 2010
 """Most lines of a message, and most characters of a line, without the folder of the input."""
+_UNSEEN = ("Cc", "Cs", "Zl", "Zp")
+_TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 
 
 @dataclass(frozen=True)
@@ -52,29 +57,36 @@ def outcome_of(read: Callable[[Path], None], folder: Path, also_names: Collectio
 
 
 def _of_refusal(error: ModsimError, folder: str, also_names: Collection[str]) -> Outcome:
-    message = str(error)
-    fault = message_fault(message.replace(folder, ""))
-    if isinstance(error, InputError) and any("\n" in text for text in (error.source, *error.problems)):
-        fault = fault or "holds a line break within a problem"
-    if not fault and not any(name in message for name in (folder, *also_names)):
+    fault = message_fault(error, folder)
+    if not fault and not any(name in str(error) for name in (folder, *also_names)):
         fault = "does not name the source"
     if fault:
-        return Outcome(FAILED, f"the message {fault}: {_brief(message)}", f"message {fault} {place_of(error)}")
-    return Outcome(REFUSED, message)
+        return Outcome(FAILED, f"the message {fault}: {_brief(str(error))}", f"message {fault} {place_of(error)}")
+    return Outcome(REFUSED, str(error))
 
 
-def message_fault(message: str) -> str:
-    """What is wrong with a message to a user; empty if nothing is."""
-    if not message.strip():
+def message_fault(error: ModsimError, folder: str = "") -> str:
+    """What is wrong with the message of an error as the command line prints it; empty if nothing is."""
+    texts = [error.source, *error.problems] if isinstance(error, InputError) else [str(error)]
+    output = printed(error)
+    if not "".join(texts).strip():
         return "is empty"
-    if any(unicodedata.category(sign) in ("Cc", "Cf", "Cs", "Zl", "Zp") for sign in message.replace("\n", "")):
+    if output.count("\n") > len(texts):
+        return "holds a line break"
+    if any(unicodedata.category(sign) in _UNSEEN or sign in _TURNING for sign in output.replace("\n", "")):
         return "holds control characters"
-    lines = message.split("\n")
-    if len(lines) > MOST_LINES:
+    if len(texts) > MOST_LINES:
         return f"has more than {MOST_LINES} lines"
-    if max(map(len, lines)) > MOST_CHARACTERS:
+    if any(len(text.replace(folder, "")) > MOST_CHARACTERS for text in texts):
         return f"has a line of more than {MOST_CHARACTERS} characters"
     return ""
+
+
+def printed(error: ModsimError) -> str:
+    """What the command line writes of an error."""
+    with contextlib.redirect_stderr(io.StringIO()) as stream:
+        say_error(error)
+    return stream.getvalue()
 
 
 def place_of(error: BaseException) -> str:

@@ -54,7 +54,7 @@ def reseal(files: Files) -> None:
             content["scene_sha256"] = _scene_sha256(files, f"{folder}/scene/", f"{content['scene']}.json")
             if name.endswith("run.json"):
                 _list_again(files, content)
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, pa.ArrowException):
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError, OSError, pa.ArrowException):
             continue  # the lists themselves are spoiled
         files[name] = json.dumps(content).encode()
 

@@ -10,7 +10,7 @@ import pytest
 from modsim3d.errors import InputError, ModsimError
 from tests.fuzz.cases import files_of
 from tests.fuzz.kept import files_of_kept, kept_inputs
-from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, message_fault, outcome_of
+from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, message_fault, outcome_of, printed
 from tests.fuzz.readers import READERS
 from tests.fuzz.runs import write_files
 from tests.fuzz.workers import Result, tried, within_limits
@@ -65,11 +65,11 @@ def _raises(error: Exception) -> Any:
         (KeyError("steps"), FAILED),
         (ResourceWarning("left open"), FAILED),
         (ModsimError("something is wrong"), FAILED),
-        (ModsimError("{folder} holds a bell: \x07"), FAILED),
-        (ModsimError("{folder} \ud800"), FAILED),
-        (ModsimError("{folder} " + "x" * 1000), FAILED),
-        (InputError("{folder}", ["wrong"] * 1000), FAILED),
-        (InputError("{folder}", ["wrong\nvery wrong"]), FAILED),
+        (InputError("{folder}", ["a bell \x07, a break \n and half a character \ud800"]), REFUSED),
+        (ModsimError("{folder} " + "x" * 3000), FAILED),
+        (ModsimError("{folder} is wrong\nvery wrong"), FAILED),
+        (ModsimError("{folder} is\twrong"), FAILED),
+        (InputError("{folder}" + "x" * 3000, ["wrong"]), FAILED),
         (ModsimError(""), FAILED),
     ],
 )
@@ -83,9 +83,9 @@ def test_only_a_short_clear_error_that_names_the_source_is_a_refusal(
     assert outcome_of(_raises(error), tmp_path).verdict == verdict
 
 
-def test_what_is_printed_of_a_message_is_one_line_without_its_folder() -> None:
-    assert message_fault("a\nb") == ""
-    assert message_fault("a\u202eb") == "holds control characters"
+def test_control_characters_are_those_of_the_output_of_the_command_line() -> None:
+    assert "\\u202e" in printed(ModsimError("a\u202eb"))
+    assert message_fault(ModsimError("a\tb")) == "holds control characters"
 
 
 def test_a_process_that_crashes_or_hangs_is_the_result_of_one_case(monkeypatch: pytest.MonkeyPatch) -> None:
