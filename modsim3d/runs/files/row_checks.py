@@ -191,12 +191,13 @@ def _image_sizes_px(rows: Rows, scene: Scene) -> Array:
 
 def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nullable: bool) -> None:
     """Check that boxes, shape (n, 4), lie in their images and have no side below 0; a missing one has no number."""
+    slack = ROUNDING * float(size_px.max(initial=1.0))
     for i, side in enumerate(BOX_SIDES):
-        rows.numbers(f"{prefix}_{side}", 0.0, size_px[:, i % 2] * (1 + ROUNDING), nullable=nullable)
+        rows.numbers(f"{prefix}_{side}", -slack, size_px[:, i % 2] + slack, nullable=nullable)
         missing = np.isnan(boxes_px[:, i]) != np.isnan(boxes_px[:, 0])
         rows.refuse(f"{prefix}_{side}", missing, "a number like the other sides of the box, or null like them")
     for i, side in enumerate(BOX_SIDES[2:]):
-        wrong = boxes_px[:, i + 2] < boxes_px[:, i]
+        wrong = boxes_px[:, i + 2] < boxes_px[:, i] - slack
         rows.refuse(f"{prefix}_{side}", wrong, f"at least {prefix}_{BOX_SIDES[i]}")
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError, field_validator
 
+from modsim3d.detector.box_error_law import ErrorUnit
 from modsim3d.errors import InputError, RunDirectoryError
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.validation import Count, Number, Strict, describe, shown
@@ -34,7 +35,7 @@ class FileEntry(Strict):
 class Truncation(Strict):
     """How resampling shifts the box errors of a performance state, see `BoxSample.truncation`."""
 
-    unit: Literal["px", "relative"]
+    unit: ErrorUnit
     detections: Count
     boxes: Count
     redrawn: Estimate
