@@ -45,9 +45,11 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
         InputError: The file cannot be read.
     """
     with open_reports(path) as stream:
-        header = header_names(stream.readline(LONGEST_LINE))
+        first_row, nothing = 2, True  # the header is row 1, or that after blank rows
+        while (line := stream.readline(LONGEST_LINE)) and not line.strip():
+            first_row += 1
+        header = header_names(line)
         columns = layout.found(header)
-        first_row, nothing = 2, True  # the header is row 1
         for raw in _blocks(stream, path):
             block, begin = _plain(raw), first_row
             first_row += block.count(b"\n")

@@ -17,7 +17,7 @@ from modsim3d.ais.read_nmea import MOST_PENDING, read_nmea
 from modsim3d.ais.recognise import recognise
 from modsim3d.ais.resampling import ReportedTrack, resample, steps_near
 from modsim3d.ais.traffic import Traffic
-from tests.ais.ais_builders import SAMPLES, old_file, only, row, traffic_of
+from tests.ais.ais_builders import OLD_HEADER, SAMPLES, old_file, only, row, traffic_of
 from tests.commands.bad_input.builders import Call
 
 TYPE_1 = "!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A"
@@ -90,6 +90,15 @@ def test_a_carriage_return_within_a_row_does_not_shift_the_rows(tmp_path: Path) 
     assert layout is not None
     (chunk,) = read_csv(path, layout)
     assert chunk.positions.row.tolist() == [2, 3, 4]
+    assert chunk.problems[0].startswith("row 5: SOG is not a number")
+
+
+def test_blank_rows_before_the_header_are_passed_over(tmp_path: Path) -> None:
+    path = old_file(tmp_path, row(0), row(10, speed="fast"), header="\n \n" + OLD_HEADER)
+    layout = recognise(path)
+    assert layout is not None
+    (chunk,) = read_csv(path, layout)
+    assert chunk.positions.row.tolist() == [4]
     assert chunk.problems[0].startswith("row 5: SOG is not a number")
 
 
