@@ -45,15 +45,17 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
         InputError: The file cannot be read.
     """
     with open_reports(path) as stream:
-        header = header_names(stream.readline(LONGEST_LINE))
+        first_row, nothing = 2, True  # the header is row 1, or that after blank rows
+        while (line := stream.readline(LONGEST_LINE)) and not line.strip():
+            first_row += 1
+        header = header_names(line)
         columns = layout.found(header)
-        first_row, nothing = 2, True  # the header is row 1
         for raw in _blocks(stream, path):
-            block, blank = _plain(raw), not raw.strip(b"\r\n")
-            rows = np.flatnonzero([line != b"" for line in block.split(b"\n")] if not blank else [])
-            rows, first_row = rows + first_row, first_row + block.count(b"\n")
-            if blank or not len(rows):
+            block, begin = _plain(raw), first_row
+            first_row += block.count(b"\n")
+            if not block.strip(b"\n"):
                 continue
+            rows = np.flatnonzero([line != b"" for line in block.split(b"\n")]) + begin
             table, skipped = _table(block, path, header, list(columns.values()))
             table = pa.table({ours: table.column(name) for ours, name in columns.items()})
             rows = rows[: len(table) + len(skipped)]  # a cell in quotes may have several lines

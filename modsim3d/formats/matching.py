@@ -20,6 +20,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import areas, centres, intersections, iou
 from modsim3d.errors import ModsimError
 from modsim3d.formats.labelled import NOBODY, LabelledSet
+from modsim3d.inputs.budgets import MAX_PAIRS
+from modsim3d.inputs.validation import shown
 
 PAIRS_AT_ONCE = 2_000_000
 
@@ -152,12 +154,23 @@ def _by_provenance(labelled: LabelledSet, takes_part: Mask) -> Indices:
 
 
 def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
-    """Pairs of detections that take part and annotations that the rule lets match."""
+    """Pairs of detections that take part and annotations that the rule lets match.
+
+    Raises:
+        ModsimError: There are too many for the memory.
+    """
     rows, images = np.flatnonzero(takes_part), len(labelled.images)
-    kept = [(rows[:0], rows[:0], np.empty(0))]
+    kept, count = [(rows[:0], rows[:0], np.empty(0))], 0
     for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):
         good, quality = _quality(labelled, rows[first], second, rule)
         kept.append((rows[first][good], second[good], quality[good]))
+        count += len(kept[-1][0])
+        if count > MAX_PAIRS:
+            image = labelled.images.names[int(labelled.annotations.image[second[-1]])]
+            problem = (
+                f"up to image {shown(image)} more than {MAX_PAIRS:,} pairs of boxes could match: are boxes repeated?"
+            )
+            raise ModsimError(problem)
     return Candidates(*(np.concatenate(column) for column in zip(*kept, strict=True)))
 
 

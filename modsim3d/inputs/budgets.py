@@ -33,6 +33,8 @@ FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000
 three hours at 10 Hz, and a vessel every minute and a half in a longer night."""
 MAX_FRAMES = 1_000_000
 """Of a MOT sequence: nine hours at 30 Hz. Learning takes 2.4 kB for each, with 300 replicates."""
+MAX_PAIRS = 10_000_000
+"""Of detections and annotations that could match: COCO's largest sets have two million."""
 MAX_TABLE_CELLS = 15_000_000
 """Of the confusion matrices of all states with all replicates, at 50 bytes each: 220 classes with 300 replicates."""
 MAX_IMAGE_BYTES = 1 << 29
