@@ -38,6 +38,8 @@ _BY_ENDING: dict[str, tuple[Change, ...]] = {
     **dict.fromkeys((".png", ".jpeg", ".bmp", ".webp", ".tiff"), (change_image,)),
 }
 _SPOILS_ALL, _FINISHED = 0.05, 0.75
+_LARGEST, _LARGEST_PACKED = 2_000_000, 30_000
+"""Several changes could repeat a file to gigabytes, and a larger packed file is a bomb already."""
 
 
 def files_of(reader: str, number: int) -> Files:
@@ -77,7 +79,8 @@ def _spoil(rng: random.Random, files: Files) -> None:
         files[rng.choice((name + "x", name.upper(), f"{name}.gz"))] = files.pop(name)
     elif content is not None:
         others = [other for other in files.values() if other is not None]
-        files[name] = _changed(rng, name, content, others)
+        changed = _changed(rng, name, content, others)
+        files[name] = changed if changed is None or len(changed) <= _LARGEST else content
 
 
 def _changed(rng: random.Random, name: str, content: bytes, others: list[bytes]) -> bytes | None:
@@ -85,6 +88,8 @@ def _changed(rng: random.Random, name: str, content: bytes, others: list[bytes])
         return rng.choice((change_whole, change_whole, change_whole, change_packed))(rng, content, others)
     path = PurePosixPath(name)
     packed = path.suffix == ".gz"
+    if packed and len(content) > _LARGEST_PACKED:
+        return content
     if packed and rng.random() < 0.85:
         try:
             inner = gzip.decompress(content)

@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from tests.fuzz.cases import files_of
-from tests.fuzz.outcomes import FAILED, Outcome, outcome_of
+from tests.fuzz.outcomes import FAILED, Outcome, outcome_of, place_of
 from tests.fuzz.readers import READERS
 from tests.fuzz.runs import write_files
 
@@ -57,7 +57,10 @@ def within_limits(result: Result) -> Outcome:
 
 def measured(reader: str, number: int, folder: Path, warm_bytes: int = 0) -> Result:
     """Make a case's files in an empty folder, read them, and measure what that takes."""
-    write_files(files_of(reader, number), folder)
+    try:
+        write_files(files_of(reader, number), folder)
+    except Exception as error:  # an error of this campaign, which is not to end it
+        return Result(number, Outcome(FAILED, f"the case cannot be made: {error!r}", f"no case {place_of(error)}"))
     Path("/proc/self/clear_refs").write_text("5")  # the peak of the memory is counted from here
     started = time.process_time()
     outcome = outcome_of(READERS[reader].read, folder, READERS[reader].also_names)
