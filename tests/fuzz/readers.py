@@ -173,7 +173,7 @@ def _read_run(folder: Path) -> None:
 
 
 def _mesh_reader(ending: str) -> Reader:
-    return Reader(ending, 6000, partial(corpora.meshes, ending), partial(_read_mesh, ending))
+    return Reader(ending, 8000, partial(corpora.meshes, ending), partial(_read_mesh, ending))
 
 
 def _ais_reader(name: str, sample: str) -> Reader:
@@ -184,16 +184,16 @@ _LABELS = (f"labels of {CONDITION}",)
 READERS = {
     reader.name: reader
     for reader in (
-        Reader("scene", 12_000, corpora.scenes, _read_scene),
-        Reader("detector", 15_000, corpora.detectors, _read_detector),
-        Reader("vessels", 15_000, corpora.vessels, _read_vessels),
-        Reader("poses", 25_000, corpora.poses, _read_poses),
-        Reader("stream", 22_000, corpora.stream, _read_stream),
+        Reader("scene", 6_000, corpora.scenes, _read_scene),
+        Reader("detector", 10_000, corpora.detectors, _read_detector, ("of the box error of state",)),
+        Reader("vessels", 25_000, corpora.vessels, _read_vessels),
+        Reader("poses", 20_000, corpora.poses, _read_poses),
+        Reader("stream", 30_000, corpora.stream, _read_stream),
         *map(_mesh_reader, ("glb", "obj", "stl", "ply")),
-        Reader("coco", 15_000, corpora.coco, _read_coco, _LABELS),
-        Reader("coco_skip_bad", 10_000, corpora.coco, _read_coco_leniently, _LABELS),
-        Reader("mot", 20_000, corpora.mot, _read_mot, _LABELS),
-        Reader("yolo", 17_000, corpora.yolo, _read_yolo, _LABELS),
+        Reader("coco", 22_000, corpora.coco, _read_coco, _LABELS),
+        Reader("coco_skip_bad", 13_000, corpora.coco, _read_coco_leniently, _LABELS),
+        Reader("mot", 16_000, corpora.mot, _read_mot, _LABELS),
+        Reader("yolo", 12_000, corpora.yolo, _read_yolo, _LABELS),
         _ais_reader("ais_danish", "danish.csv"),
         _ais_reader("ais_marinecadastre", "marinecadastre.csv"),
         _ais_reader("ais_marinecadastre_2025", "marinecadastre_2025.csv"),
