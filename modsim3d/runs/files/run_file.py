@@ -163,14 +163,17 @@ def check_same_scene(settings: Settings, scene: Scene, source: Path) -> None:
         "seed": scene.seed,
         "detector_seed": scene.detector_seed,
         "steps": scene.steps,
-        "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],
+        **{f"annotation.{key}": value for key, value in asdict(scene.annotation).items()},
     }
+    found = settings.model_dump() | {f"annotation.{key}": value for key, value in settings.annotation.items()}
     for name, value in expected.items():
-        if getattr(settings, name) != value:
+        if name not in found:
+            raise RunDirectoryError(f"{source}: {name} is missing, and {shown(value)} in the run's copy of its scene")
+        if found[name] != value:
             raise RunDirectoryError(
-                f"{source}: {name} is {shown(getattr(settings, name))}, but {shown(value)} in the run's copy of its "
-                f"scene ({scene.path})"
+                f"{source}: {name} is {shown(found[name])}, but {shown(value)} in the run's copy of its scene "
+                f"({scene.path})"
             )
 
 
