@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-MOST_LINES, LONGEST_LINE = 200, 2000
+MOST_LINES, LONGEST_LINE = 500, 2000
 """A name in an input may be a megabyte long, and each of a million entries may be wrong."""
 
 

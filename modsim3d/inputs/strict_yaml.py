@@ -17,7 +17,7 @@ from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 
 try:
-    from yaml.cyaml import CParser
+    from yaml.cyaml import CParser  # type: ignore[attr-defined]
 except ImportError:  # PyYAML without its C library, which is ten times as fast
     CParser = None  # type: ignore[assignment, misc]
 
