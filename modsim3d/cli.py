@@ -15,12 +15,15 @@ from modsim3d.commands.learn import export_command, learn_command
 from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
+from modsim3d.commands.terminal import check_arguments, prepare_output, say, say_error
 from modsim3d.commands.verify import verify_command
 from modsim3d.commands.view import view_command
 from modsim3d.errors import ModsimError
 
 BAD_INPUT = 2
 """Exit status of a user error."""
+LEAST_ADDRESS_SPACE = 1 << 30
+"""Libraries take half of it, and what a small run draws with most of the rest."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -72,7 +75,7 @@ def _show_version(requested: bool) -> None:
     if requested:
         from importlib.metadata import version
 
-        typer.echo(f"modsim3d {version('modsim3d')}")
+        say(f"modsim3d {version('modsim3d')}")
         raise typer.Exit
 
 
@@ -86,18 +89,43 @@ def _root(
     pass
 
 
+def check_memory() -> None:
+    """Refuse to start under a limit in which libraries abort without a word.
+
+    Raises:
+        ModsimError: The process may not have as many addresses as the libraries need.
+    """
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        needed = f"at least {LEAST_ADDRESS_SPACE >> 20} MB are needed to load the libraries"
+        raise ModsimError(f"the address space is limited to {limit >> 20} MB (ulimit -v): {needed}")
+
+
 def main() -> None:
     """Run the command line; a user error is one message on standard error and exit status 2."""
     # Small matrices and short tables are no faster with threads, and a process without threads can be forked.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
+    prepare_output()
     try:
+        check_memory()
+        check_arguments(sys.argv[1:])
         app()
     except ModsimError as error:
-        typer.echo(f"modsim3d: {error}", err=True)
+        say_error(error)
         sys.exit(BAD_INPUT)
     except OSError as error:
-        typer.echo(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
+        say(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
+        sys.exit(BAD_INPUT)
+    except MemoryError:
+        say("modsim3d: there is not enough memory: give it more, or a smaller input", err=True)
+        sys.exit(BAD_INPUT)
+    except ImportError as error:
+        say(f"modsim3d: a library cannot be loaded: {error}", err=True)
         sys.exit(BAD_INPUT)
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+MOST_LINES, LONGEST_LINE = 200, 2000
+"""A name in an input may be a megabyte long, and each of a million entries may be wrong."""
+
 
 class ModsimError(Exception):
     """Base of every error that a user can cause; the command line prints it and exits with status 2."""
@@ -14,18 +17,27 @@ class InputError(ModsimError):
 
     Attributes:
         source: The file or object with the problems.
-        problems: One line each: where it is, what was found, what would be right.
+        problems: One line each: where it is, what was found, what would be right. Very long lines lose their middle,
+            and of very many lines only the first are kept.
     """
 
     def __init__(self, source: str, problems: Iterable[str]) -> None:
         """Build the message, with one line a problem."""
         self.source = source
-        self.problems = tuple(problems)
+        self.problems = _shortened(problems)
         super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self.problems)]))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, tuple[str, ...]]]:
         """Arguments to rebuild it from in another process."""
         return InputError, (self.source, self.problems)
+
+
+def _shortened(problems: Iterable[str]) -> tuple[str, ...]:
+    lines = list(problems)
+    if len(lines) > MOST_LINES + 1:
+        lines = [*lines[:MOST_LINES], f"… and {len(lines) - MOST_LINES:,} more"]
+    half = LONGEST_LINE // 2
+    return tuple(line if len(line) <= LONGEST_LINE else f"{line[:half]} … {line[-half:]}" for line in lines)
 
 
 class RendererError(ModsimError):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.shared import OverwriteOption, print_line, print_rows
+from modsim3d.commands.terminal import open_console
 
 if TYPE_CHECKING:
     from modsim3d.ais.traffic import Traffic
@@ -88,12 +89,11 @@ def ais_command(
 
 
 def _print_summary(traffic: Traffic, folder: Path) -> None:
-    from rich.console import Console
 
     from modsim3d.ais.report import summary_rows
     from modsim3d.ais.scene_folder import SCENE
 
-    console = Console()
+    console = open_console()
     for title, rows in summary_rows(traffic):
         print_rows(console, title, rows)
     print_line(console, f"\nscene folder  {folder}\nrun it with   modsim3d run {folder / SCENE}")

@@ -9,6 +9,7 @@ import typer
 
 from modsim3d.commands.progress import progress
 from modsim3d.commands.shared import EveryOption, SceneArgument, StepsOption, print_line, print_rows
+from modsim3d.commands.terminal import open_console
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ def compare_command(
 
     Example: modsim3d compare simulation_1 --every 5 --out runs/compared
     """
-    from rich.console import Console
 
     from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
@@ -50,7 +50,7 @@ def compare_command(
         if out is not None:
             compare_report.write_report(comparison, loaded, renderer, out)
     figures = comparison.figures
-    console = Console()
+    console = open_console()
     _print_figures(console, figures)
     if out is not None:
         print_line(console, f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}")

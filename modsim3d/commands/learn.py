@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.commands.terminal import open_console, say
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -166,17 +167,16 @@ def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
 
 def _show(report: Report, out: Path, page: Path) -> None:
     """Print the tables."""
-    from rich.console import Console
 
     from modsim3d.learn.report import NEVER_LEARNED, lead, tables
 
-    console = Console()
+    console = open_console()
     console.print(lead(report), highlight=False, markup=False)
     for remark in report.remarks:
         console.print(f"Remark: {remark}.", highlight=False, markup=False)
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
-    console.print("\n[bold]Left simple, and why[/bold]")
+    console.print("\nLeft simple, and why", style="bold")
     for note in report.learned.notes or ("nothing: there was enough of everything",):
         console.print(f"  {note}", highlight=False, markup=False)
     console.print(f"\n{NEVER_LEARNED}", highlight=False, markup=False)
@@ -197,7 +197,7 @@ def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[S
         left = place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
         table.add_column(Text(name), justify="left" if left else "right")
     for row in cells:
-        table.add_row(*map(Text, row))  # names may hold brackets, which are not markup
+        table.add_row(*map(Text, row))
     console.print()
     console.print(table)
 
@@ -230,4 +230,4 @@ def export_command(
 
     labelled, _ = labelled_run(run)
     written = write_coco(labelled, coco)
-    typer.echo(f"written  {written[0]}, {written[1]}")
+    say(f"written  {written[0]}, {written[1]}")

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from modsim3d.commands.terminal import open_console
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 
 def progress_bar() -> Progress:
     """An empty bar on standard error that is redrawn when it is updated with `refresh=True`."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     class Bar(Progress):
@@ -24,9 +25,9 @@ def progress_bar() -> Progress:
                 self.console.quiet = not self.console.is_terminal
             super().__exit__(kind, *rest)
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     # A thread that refreshes the bar would keep workers from being copies of this process.
-    return Bar(*columns, console=Console(stderr=True), auto_refresh=False)
+    return Bar(*columns, console=open_console(stderr=True), auto_refresh=False)
 
 
 @contextmanager

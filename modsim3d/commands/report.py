@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.progress import progress_bar
+from modsim3d.commands.terminal import say
 
 
 def report_command(
@@ -27,8 +28,8 @@ def report_command(
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         written = write_report(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     if not opened.finished:
-        typer.echo(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
-    typer.echo(f"written  {written}  ({written.stat().st_size / 1e6:.1f} MB)")
+        say(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
+    say(f"written  {written}  ({written.stat().st_size / 1e6:.1f} MB)")
 
 
 def rerun_command(
@@ -48,4 +49,4 @@ def rerun_command(
     with progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_recording(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
-    typer.echo(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")
+    say(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")

@@ -13,6 +13,7 @@ import typer
 from modsim3d.commands.progress import progress
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import INTERRUPTED, OverwriteOption, SceneArgument, StepsOption, WorkersOption
+from modsim3d.commands.terminal import say
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -83,5 +84,5 @@ def _interruptible(kept: str) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        typer.echo(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
+        say(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
         raise typer.Exit(INTERRUPTED) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from modsim3d.commands.shared import print_line
+from modsim3d.commands.terminal import open_console
 
 if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts
@@ -19,7 +20,6 @@ NOTICEABLE_SHARE = 0.005
 
 def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     """Print what happened in a run, and where its files are."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(show_header=False, box=None, pad_edge=False)
@@ -28,7 +28,7 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     table.add_column(style="dim")
     for row in _frame_rows(scene, result) + _detection_rows(result.counts) + _time_rows(result) + _model_rows(result):
         table.add_row(*row)
-    console = Console()
+    console = open_console()
     console.print(table)
     for warning in _warnings(result):
         print_line(console, warning, "yellow")

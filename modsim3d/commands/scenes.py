@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from modsim3d.commands.shared import SceneArgument
+from modsim3d.commands.terminal import say
 
 
 def check_command(scene: SceneArgument) -> None:
@@ -16,7 +15,7 @@ def check_command(scene: SceneArgument) -> None:
 
     loaded = load_scene(scene)
     steps = "as they come" if loaded.live else loaded.steps
-    typer.echo(
+    say(
         f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
         f"steps: {steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
     )
@@ -31,4 +30,4 @@ def scenes_command() -> None:
 
     for name, path in shipped_scenes().items():
         first = path.read_text(encoding="utf-8").partition("\n")[0]
-        typer.echo(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")
+        say(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.shared import FinishedRunArgument, print_line
+from modsim3d.commands.terminal import open_console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,7 +35,6 @@ def verify_command(
 
     Example: modsim3d verify runs/first
     """
-    from rich.console import Console
 
     from modsim3d.runs.stored_run import open_run
     from modsim3d.verify import report as verify_report
@@ -43,9 +43,9 @@ def verify_command(
     verified = verify_run(open_run(run), detector)
     folder = run if out is None else out
     verify_report.write_report(verified, folder)
-    console = Console()
+    console = open_console()
     if not console.is_terminal:
-        console = Console(width=WIDE)
+        console = open_console(width=WIDE)
     for group, verdicts in verify_report.groups_of(verified.verification).items():
         _print_verdicts(console, group, verdicts)
     for note in verify_report.notes_of(verified.verification):
@@ -59,7 +59,6 @@ def verify_command(
 
 def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -> None:
     """Print a table of verdicts, on a narrow terminal with fewer columns, because wrapped numbers cannot be read."""
-    from rich.markup import escape
     from rich.table import Table
 
     from modsim3d.verify.report import HEADER, row_of
@@ -71,6 +70,6 @@ def _print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict]) -
         table.add_column(HEADER[i], no_wrap=HEADER[i] == "parameter", overflow="fold")
     for verdict in verdicts:
         cells = row_of(verdict)
-        table.add_row(*(escape(cells[i]) for i in shown), style="bold red" if verdict.fails else None)
+        table.add_row(*(cells[i] for i in shown), style="bold red" if verdict.fails else None)
     console.print()
     console.print(table)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from modsim3d.commands import view_options as options
+from modsim3d.commands.terminal import say
 from modsim3d.commands.view_options import Film, Style
 from modsim3d.commands.view_output import check_free, check_free_folder, film_format
 from modsim3d.errors import ModsimError, RendererError
@@ -105,7 +106,7 @@ def _say_what_there_is(run: StoredRun) -> None:
     if not run.finished:
         from modsim3d.runs.selection import span
 
-        typer.echo(f"modsim3d: {span(run)}", err=True)
+        say(f"modsim3d: {span(run)}", err=True)
 
 
 def _style(film: Film | None, look: Style | None, visibility: float | None, night: bool) -> tuple[RenderStyle, bool]:
@@ -147,7 +148,7 @@ def _draw_map(
     check_matplotlib()
     check_free(path, overwrite)
     _say_what_there_is(run)
-    typer.echo(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
+    say(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
 
 
 def _plan(
@@ -185,7 +186,7 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
             f"modsim3d run --resume); --film and --frame draw the {run.steps} steps that are there"
         )
     check_free(run.folder / SHEET_FILE, overwrite)
-    typer.echo(f"contact sheet  {draw_contact_sheet(run)}")
+    say(f"contact sheet  {draw_contact_sheet(run)}")
 
 
 def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | None, overwrite: bool) -> None:
@@ -195,7 +196,7 @@ def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | 
     if path.suffix.lower() != ".png":
         raise ModsimError(f"{path}: the name of a picture must end in .png")
     check_free(path, overwrite)
-    typer.echo(f"picture  {draw_picture(selection, plan, path)}")
+    say(f"picture  {draw_picture(selection, plan, path)}")
 
 
 def _draw_film(
@@ -231,9 +232,9 @@ def _draw_film(
             )
             bar.update(task, total=drawn.frames, refresh=True)
     except KeyboardInterrupt:
-        typer.echo("\nmodsim3d: interrupted; no film was written", err=True)
+        say("\nmodsim3d: interrupted; no film was written", err=True)
         raise typer.Exit(INTERRUPTED) from None
     pace = ""
     if kind != "png":
         pace = f", {drawn.timetable.duration_s:.1f} s at {float(drawn.timetable.rate):g} pictures/s"
-    typer.echo(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {drawn.frames} frames{pace}")
+    say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {drawn.frames} frames{pace}")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from modsim3d.errors import InputError
+from modsim3d.inputs import budgets
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import join_path
 
@@ -30,16 +31,40 @@ def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
     return found
 
 
-def load_json(path: Path, what: str) -> Any:
+def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:
     """The content of a JSON file; repeated keys are refused.
 
+    Args:
+        path: The file.
+        what: What it is, for errors.
+        bytes_per_value: As in `check_values`.
+
     Raises:
-        InputError: The file cannot be read or is not valid JSON; the message names line and column.
+        InputError: The file cannot be read, exceeds a budget or is not valid JSON; the message names line and column.
     """
     text = read_text(path, what).removeprefix("\ufeff")
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
+    check_values(text, f"{what} {path}", bytes_per_value)
     return parse_json(text, f"{what} {path}")
+
+
+def check_values(text: str, source: str, bytes_per_value: int | None = None) -> None:
+    """Refuse a JSON text with more values than the budget, before they fill the memory.
+
+    Args:
+        text: JSON. Its commas and opening brackets are counted, those within texts too.
+        source: Name of the source, for errors.
+        bytes_per_value: A text may have more values than the budget if it is so many bytes long for each of them.
+
+    Raises:
+        InputError: There are too many.
+    """
+    most = max(budgets.MAX_JSON_VALUES, len(text) // bytes_per_value if bytes_per_value else 0)
+    count = sum(text.count(mark) for mark in ",[{")
+    if count > most:
+        problem = f"has {count:,} values (commas and brackets) in {len(text):,} characters; at most {most:,} are read"
+        raise InputError(source, [problem])
 
 
 def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file") -> Any:

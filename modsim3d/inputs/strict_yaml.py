@@ -1,4 +1,4 @@
-"""YAML files with the numbers and booleans of YAML 1.2 and without repeated keys."""
+"""YAML files with the types, numbers and booleans of YAML 1.2, without repeated keys, and within a budget."""
 
 from __future__ import annotations
 
@@ -7,14 +7,55 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
+from yaml.resolver import Resolver
 
 from modsim3d.errors import InputError
+from modsim3d.inputs import budgets
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import shown
 
+try:
+    from yaml.cyaml import CParser
+except ImportError:  # PyYAML without its C library, which is ten times as fast
+    CParser = None  # type: ignore[assignment, misc]
 
-class _Yaml12Loader(yaml.SafeLoader):
-    """PyYAML with the numbers and booleans of YAML 1.2; it refuses repeated keys."""
+_CORE = "tag:yaml.org,2002:"
+_MERGE = f"{_CORE}merge"
+_REPEATED_CHARACTERS = 100_000
+"""A faulty text of at most this length is parsed again by PyYAML's own parser, whose messages say more."""
+
+
+def _refused(problem: str, node: yaml.Node) -> yaml.constructor.ConstructorError:
+    return yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+
+
+class _Yaml12(Composer, SafeConstructor, Resolver):
+    """Nodes and values of YAML 1.2 from the events of a parser; refuses too many nodes, and repeated keys."""
+
+    def __init__(self) -> None:
+        """Start without nodes."""
+        Composer.__init__(self)
+        SafeConstructor.__init__(self)
+        Resolver.__init__(self)
+        self.nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """The next node; refused beyond the budget of nodes."""
+        node = super().compose_node(parent, index)
+        self.nodes += 1
+        if node is not None and self.nodes > budgets.MAX_YAML_VALUES:
+            raise _refused(_too_many("values"), node)
+        return node
+
+    def get_single_node(self) -> yaml.Node | None:
+        """The document, once it is known that its aliases do not multiply it beyond the budget."""
+        node = super().get_single_node()
+        if node is not None and _values(node, {}) > budgets.MAX_YAML_VALUES:
+            problem = _too_many("values once its aliases (*) and merge keys (<<) are written out")
+            raise yaml.constructor.ConstructorError(None, None, problem, None)
+        return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """The value of a node. Some of PyYAML's constructors raise errors without a place, such as KeyError."""
@@ -24,22 +65,39 @@ class _Yaml12Loader(yaml.SafeLoader):
             raise
         except Exception:
             kind = node.tag.rpartition(":")[2]
-            problem = f"{shown(node.value)} cannot be read as {kind}"
-            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
+            raise _refused(f"{shown(node.value)} cannot be read as {kind}", node) from None
 
 
-# PyYAML follows YAML 1.1, where `1e-6` is a string, `no` is false, `1:30` is 90 and some keys are dates.
-# These resolvers are replaced; the others stay.
-_Yaml12Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":bool", ":int", ":float", ":timestamp"))]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+def _too_many(what: str) -> str:
+    most = f"{budgets.MAX_YAML_VALUES:,}"
+    return f"the file has more than {most} {what}; give large tables as JSON, as vessels and poses can be"
+
+
+def _values(node: yaml.Node, known: dict[int, int]) -> int:
+    """Values of a node with all that its aliases repeat; `known` has those of nodes by their `id`."""
+    if id(node) not in known:
+        known[id(node)] = 0  # a node within itself, which cannot be constructed
+        count = 1
+        if isinstance(node, yaml.ScalarNode):
+            count += len(node.value) // budgets.YAML_CHARACTERS_PER_VALUE
+        elif isinstance(node, yaml.SequenceNode):
+            count += sum(_values(item, known) for item in node.value)
+        else:
+            count += sum(_values(part, known) for pair in node.value for part in pair)
+        known[id(node)] = count
+    return known[id(node)]
+
+
+# PyYAML follows YAML 1.1, where `1e-6` is a string, `no` is false, `1:30` is 90, and some texts are dates or `=`.
+# These resolvers are replaced; those of null and of merge keys stay.
+_Yaml12.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag.endswith((":null", ":merge"))]
+    for first, resolvers in Resolver.yaml_implicit_resolvers.items()
 }
-_Yaml12Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
-)
-_Yaml12Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
-_Yaml12Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
+_Yaml12.add_implicit_resolver(f"{_CORE}bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
+_Yaml12.add_implicit_resolver(f"{_CORE}int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
+_Yaml12.add_implicit_resolver(
+    f"{_CORE}float",
     re.compile(
         r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
         r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
@@ -48,49 +106,99 @@ _Yaml12Loader.add_implicit_resolver(
 )
 
 
-def _construct_int(loader: _Yaml12Loader, node: yaml.ScalarNode) -> int:
+def _construct_int(loader: _Yaml12, node: yaml.ScalarNode) -> int:
     return int(loader.construct_scalar(node), 10)  # YAML 1.1 reads 010 as eight
 
 
-def _construct_mapping(loader: _Yaml12Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+def _construct_mapping(loader: _Yaml12, node: yaml.MappingNode) -> dict[Any, Any]:
+    if not isinstance(node, yaml.MappingNode):
+        raise _refused(f"a mapping is expected, but found a {node.id}", node)
     seen: set[Any] = set()
     for key_node, _ in node.value:
-        if key_node.tag == "tag:yaml.org,2002:merge":
+        if key_node.tag == _MERGE:
             continue  # `<<: *base` is no key; flatten_mapping inserts its keys
         key = loader.construct_object(key_node, deep=True)
         if not isinstance(key, str | int | float | bool):
-            raise yaml.constructor.ConstructorError(None, None, "a key must be plain text", key_node.start_mark)
+            raise _refused("a key must be plain text", key_node)
         if key in seen:
-            raise yaml.constructor.ConstructorError(None, None, f"key '{key}' appears twice", key_node.start_mark)
+            raise _refused(f"key {shown(key)} appears twice", key_node)
         seen.add(key)
     loader.flatten_mapping(node)
     return loader.construct_mapping(node, deep=True)
 
 
-_Yaml12Loader.add_constructor("tag:yaml.org,2002:int", _construct_int)
-_Yaml12Loader.add_constructor("tag:yaml.org,2002:map", _construct_mapping)
+def _refuse_tag(loader: _Yaml12, node: yaml.Node) -> None:
+    tag = node.tag.replace(_CORE, "!!", 1)
+    raise _refused(f"the tag {tag[:60]} is not read: leave it out, and write text, numbers, lists and mappings", node)
+
+
+# Nothing else: no bytes, dates, sets or ordered mappings, which no section of any file can use.
+_Yaml12.yaml_constructors = {
+    f"{_CORE}null": SafeConstructor.construct_yaml_null,
+    f"{_CORE}bool": SafeConstructor.construct_yaml_bool,
+    f"{_CORE}int": _construct_int,
+    f"{_CORE}float": SafeConstructor.construct_yaml_float,
+    f"{_CORE}str": SafeConstructor.construct_yaml_str,
+    _MERGE: SafeConstructor.construct_yaml_str,  # `<<` that is no key
+    f"{_CORE}seq": SafeConstructor.construct_yaml_seq,
+    f"{_CORE}map": _construct_mapping,
+    None: _refuse_tag,
+}
+
+
+class _PythonLoader(_Yaml12, yaml.reader.Reader, yaml.scanner.Scanner, yaml.parser.Parser):
+    """The parser of PyYAML."""
+
+    def __init__(self, text: str) -> None:
+        """Start at the first event."""
+        yaml.reader.Reader.__init__(self, text)
+        yaml.scanner.Scanner.__init__(self)
+        yaml.parser.Parser.__init__(self)
+        _Yaml12.__init__(self)
+
+
+_FastLoader: Any = _PythonLoader
+if CParser is not None:
+
+    class _FastLoader(_Yaml12, CParser):  # type: ignore[no-redef]
+        """The parser of its C library, but not its composer, which a text that is nested too deeply crashes."""
+
+        def __init__(self, text: str) -> None:
+            """Start at the first event."""
+            CParser.__init__(self, text)
+            _Yaml12.__init__(self)
 
 
 def load_yaml(path: Path, what: str) -> Any:
-    """The content of a YAML file, with the numbers and booleans of YAML 1.2.
+    """The content of a YAML file, with the types, numbers and booleans of YAML 1.2.
 
     Raises:
-        InputError: The file cannot be read or is not valid YAML; the message names line and column.
+        InputError: The file cannot be read, exceeds a budget or is not valid YAML; the message names line and column.
     """
-    text = read_text(path, what)
+    text, source = read_text(path, what, budgets.MAX_YAML_BYTES), f"{what} {path}"
     try:
-        return yaml.load(text, Loader=_Yaml12Loader)
+        return _parsed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
         problem = ": ".join(part for part in (error.context, error.problem) if part)
-        raise InputError(f"{what} {path}", [f"{where}{problem}"]) from None
+        raise InputError(source, [f"{where}{problem}"]) from None
     except yaml.reader.ReaderError as error:
         line, column = _line_and_column(text, error.position)
         problem = f"character {chr(error.character)!r} is not allowed in YAML"
-        raise InputError(f"{what} {path}", [f"line {line}, column {column}: {problem}"]) from None
+        raise InputError(source, [f"line {line}, column {column}: {problem}"]) from None
     except RecursionError:
-        raise InputError(f"{what} {path}", ["is nested too deeply"]) from None
+        raise InputError(source, ["is nested too deeply"]) from None
+
+
+def _parsed(text: str) -> Any:
+    """The value of a text of YAML."""
+    try:
+        return _FastLoader(text).get_single_data()
+    except yaml.YAMLError:
+        if len(text) <= _REPEATED_CHARACTERS:
+            _PythonLoader(text).get_single_data()  # raises the same error in better words
+        raise
 
 
 def _line_and_column(text: str, position: int) -> tuple[int, int]:

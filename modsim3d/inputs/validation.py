@@ -35,8 +35,9 @@ def join_path(*parts: object) -> str:
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint: the known name that was probably meant, or the known names."""
-    names = [str(candidate) for candidate in known]
-    close = difflib.get_close_matches(str(name), names, n=1)
+    name, names = str(name), [str(candidate) for candidate in known]
+    likely = names[:MOST_COMPARED] if len(name) <= LONGEST_COMPARED else []
+    close = difflib.get_close_matches(name, likely, n=1)
     if close:
         return f"did you mean '{close[0]}'?"
     return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
@@ -66,10 +67,32 @@ _PLAIN_WORDS = {
     "tuple_type": "a list is needed",
     "too_long": "a list of {max_length} is needed",
     "finite_number": "a finite number is needed",
+    "string_type": "text is needed",
+    "string_too_short": "must not be empty",
+    "bool_type": "true or false is needed",
 }
 """Messages for readers of YAML in place of pydantic's, which use the words of Python."""
 
-_brief = reprlib.Repr()
+MOST_PROBLEMS = 50
+"""Most problems that are reported of one section."""
+MOST_COMPARED, LONGEST_COMPARED = 1000, 100
+"""Names that are compared with a wrong one, and their length: comparing takes time by the square of the length."""
+_KINDS = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", dict: "a mapping"}
+
+
+class _Brief(reprlib.Repr):
+    """Short texts of values, with the words of YAML and JSON."""
+
+    def repr_NoneType(self, value: None, level: int) -> str:
+        """Nothing."""
+        return "null"
+
+    def repr_bool(self, value: bool, level: int) -> str:
+        """A truth value."""
+        return "true" if value else "false"
+
+
+_brief = _Brief()
 _brief.maxstring = _brief.maxother = _brief.maxlong = 60
 _brief.maxlevel, _brief.maxlist, _brief.maxdict = 3, 4, 4
 
@@ -77,6 +100,11 @@ _brief.maxlevel, _brief.maxlist, _brief.maxdict = 3, 4, 4
 def shown(value: object) -> str:
     """A short text of a value for a message; with YAML's aliases a few lines can hold an enormous value."""
     return _brief.repr(value)
+
+
+def kind_of(value: object) -> str:
+    """What a value is, in the words of a reader of YAML or JSON; the value itself might be a secret of its file."""
+    return "nothing" if value is None else _KINDS.get(type(value), type(value).__name__)
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
@@ -87,8 +115,9 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
         model: The model, for the names of its keys.
         *prefix: Keys that lead to the model in the file.
     """
-    lines = []
-    for item in error.errors(include_url=False):
+    lines: list[str] = []
+    items = error.errors(include_url=False)
+    for item in items[:MOST_PROBLEMS]:
         location = item["loc"]
         path = join_path(*prefix, *location)
         if location and location[-1] == "[key]":
@@ -105,4 +134,6 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             plain = _PLAIN_WORDS.get(item["type"])
             message = plain.format(**item.get("ctx", {})) if plain else item["msg"]
             lines.append(f"{path}: {message} (got {shown(item['input'])})")
+    if len(items) > MOST_PROBLEMS:
+        lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines

@@ -157,11 +157,12 @@ def parse_sequence(text: str, states: Sequence[str], source: str) -> Indices:
         InputError: A name is unknown; each problem names its line.
     """
     lines = [line.strip() for line in text.splitlines()]
-    problems = [
-        f"line {k + 1}: unknown state '{line}' ({nearest(line, states)})"
-        for k, line in enumerate(lines)
-        if line and line not in states
-    ]
-    if problems:
-        raise InputError(source, problems[:20])
-    return np.array([list(states).index(line) for line in lines if line], dtype=np.int64)
+    places = {name: index for index, name in enumerate(states)}
+    if not any(line in places for line in lines):
+        raise InputError(source, [f"names no state in any line: one of {', '.join(states)} is needed on each"])
+    wrong = [(k, line) for k, line in enumerate(lines, start=1) if line and line not in places]
+    if wrong:
+        raise InputError(
+            source, [f"line {k}: unknown state '{line}' ({nearest(line, states)})" for k, line in wrong[:20]]
+        )
+    return np.array([places[line] for line in lines if line], dtype=np.int64)

@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 import shapely
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from modsim3d.inputs.validation import MAX_COORDINATE_M, Metres, Number, Probability, Strict, shown
+from modsim3d.inputs.validation import MAX_COORDINATE_M, MOST_PROBLEMS, Metres, Number, Probability, Strict, shown
 from modsim3d.motion.waves import GRAVITY_M_S2, STEEPEST
+from modsim3d.vessels.vessel import MeshName
 
 SEEDLESS_POSES = {"file", "tracks", "stream"}
 """Pose sources without random numbers; a plug-in may have some."""
@@ -176,7 +177,7 @@ class ObstacleKeys(Strict):
     polygon_m: list[tuple[Metres, Metres]] | None = None
     height_m: Size | None = None
     base_m: Metres = 0.0
-    mesh: str | dict[str, str] | None = None
+    mesh: MeshName | None = None
     size_m: tuple[Size, Size, Size] | None = None
     position_m: Vector = (0.0, 0.0, 0.0)
     heading_rad: Angle = 0.0
@@ -237,5 +238,5 @@ class SceneKeys(Strict):
             raise ValueError(f"a file or a mapping of vessel ID to vessel is needed (got {shown(vessels)})")
         numbers = [shown(name) for name in vessels if not isinstance(name, str)]
         if numbers:
-            raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers)} in quotes")
+            raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers[:MOST_PROBLEMS])} in quotes")
         return vessels

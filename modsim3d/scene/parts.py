@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,7 @@ from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.inputs.plugins import Plugin
-from modsim3d.inputs.validation import describe, join_path, nearest
+from modsim3d.inputs.validation import MOST_PROBLEMS, describe, join_path, nearest
 from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.motion.waves.levels import Axes, find_level
 from modsim3d.scene.keys import SceneKeys
@@ -70,8 +71,8 @@ class SceneParts:
         self.vessel_entries = self._vessel_entries()
         boxes = self._boxes()
         self.detector = self._detector()
-        self._check_mounts()
-        self._check_labels()
+        self.problems += islice(self._mount_problems(), MOST_PROBLEMS)
+        self.problems += islice(self._label_problems(), MOST_PROBLEMS)
         self.source = self._source()
         self.poses = self._poses(boxes)
         self.wave_level = self._wave_level()
@@ -199,15 +200,15 @@ class SceneParts:
         level = waves.get("level") if isinstance(waves, dict) else None
         return self._collect(lambda: find_level(level)) if isinstance(level, str) else None
 
-    def _check_mounts(self) -> None:
-        cameras, names = self.data.get("cameras"), [str(name) for name in self.vessel_entries or ()]
+    def _mount_problems(self) -> Iterator[str]:
+        cameras, names = self.data.get("cameras"), {str(name): None for name in self.vessel_entries or ()}
         for name, camera in cameras.items() if names and isinstance(cameras, dict) else ():
             mount = camera.get("mount") if isinstance(camera, dict) else None
             vessel = mount.get("vessel") if isinstance(mount, dict) else None
             if isinstance(vessel, str) and vessel not in names:
-                self.problems.append(f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})")
+                yield f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})"
 
-    def _check_labels(self) -> None:
+    def _label_problems(self) -> Iterator[str]:
         if self.vessel_entries is None or self.detector is None:
             return
         labels, place = self.detector.labels, self.vessels_at
@@ -215,7 +216,7 @@ class SceneParts:
         for name, entry in self.vessel_entries.items():
             label = entry.get("label") if isinstance(entry, dict) else None
             if isinstance(label, str) and label not in labels:
-                self.problems.append(
+                yield (
                     f"{where}{join_path(*place.path, str(name))}.label: '{label}' is not one of the detector's labels "
                     f"({nearest(label, labels)})"
                 )

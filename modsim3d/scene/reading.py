@@ -13,7 +13,7 @@ from modsim3d.geometry.lens import Distortion
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.validation import nearest, shown
+from modsim3d.inputs.validation import kind_of, nearest, shown
 from modsim3d.motion.imu import PERFECT_IMU, Imu
 from modsim3d.motion.poses import LivePoses
 from modsim3d.motion.vessel_motion import Waves
@@ -83,7 +83,8 @@ def load_scene(
     path = find_scene(scene)
     data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
     if not isinstance(data, dict):
-        raise InputError(f"scene {path}", ["the file is empty" if data is None else "a mapping of keys is needed"])
+        needed = f"a mapping of keys is needed (got {kind_of(data)})"
+        raise InputError(f"scene {path}", ["the file is empty" if data is None else needed])
     overrides: dict[tuple[str, ...], object] = {
         ("seed",): seed,
         ("steps",): steps,

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_json import load_json
-from modsim3d.inputs.validation import Strict, describe, join_path, shown
+from modsim3d.inputs.validation import MOST_PROBLEMS, Strict, describe, join_path, kind_of, shown
 
 if TYPE_CHECKING:
     import trimesh
@@ -87,6 +87,17 @@ MIN_EXTENT_M, MAX_EXTENT_M = 1e-3, 1e5
 Extent = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=MIN_EXTENT_M, le=MAX_EXTENT_M)]
 
 
+def _mesh_entry(entry: object) -> object:
+    texts = entry.values() if isinstance(entry, dict) else [entry]
+    if all(isinstance(text, str) for text in texts):
+        return entry
+    needed = "the name of a shipped mesh, a file, or a mapping of file, forward and up is needed"
+    raise ValueError(f"{needed} (got {shown(entry)})")
+
+
+MeshName = Annotated[str | dict[str, str], BeforeValidator(_mesh_entry)]
+
+
 class VesselEntry(Strict):
     """One vessel of a vessels file (Jessen & Mohr (2023), Figure 7.2). `mesh` is ours; `SceneMeshes` reads it."""
 
@@ -94,7 +105,7 @@ class VesselEntry(Strict):
     beam_m: Extent
     air_draft_m: Extent
     label: str
-    mesh: str | dict[str, str] | None = None
+    mesh: MeshName | None = None
 
     @field_validator("label")
     @classmethod
@@ -128,10 +139,13 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
     """
     where = join_path(*prefix) or "top level"
     if not isinstance(data, dict):
-        raise InputError(source, [f"{where}: {MAPPING_NEEDED} (got {shown(data)})"])
+        raise InputError(source, [f"{where}: {MAPPING_NEEDED} (got {kind_of(data)})"])
     problems = [] if data else [f"{where}: no vessels; a scene needs at least one"]
     vessels = []
     for name, raw in data.items():
+        if len(problems) >= MOST_PROBLEMS:
+            problems.append("… (the rest was not checked)")
+            break
         if problem := name_problem(str(name)):
             problems.append(f"{join_path(*prefix, str(name))}: {problem}")
         try:
@@ -153,5 +167,5 @@ def load_mapping(path: Path) -> dict[str, Any]:
     """
     data = load_json(path, "vessels file")
     if not isinstance(data, dict):
-        raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {shown(data)})"])
+        raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {kind_of(data)})"])
     return data

@@ -37,7 +37,7 @@ def problems(data: Any) -> tuple[str, ...]:
 BAD = [
     ("labels", [], "labels: is empty"),
     ("labels", ["sail", "sail"], "labels: label 'sail' appears twice"),
-    ("labels", ["sail", 7], "labels[1]: Input should be a valid string (got 7)"),
+    ("labels", ["sail", 7], "labels[1]: text is needed (got 7)"),
     ("states", {}, "states: is empty"),
     ("confidence_threshold", 1.5, "confidence_threshold: Input should be less than or equal to 1 (got 1.5)"),
     ("confidence_threshold", -0.1, "confidence_threshold: Input should be greater than or equal to 0"),

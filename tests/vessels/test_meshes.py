@@ -492,7 +492,7 @@ def test_harmless_references_are_not_followed(tmp_path: Path) -> None:
         ("", "cannot be a file's name"),
         ("a\0.stl", "cannot be a file's name"),
         (7, "the name of a shipped mesh, a file, or a mapping of file, forward and up is needed (got 7)"),
-        (None, "(got None)"),
+        (None, "(got null)"),
         ({"forward": "+x"}, ".file: missing"),
         ({"file": "a.stl", "upp": "+z"}, ".upp: unknown key (did you mean 'up'?)"),
         ({"file": "a.stl", "up": "z"}, ".up: Input should be '+x', '-x'"),

@@ -32,7 +32,7 @@ from modsim3d.detector.persistence import Persistence
 from modsim3d.detector.placement import Placement
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.validation import describe
+from modsim3d.inputs.validation import describe, kind_of
 
 
 def load_detector(path: Path | str) -> DetectorModel:
@@ -56,7 +56,7 @@ def parse_detector(data: Any, source: str = "detector") -> DetectorModel:
     """
     if not isinstance(data, Mapping):
         keys = ", ".join(DetectorFile.model_fields)
-        raise InputError(source, [f"must be a mapping with the keys {keys} (got {str(data)[:80]!r})"])
+        raise InputError(source, [f"must be a mapping with the keys {keys} (got {kind_of(data)})"])
     try:
         content = DetectorFile.model_validate(dict(data), context=_names(data))
     except ValidationError as error:

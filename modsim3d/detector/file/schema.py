@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from typing import Annotated, Any, Literal
 
@@ -58,7 +59,7 @@ def _length_problems(value: list[float]) -> list[str]:
 def _label_problems(value: list[str]) -> list[str]:
     if not value:
         return ["is empty, must name at least one label"]
-    return [f"label '{name}' appears twice" for name in dict.fromkeys(value) if value.count(name) > 1]
+    return [f"label '{name}' appears twice" for name, count in Counter(value).items() if count > 1]
 
 
 GREATEST_FALSE_DISCOVERY_RATE = 0.99

@@ -20,7 +20,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import MAX_COORDINATE_M, Strict
 from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
-from modsim3d.motion.poses.replay import RecordedPoses
+from modsim3d.motion.poses.replay import RecordedPoses, check_pose_count
 from modsim3d.random_streams import Purpose, Streams
 from modsim3d.vessels.vessel import Vessel
 
@@ -85,6 +85,7 @@ def drive_agents(
     Raises:
         InputError: The vessels do not fit into the basin.
     """
+    check_pose_count("poses.agents", steps, len(vessels))
     rng = Streams(seed).generator(Purpose.AGENTS, step=0)
     fleet = _placed(vessels, basin, rng)
     positions, headings = np.zeros((steps, len(vessels), 3)), np.zeros((steps, len(vessels)))

@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 from pydantic import RootModel
 
 from modsim3d.errors import InputError
-from modsim3d.inputs.strict_json import load_json, parse_json
+from modsim3d.inputs import budgets
+from modsim3d.inputs.strict_json import check_values, load_json, parse_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import MAX_COORDINATE_M, join_path, nearest, shown
 from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys
@@ -62,8 +63,10 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """
     source = f"pose file {path}"
     if path.name.removesuffix(".gz").endswith(".jsonl"):
-        return parse_poses(parse_lines(read_text(path, "pose file"), source), source, vessels)
-    return parse_poses(load_json(path, "pose file"), source, vessels)
+        text = read_text(path, "pose file")
+        check_values(text, source, budgets.POSE_BYTES_PER_VALUE)
+        return parse_poses(parse_lines(text, source), source, vessels)
+    return parse_poses(load_json(path, "pose file", budgets.POSE_BYTES_PER_VALUE), source, vessels)
 
 
 def parse_lines(text: str, source: str) -> dict[str, Any]:
@@ -108,6 +111,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
         raise InputError(source, ["a mapping of timestamp to vessels is needed, with at least one timestamp"])
     if vessels is None:
         vessels = list({name: None for entries in data.values() if isinstance(entries, dict) for name in entries})
+    check_pose_count(source, len(data), len(vessels))
     problems = time_problems(list(data))
     columns = {name: column for column, name in enumerate(vessels)}
     poses = Poses.absent(len(data), len(vessels))
@@ -121,6 +125,19 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
     return RecordedPoses(tuple(data), poses)
 
 
+def check_pose_count(source: str, steps: int, vessels: int) -> None:
+    """Refuse poses that would fill the memory, though most vessels may be absent at most steps.
+
+    Raises:
+        InputError: Vessels times steps exceed the budget.
+    """
+    if steps * vessels > budgets.MAX_POSES:
+        problem = (
+            f"{steps:,} steps of {vessels:,} vessels are more than {budgets.MAX_POSES:,} poses: use fewer of either"
+        )
+        raise InputError(source, [problem])
+
+
 def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
     """Write the entries of one time step into a row of poses, and return the problems of the entries.
 
@@ -131,6 +148,8 @@ def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Ma
         return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]
     problems: list[str] = []
     for name, entry in entries.items():
+        if len(problems) >= MAX_PROBLEMS:
+            break
         if name not in columns:
             problems.append(f"{join_path(timestamp, name)}: no vessel '{name}' ({nearest(name, columns)})")
             continue
@@ -164,7 +183,8 @@ def _pose_problems(entry: Any, path: str) -> list[str]:
     if not isinstance(entry, dict):
         return [f"{path}: a mapping with center_position_m and heading_rad is needed (got {shown(entry)})"]
     known = ("center_position_m", "heading_rad")
-    problems = [f"{path}.{key}: unknown key ({nearest(key, known)})" for key in entry if key not in known]
+    unknown = [key for key in entry if key not in known][:MAX_PROBLEMS]
+    problems = [f"{path}.{key}: unknown key ({nearest(key, known)})" for key in unknown]
     problems += [f"{path}.{key}: missing" for key in known if key not in entry]
     if problems:
         return problems

@@ -12,7 +12,7 @@ from pydantic import RootModel
 from modsim3d.arrays import Array
 from modsim3d.errors import InputError
 from modsim3d.geometry.rotations import heading_of
-from modsim3d.inputs.validation import Metres, Number, join_path, nearest
+from modsim3d.inputs.validation import MOST_PROBLEMS, Metres, Number, join_path, nearest
 from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 
 Waypoint = tuple[Number, Metres, Metres]
@@ -71,9 +71,12 @@ def waypoint_tracks(
         InputError: With every problem found.
     """
     problems: list[str] = []
+    known = set(vessels)
     for name, waypoints in tracks.items():
+        if len(problems) >= MOST_PROBLEMS:
+            break
         path = join_path("poses", "tracks", name)
-        if name not in vessels:
+        if name not in known:
             problems.append(f"{path}: no vessel '{name}' ({nearest(name, vessels)})")
         if len(waypoints) < 2:
             problems.append(f"{path}: at least two waypoints [time_s, w1_m, w2_m] are needed (got {len(waypoints)})")

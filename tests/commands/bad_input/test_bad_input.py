@@ -62,7 +62,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("poses", "2.0/vehicle2/center_position_m/0", 10**400, ("2.0.vehicle2.center_position_m: three finite",)),
     ("poses", "2.0/vehicle2/center_position_m/0", 1e300, ("is farther than 1e+09 m", "1e+300")),
     ("poses", "2.0/vehicle2/center_position_m", [1, 2], ("three finite numbers in metres are needed (got [1, 2])",)),
-    ("poses", "2.0/vehicle2/heading_rad", True, ("2.0.vehicle2.heading_rad: a finite number", "(got True)")),
+    ("poses", "2.0/vehicle2/heading_rad", True, ("2.0.vehicle2.heading_rad: a finite number", "(got true)")),
     ("poses", "2.0/vehicle2", None, ("2.0.vehicle2: a mapping with center_position_m and heading_rad is needed",)),
     ("poses", "2.0", [], ("2.0: a mapping of vessel ID to pose is needed (got [])",)),
     ("vessels", "vehicle2/beam_m", float("nan"), ("vehicle2.beam_m: a finite number is needed (got nan)",)),
@@ -70,21 +70,21 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("vessels", "vehicle2/length_m", -4.5, ("vehicle2.length_m: Input should be greater than", "(got -4.5)")),
     ("vessels", "vehicle2/air_draft_m", 1e200, ("vehicle2.air_draft_m: Input should be less than", "(got 1e+200)")),
     ("vessels", "vehicle2/length_m", "8", ("vehicle2.length_m: Input should be a valid number (got '8')",)),
-    ("vessels", "vehicle2/length_m", True, ("vehicle2.length_m: Input should be a valid number (got True)",)),
+    ("vessels", "vehicle2/length_m", True, ("vehicle2.length_m: Input should be a valid number (got true)",)),
     ("vessels", "vehicle2", 5, ("vehicle2: a mapping of keys is needed (got 5)",)),
     ("scene", "seed", "1", ("seed: Input should be a valid integer (got '1')",)),
-    ("scene", "seed", True, ("seed: Input should be a valid integer (got True)",)),
+    ("scene", "seed", True, ("seed: Input should be a valid integer (got true)",)),
     ("scene", "seed", -1, ("seed: Input should be greater than or equal to 0 (got -1)",)),
     ("scene", "seed", 2**70, ("seed: Input should be less than", "(got 1180591620717411303424)")),
     ("scene", "steps", 0, ("steps: Input should be greater than 0 (got 0)",)),
     ("scene", "steps", 2.5, ("steps: Input should be a valid integer", "(got 2.5)")),
     ("scene", "steps", 10**15, ("steps: Input should be less than or equal to", "(got 1000000000000000)")),
     ("scene", "annotation/mode", 3, ("annotation.mode: Input should be less than or equal to 2 (got 3)",)),
-    ("scene", "annotation/mode", True, ("annotation.mode: Input should be a valid integer (got True)",)),
+    ("scene", "annotation/mode", True, ("annotation.mode: Input should be a valid integer (got true)",)),
     ("scene", "annotation/source", "renderd", ("annotation.source: Input should be 'rendered'", "(got 'renderd')")),
     ("scene", "annotation/min_visible_fraction", 1.5, ("annotation.min_visible_fraction: Input should be less",)),
-    ("scene", "annotation", None, ("annotation: a mapping of keys is needed (got None)",)),
-    ("scene", "cameras/C0", None, ("cameras.C0: a mapping of keys is needed (got None)",)),
+    ("scene", "annotation", None, ("annotation: a mapping of keys is needed (got null)",)),
+    ("scene", "cameras/C0", None, ("cameras.C0: a mapping of keys is needed (got null)",)),
     ("scene", "cameras/C0/image_size_px", [640, 0], ("cameras.C0.image_size_px[1]: Input should be greater than 0",)),
     ("scene", "cameras/C0/image_size_px", [640], ("cameras.C0.image_size_px[1]: missing",)),
     ("scene", "cameras/C0/image_size_px", [1, 2, 3], ("cameras.C0.image_size_px: a list of 2 is needed",)),
@@ -95,7 +95,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("scene", "cameras/C0/focal_length_m", float("inf"), ("focal_length_m: a finite number is needed (got inf)",)),
     ("scene", "cameras/C0/pixel_size_m", [-1e-5, 1e-5], ("cameras.C0.pixel_size_m[0]: Input should be greater",)),
     ("scene", "cameras/C0/near_clip_m", 0, ("cameras.C0.near_clip_m: Input should be greater than",)),
-    ("scene", "cameras/C0/skew", True, ("cameras.C0.skew: Input should be a valid number (got True)",)),
+    ("scene", "cameras/C0/skew", True, ("cameras.C0.skew: Input should be a valid number (got true)",)),
     ("scene", "vessels", [1], ("vessels: a file or a mapping of vessel ID to vessel is needed (got [1])",)),
     ("scene", "vessels", {1: GOOD["vessels"]["vehicle1"]}, ("vessels: a vessel's ID must be text: put 1 in quotes",)),
     ("scene", "cameras", {7: lens(pose=ASHORE)}, ("cameras.7: a name must be text: put it in quotes",)),
@@ -170,7 +170,7 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     ("scene", "poses", {}, ("poses: give exactly one of file, circular, tracks, agents, stream",)),
     ("scene", "poses", {"file": None}, ("poses: give exactly one of file, circular, tracks, agents, stream",)),
     ("scene", "poses", {"circlar": {}}, ("poses.circlar: nothing is called", "did you mean 'circular'?")),
-    ("scene", "poses", {"file": 5}, ("poses.file: Input should be a valid string (got 5)",)),
+    ("scene", "poses", {"file": 5}, ("poses.file: text is needed (got 5)",)),
     ("scene", "poses", [], ("poses: a mapping of keys is needed (got [])",)),
     ("scene", "poses", {"agents": {"size_m": [150, 0]}}, ("poses.agents.size_m[1]: Input should be greater than 0",)),
     ("scene", "poses", {"agents": {"size_m": [9, 9], "speed_m_s": [3, 2]}}, ("is [least, greatest], but 3.0 > 2.0",)),
@@ -276,7 +276,7 @@ WRONG_TEXTS: list[tuple[str, bytes, tuple[str, ...]]] = [
     ("scene", b"seed: 1\nseed: 2\n", ("line 2, column 1: key 'seed' appears twice",)),
     ("scene", b"seed: 1\n---\nseed: 2\n", ("line 2, column 1: expected a single document",)),
     ("scene", b"seed: !!bool x\n", ("line 1, column 7: 'x' cannot be read as bool",)),
-    ("scene", b"seed: !!timestamp x\n", ("line 1, column 7: 'x' cannot be read as timestamp",)),
+    ("scene", b"seed: !!timestamp x\n", ("line 1, column 7: the tag !!timestamp is not read",)),
     ("scene", b"seed: " + b"1" * 5000, ("line 1, column 7:", "cannot be read as int")),
     ("scene", b"seed: &a [*a]\n", ("line 1, column 7:", "recursive")),
     ("scene", b"seed: " + b"[" * 700, ("is nested too deeply",)),
@@ -319,7 +319,7 @@ def test_numbers_and_booleans_are_those_of_yaml_1_2(inputs: Inputs, call: Call, 
     assert "1e-5" in scene.read_text()
     assert call("check", scene)[0] == 0
     scene.write_text(text.replace("annotation:", "annotation:\n  allow_camera_inside: no"))
-    refused(scene, "annotation.allow_camera_inside: Input should be a valid boolean (got 'no')")
+    refused(scene, "annotation.allow_camera_inside: true or false is needed (got 'no')")
 
 
 def test_enormous_aliases_are_told_without_being_written_out(inputs: Inputs, refused: Refused) -> None:
@@ -327,7 +327,7 @@ def test_enormous_aliases_are_told_without_being_written_out(inputs: Inputs, ref
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
     scene = inputs.write()
     scene.write_text("\n".join([*lines, "seed: *a29", "vessels: *a29"]))
-    assert len(refused(scene, "seed: Input should be a valid integer (got [[", "vessels: a file or")) < 10_000
+    assert len(refused(scene, "more than 200,000 values once its aliases (*) and merge keys (<<)")) < 1000
 
 
 # ---- all at once ------------------------------------------------------------------------------------------------
