@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeGuard
 
 import orjson
 
@@ -242,7 +242,7 @@ def _image(
 _LEAST_PX = 1e-6
 
 
-def _is_id(value: Any) -> bool:
+def _is_id(value: Any) -> TypeGuard[ID]:
     """Whether a value can name something: text or a whole number."""
     return isinstance(value, str) or (isinstance(value, int) and is_number(value))
 

@@ -181,7 +181,7 @@ def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse
         (("--start", "9999-12-31T23:59:59-14:00", "--duration", "1e9"), "no positions of ships"),
         (("--origin", "1e300,1e300"), "--origin: latitude 1e+300 is beyond ±90"),
         (("--origin", "x" * 100_000), "--origin: LAT,LON in degrees is needed (got 'xxx"),
-        (("--label", "\x1b[31m" * 1000), "--label: GROUP=LABEL is needed"),
+        (("--label", "x" * 100_000), "--label: GROUP=LABEL is needed"),
         (("--start", "x" * 100_000), "--start: a time such as"),
     ],
 )
