@@ -22,6 +22,8 @@ POSE_BYTES_PER_VALUE = 8
 """A pose file may have more values than that if they are as long as those of poses, which take 12 bytes each."""
 MAX_POSES = 200_000_000
 """Vessels times steps, present or not: 33 bytes each in memory. Two thousand vessels for a day take 173 million."""
+COCO_BYTES_PER_VALUE = 4
+"""A COCO file may have more values than other JSON if they are as long as the numbers of its masks, 123.4 and 56."""
 MAX_PROBLEMS = 10_000
 """Wrong entries of one file after which no more of it is read, unless they are to be left out."""
 MAX_BAD_ROWS = 50_000

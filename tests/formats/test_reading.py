@@ -80,7 +80,7 @@ def changed(where, **keys):
 BAD = [
     (changed(1, image_id=99), r"detections .*\n  \[1\]: unknown image_id 99"),
     (changed(0, category_id=0), r"\[0\]: unknown category_id 0"),
-    (changed(1, score=None), r"\[1\]: score must be from 0 to 1 \(got None\)"),
+    (changed(1, score=None), r"\[1\]: score must be from 0 to 1 \(got null\)"),
     (changed(1, score=1.5), r"\[1\]: score must be from 0 to 1 \(got 1.5\)"),
     (changed(1, bbox=[1, 2, 0, 4]), r"\[1\]: bbox has no area: width 0, height 4"),
     (changed(1, bbox=[1, 2, 3]), r"\[1\]: bbox must be \[x, y, width, height\]"),

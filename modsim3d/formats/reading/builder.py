@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -92,7 +92,7 @@ class Problems:
         raise InputError(self.source, told)
 
 
-def is_number(value: Any, least: float = -MOST_NUMBER, most: float = MOST_NUMBER) -> bool:
+def is_number(value: Any, least: float = -MOST_NUMBER, most: float = MOST_NUMBER) -> TypeGuard[float]:
     """Whether a value of JSON is a number in a range: not true or false, NaN, or a number of 400 digits."""
     return isinstance(value, int | float) and not isinstance(value, bool) and least <= value <= most
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeGuard
 
 import orjson
 
@@ -37,7 +37,8 @@ from modsim3d.formats.reading.builder import (
     labelled_set,
     valid_box,
 )
-from modsim3d.inputs.strict_json import parse_json
+from modsim3d.inputs.budgets import COCO_BYTES_PER_VALUE
+from modsim3d.inputs.strict_json import check_values, parse_json
 from modsim3d.inputs.text_files import read_text
 from modsim3d.inputs.validation import nearest, shown
 
@@ -132,6 +133,7 @@ def _parse(path: Path, what: str) -> Any:
     text = read_text(path, what).removeprefix("\ufeff")
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
+    check_values(text, f"{what} {path}", COCO_BYTES_PER_VALUE)
     try:
         return orjson.loads(text)
     except orjson.JSONDecodeError:
@@ -240,7 +242,7 @@ def _image(
 _LEAST_PX = 1e-6
 
 
-def _is_id(value: Any) -> bool:
+def _is_id(value: Any) -> TypeGuard[ID]:
     """Whether a value can name something: text or a whole number."""
     return isinstance(value, str) or (isinstance(value, int) and is_number(value))
 
