@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -53,16 +54,16 @@ def _size(entry: dict[str, Any]) -> int:
 
 
 def _packed(content: bytes | None) -> Any:
-    """Text as it is, other content in base 64, a folder as None."""
+    """Text as it is, other content packed and in base 64, a folder as None."""
     if content is None:
         return None
     try:
         return content.decode("ascii")
     except UnicodeDecodeError:
-        return {"base64": base64.b64encode(content).decode()}
+        return {"gzip_base64": base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()}
 
 
 def _unpacked(content: Any) -> bytes | None:
     if content is None:
         return None
-    return content.encode() if isinstance(content, str) else base64.b64decode(content["base64"])
+    return content.encode() if isinstance(content, str) else gzip.decompress(base64.b64decode(content["gzip_base64"]))
