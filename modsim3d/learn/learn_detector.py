@@ -15,7 +15,7 @@ from modsim3d.formats.matching import Matched, Rule, match
 from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.gate_bias import bias_of
-from modsim3d.learn.learned import Settings, learn
+from modsim3d.learn.learned import Settings, check_size, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.report import Report
 from modsim3d.learn.states import StateMap, cluster, each_its_own, parse_sequence, parse_states, transitions_of
@@ -51,6 +51,7 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     Raises:
         ModsimError: There are no annotations, or the states do not fit the conditions.
     """
+    check_size(len(labelled.labels), 1, settings.replicates)  # before boxes are matched, which takes longer
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
         raise ModsimError("no annotation is there to be detected: nothing can be learned")

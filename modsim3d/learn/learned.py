@@ -166,7 +166,7 @@ def learn(observed: Observed, transitions: Transitions, settings: Settings) -> L
     Raises:
         InputError: There are too many classes for the memory.
     """
-    _check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
+    check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
     run_s = _run_s(observed, form)
     resampling = resample(images, settings.replicates, settings.seed, run_s)
@@ -177,7 +177,7 @@ def learn(observed: Observed, transitions: Transitions, settings: Settings) -> L
     return Learned(observed, form, form.estimate(observed, resampling), transitions, resampling, run_s, units)
 
 
-def _check_size(classes: int, states: int, replicates: int) -> None:
+def check_size(classes: int, states: int, replicates: int) -> None:
     """Refuse so many classes that the tables of the replicates would fill the memory.
 
     Raises:

@@ -134,7 +134,7 @@ def _work(reader: str, numbers: Sequence[int], clock: mmap.mmap, results: Connec
         for number in numbers:
             clock[:] = _CLOCK.pack(number, time.process_time(), time.monotonic())
             batch.append(measured(reader, number, folder / str(number), warm))
-            shutil.rmtree(folder / str(number))
+            shutil.rmtree(folder / str(number), ignore_errors=True)
             if len(batch) == _BATCH:
                 results.send(batch)
                 batch = []

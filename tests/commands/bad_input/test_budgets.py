@@ -19,6 +19,7 @@ from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.text_files import read_text
 from modsim3d.motion.poses.replay import load_poses
+from modsim3d.motion.poses.stream import read_steps
 from tests.commands.bad_input.builders import GOOD, Call, Inputs, Refused, at
 
 ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -94,6 +95,12 @@ def test_a_scene_of_a_thousand_vessels_and_a_hundred_thousand_poses_is_within_th
     path = tmp_path / "poses.json"
     path.write_text(json.dumps({f"{t}.0": dict.fromkeys(vessels, at(1, 2)) for t in range(100)}))
     assert len(load_json(path, "pose file", budgets.POSE_BYTES_PER_VALUE)) == 100
+
+
+def test_a_line_of_a_stream_has_a_budget_of_values() -> None:
+    line = b'{"0.0": [' + b"[]," * 1_000_000 + b"[]]}\n"
+    with pytest.raises(InputError, match=r"line 1: has 2,000,003 values \(commas and brackets\)"):
+        list(read_steps([line], "poses from standard input", ["v"]))
 
 
 # ---- what is no file --------------------------------------------------------------------------------------------
