@@ -57,7 +57,7 @@ def written(tree: Any) -> bytes:
     def _key(key: Any) -> str:
         return marked(key) if isinstance(key, Literal) else key if isinstance(key, str) else str(key)
 
-    text = _MARK.sub(lambda found: bytes.fromhex(found[1]).decode("utf-8", "surrogatepass"), json.dumps(marked(tree)))
+    text = _MARK.sub(lambda found: bytes.fromhex(found[1]).decode("utf-8", "surrogatepass"), json.dumps(marked(tree), default=str))
     return text.encode("utf-8", "surrogatepass")
 
 
