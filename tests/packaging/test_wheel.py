@@ -23,6 +23,8 @@ PLUGINS_PAGE = REPOSITORY / "docs" / "plugins.md"
 
 
 FOREIGN = ("PYTHONPATH", "VIRTUAL_ENV")
+LISTED = ("git", "-c", "safe.directory=*", "ls-files")
+"""Lists files under version control, whoever owns the checkout."""
 
 
 def run(*command: str | Path, cwd: Path) -> str:
@@ -69,14 +71,14 @@ def files_of(wheel: Path) -> set[str]:
 
 @pytest.mark.parametrize("kind", ["scenes", "meshes"])
 def test_wheel_carries_every_file_of(wheel: Path, kind: str) -> None:
-    tracked = run("git", "ls-files", kind, cwd=REPOSITORY).split()
+    tracked = run(*LISTED, kind, cwd=REPOSITORY).split()
     shipped = [name for name in tracked if not name.endswith(".gitkeep")]
     assert shipped
     assert {f"modsim3d/_data/{name}" for name in shipped} <= files_of(wheel)
 
 
 def test_wheel_carries_every_part_of_the_page_of_a_run(wheel: Path) -> None:
-    parts = run("git", "ls-files", "modsim3d/view/report", cwd=REPOSITORY).split()
+    parts = run(*LISTED, "modsim3d/view/report", cwd=REPOSITORY).split()
     assert {Path(path).suffix for path in parts} == {".py", ".html", ".css", ".js"}
     assert set(parts) <= files_of(wheel)
 

@@ -85,12 +85,17 @@ class Rows:
         self.filled(column)
         return flags(self.table, column)
 
-    def numbers(self, column: str, least: float, greatest: float | Array, *, nullable: bool = False) -> Array:
-        """A column of numbers; `greatest` may be one for each row. NaN for null, shape (n,)."""
+    def numbers(
+        self, column: str, least: float, greatest: float | Array, *, slack: float = 0.0, nullable: bool = False
+    ) -> Array:
+        """A column of numbers, at most `slack` outside their range (`greatest` may be one for each row).
+
+        NaN for null, shape (n,).
+        """
         values = numbers(self.table, column)
         if not nullable:
             self.refuse(column, np.isnan(values), "a number")
-        wrong = (values < least) | (values > greatest)
+        wrong = (values < least - slack) | (values > greatest + slack)
         if wrong.any():
             most = float(np.broadcast_to(greatest, values.shape)[np.argmax(wrong)])
             self.refuse(column, wrong, f"from {least:g} to {most:g}")
@@ -193,7 +198,7 @@ def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nu
     """Check that boxes, shape (n, 4), lie in their images and have no side below 0; a missing one has no number."""
     slack = ROUNDING * float(size_px.max(initial=1.0))
     for i, side in enumerate(BOX_SIDES):
-        rows.numbers(f"{prefix}_{side}", -slack, size_px[:, i % 2] + slack, nullable=nullable)
+        rows.numbers(f"{prefix}_{side}", 0.0, size_px[:, i % 2], slack=slack, nullable=nullable)
         missing = np.isnan(boxes_px[:, i]) != np.isnan(boxes_px[:, 0])
         rows.refuse(f"{prefix}_{side}", missing, "a number like the other sides of the box, or null like them")
     for i, side in enumerate(BOX_SIDES[2:]):

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from modsim3d.arrays import Indices
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
+from modsim3d.runs.files.replacing import RUN_FILE
 from modsim3d.runs.files.row_checks import (
     Rows,
     check_detections,
@@ -20,7 +21,6 @@ from modsim3d.runs.files.row_checks import (
     check_together,
     check_truth,
 )
-from modsim3d.runs.files.run_directory import RUN_FILE
 from modsim3d.runs.files.run_file import FileEntry, check_content
 from modsim3d.scene.scene import Scene
 
