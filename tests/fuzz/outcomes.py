@@ -15,7 +15,7 @@ from modsim3d.commands.terminal import say_error
 from modsim3d.errors import InputError, ModsimError
 
 ACCEPTED, REFUSED, FAILED = "accepted", "refused", "failed"
-MOST_LINES, MOST_CHARACTERS = 202, 2010
+MOST_LINES, MOST_CHARACTERS = 502, 2010
 """Most lines of a message, and most characters of a line, without the folder of the input."""
 _UNSEEN = ("Cc", "Cs", "Zl", "Zp")
 _TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"

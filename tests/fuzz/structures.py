@@ -40,7 +40,7 @@ def _parsed(content: bytes, form: str) -> Any:
                 return json.loads(text)  # much faster
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         return json.loads(text) if form == JSON else yaml.load(text, loader)
-    except (ValueError, RecursionError, yaml.YAMLError):
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, yaml.YAMLError):
         return None
 
 
@@ -57,7 +57,9 @@ def written(tree: Any) -> bytes:
     def _key(key: Any) -> str:
         return marked(key) if isinstance(key, Literal) else key if isinstance(key, str) else str(key)
 
-    text = _MARK.sub(lambda found: bytes.fromhex(found[1]).decode("utf-8", "surrogatepass"), json.dumps(marked(tree), default=str))
+    text = _MARK.sub(
+        lambda found: bytes.fromhex(found[1]).decode("utf-8", "surrogatepass"), json.dumps(marked(tree), default=str)
+    )
     return text.encode("utf-8", "surrogatepass")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import random
 from pathlib import Path
 from typing import Any
@@ -35,16 +34,18 @@ class Literal(str):
 
 def odd_number(rng: random.Random, value: float) -> Any:
     """A number near the one that was there, or far from it."""
+    if not abs(value) < 1e290:
+        return rng.choice(NUMBERS)
     return rng.choice(
         (
             lambda: -value,
-            lambda: value * rng.choice((0.5, 0.999, 1.001, 2)) if abs(value) < 1e300 else 0,
-            lambda: value * (1 + 1e-12) if abs(value) < 1e300 else 0,
+            lambda: value * rng.choice((0.5, 0.999, 1.001, 2)),
+            lambda: value * (1 + 1e-12),
             lambda: 0,
             lambda: value + rng.choice((-1, 1)),
             lambda: value * 10.0 ** rng.randint(-12, 12),
-            lambda: float(value) if abs(value) < 1e300 else value,
-            lambda: round(value) if math.isfinite(value) else value,
+            lambda: float(value),
+            lambda: round(value),
             lambda: str(value),
             lambda: [value],
             lambda: rng.uniform(-10, 10),
