@@ -79,7 +79,10 @@ def _spoil(rng: random.Random, files: Files) -> None:
         files[rng.choice((name + "x", name.upper(), f"{name}.gz"))] = files.pop(name)
     elif content is not None:
         others = [other for other in files.values() if other is not None]
-        changed = _changed(rng, name, content, others)
+        try:
+            changed = _changed(rng, name, content, others)
+        except Exception:  # what an earlier change left is nested too deeply, say, to be changed as what it was
+            changed = change_bytes(rng, content, others)
         files[name] = changed if changed is None or len(changed) <= _LARGEST else content
 
 

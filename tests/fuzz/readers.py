@@ -185,7 +185,13 @@ READERS = {
     reader.name: reader
     for reader in (
         Reader("scene", 6_000, corpora.scenes, _read_scene),
-        Reader("detector", 10_000, corpora.detectors, _read_detector, ("of the box error of state",)),
+        Reader(
+            "detector",
+            10_000,
+            corpora.detectors,
+            _read_detector,
+            ("of the box error of state", "transition_interval_s"),
+        ),
         Reader("vessels", 25_000, corpora.vessels, _read_vessels),
         Reader("poses", 20_000, corpora.poses, _read_poses),
         Reader("stream", 30_000, corpora.stream, _read_stream),
