@@ -12,6 +12,7 @@ from modsim3d.commands.ais import ais_command
 from modsim3d.commands.compare import compare_command
 from modsim3d.commands.detect import detect_command
 from modsim3d.commands.learn import export_command, learn_command
+from modsim3d.commands.repeat import repeat_command
 from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
@@ -42,6 +43,8 @@ app = typer.Typer(
 
   modsim3d verify runs/mine                   check that the run obeys its detector file
 
+  modsim3d repeat runs/mine                   check that the run comes out the same again, byte by byte
+
   modsim3d check my/scene.yaml                everything that is wrong with a scene, at once
 
   modsim3d compare my/scene.yaml              rendered truth against exact geometry
@@ -60,6 +63,7 @@ app = typer.Typer(
 app.command("run")(run_command)
 app.command("detect")(detect_command)
 app.command("verify")(verify_command)
+app.command("repeat")(repeat_command)
 app.command("view")(view_command)
 app.command("report")(report_command)
 app.command("rerun")(rerun_command)

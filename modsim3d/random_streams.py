@@ -15,6 +15,8 @@ from modsim3d.arrays import Array
 _NUMBERS_PER_BLOCK = 4  # one value of Philox4x64's counter gives four 64-bit numbers
 _UNIFORMS, _GENERATOR = 0, 1  # part of the key, because the two count steps differently and would overlap
 _LEAST_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
+GRID = 2.0**-20
+"""Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
 
 
 @unique
@@ -163,6 +165,23 @@ def normals(uniforms: Array) -> Array:
     """Standard normal numbers from uniform ones in [0, 1), of the same shape."""
     result: Array = special.ndtri(np.maximum(uniforms, _LEAST_UNIFORM))
     return result
+
+
+def on_grid(values: Array, step: float = GRID) -> Array:
+    """Values rounded to multiples of a step, a power of two, same shape.
+
+    The last bits of logarithms, exponentials and quantiles depend on the processor and on the versions of libraries;
+    those of sums, products, quotients and square roots do not (IEEE 754). So each number that comes from such a
+    function is rounded before anything is made of it. Another processor then gives another number only where the exact
+    value lies within about 1e-16 of the middle between two multiples: one normal number in 10⁹.
+    """
+    result: Array = np.rint(values / step) * step
+    return result
+
+
+def grid_normals(uniforms: Array) -> Array:
+    """Standard normal numbers as `normals` gives them, on the grid."""
+    return on_grid(normals(uniforms))
 
 
 def _words(text: str) -> tuple[int, int]:

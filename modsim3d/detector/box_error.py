@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +15,13 @@ from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, LatentPurposes
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Streams
+from modsim3d.random_streams import Streams, grid_normals
 
 MOST_DRAWS = 10_000
 """Draws of the error of one box before its state counts as impossible for it."""
 _ROWS_AT_ONCE = 256
 _FIRST_BATCH, _LARGEST_BATCH = 8, 2048
+_SWEEPS = 10  # twice what four rows need
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +58,31 @@ class TrueBoxes:
 
 
 def symmetric_root(covariance: Array) -> Array:
-    """The symmetric S with S · S = covariance, shapes (4, 4); unlike a Cholesky factor it allows singular ones."""
-    eigenvalues, vectors = np.linalg.eigh(covariance)
-    root: Array = (vectors * np.sqrt(np.maximum(eigenvalues, 0))) @ vectors.T
-    return root
+    """The symmetric S with S · S = covariance, shapes (4, 4); unlike a Cholesky factor it allows singular ones.
+
+    By Jacobi's rotations (Golub & Van Loan (2013), "Matrix Computations", section 8.5): they need no more than sums,
+    products, quotients and square roots, so the root has the same bits everywhere, which a library's has not.
+    """
+    matrix, vectors = np.array(covariance, dtype=np.float64), np.eye(len(covariance))
+    for p, q in list(itertools.combinations(range(len(matrix)), 2)) * _SWEEPS:
+        cosine, sine = _rotation(*matrix[[p, q, p], [p, q, q]].tolist())
+        for turned in (matrix, matrix.T, vectors):
+            one, other = turned[:, p].copy(), turned[:, q].copy()
+            turned[:, p], turned[:, q] = cosine * one - sine * other, sine * one + cosine * other
+    roots = np.sqrt(np.maximum(np.diag(matrix), 0))
+    terms = [root * column[:, None] * column for root, column in zip(roots, vectors.T, strict=True)]
+    total: Array = sum(terms[1:], terms[0])
+    return total
+
+
+def _rotation(first: float, second: float, between: float) -> tuple[float, float]:
+    """Cosine and sine of the rotation that makes a symmetric matrix of two rows diagonal."""
+    if between == 0:
+        return 1.0, 0.0
+    ratio = (second - first) / (2 * between)
+    tangent = math.copysign(1 / (abs(ratio) + math.sqrt(ratio * ratio + 1)), ratio)
+    cosine = 1 / math.sqrt(tangent * tangent + 1)
+    return cosine, tangent * cosine
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +214,8 @@ class BoxErrorSource:
             if drawn == MOST_DRAWS:
                 raise ModsimError(self._hopeless(true, rows[pending[0]]))
             batch = min(batch, MOST_DRAWS - drawn)
-            draws = [[g.standard_normal((batch, width)) for g, width in generators[row]] for row in pending]
-            latent = np.stack([np.concatenate(parts, axis=1) for parts in draws])
+            draws = [[g.random((batch, width)) for g, width in generators[row]] for row in pending]
+            latent = grid_normals(np.stack([np.concatenate(parts, axis=1) for parts in draws]))
             state, truth = true.state[rows[pending]], true.boxes_px[rows[pending]]
             candidates = self.errors_px(state, sizes(truth), latent)
             accepted = inside_image(move(truth[:, None], candidates), frames.image_size_px)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.arrays import Array, Mask, read_only
+from modsim3d.random_streams import on_grid
 
 ERROR_NORMALS = 4
 """Standard normal numbers that every box error is made from: one for each component."""
@@ -70,7 +71,7 @@ def standardised(distribution: ErrorDistribution, latent: Array) -> Array:
     normal, extra = latent[..., :ERROR_NORMALS], distribution.extra_normals
     if not extra:
         return normal
-    return normal * distribution.scales(latent[..., ERROR_NORMALS : ERROR_NORMALS + extra])[..., None]
+    return normal * on_grid(distribution.scales(latent[..., ERROR_NORMALS : ERROR_NORMALS + extra]))[..., None]
 
 
 ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {"normal": Normal, "student_t": StudentT}

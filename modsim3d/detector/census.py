@@ -20,6 +20,7 @@ from modsim3d.boxes import sizes
 from modsim3d.detector.draws import cumulative, log2, select
 from modsim3d.detector.dropout import Dropout
 from modsim3d.detector.records import CameraFrames, Targets
+from modsim3d.random_streams import on_grid
 
 if TYPE_CHECKING:
     from modsim3d.detector.model import DetectorModel
@@ -90,7 +91,7 @@ class TargetCensus:
     def sizes_px(self, uniforms: Array) -> Array:
         """Width and height of one target for each uniform number of shape (m,), shape (m, 2)."""
         distribution = cumulative(self.sides.counts.astype(np.float64))
-        sides = np.exp2(self.sides.rows / SIZE_STEPS)
+        sides = on_grid(np.exp2(self.sides.rows / SIZE_STEPS))
         return sides[np.searchsorted(distribution, uniforms, side="right")]
 
 

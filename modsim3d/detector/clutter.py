@@ -25,7 +25,7 @@ from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import CameraFrames, Targets
 from modsim3d.errors import ModsimError
-from modsim3d.random_streams import Purpose, Streams, normals
+from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
 
 _LN_2 = math.log(2)
 
@@ -59,7 +59,7 @@ class LognormalSize:
 
     def at(self, uniforms: Array) -> Array:
         """The median box, scaled, shape (m, 2)."""
-        scale: Array = special.exp2(self.log_std / _LN_2 * normals(uniforms))
+        scale: Array = on_grid(special.exp2(self.log_std / _LN_2 * grid_normals(uniforms)))
         return scale[:, None] * [self.width_px, self.height_px]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.draws import log2
-from modsim3d.random_streams import normals
+from modsim3d.random_streams import grid_normals, on_grid
 
 CURVE_POINTS = 2049
 
@@ -31,7 +31,7 @@ class NormalScores:
 
     def at(self, uniforms: Array) -> Array:
         """Mean plus a normal number of standard deviations, shape (n,)."""
-        return self.mean + self.std * normals(uniforms)
+        return self.mean + self.std * grid_normals(uniforms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class PrecisionRecall:
         if false[-1] == 0:
             return true, true
         share_above = false / false[-1]
-        return true, QuantileScores(np.interp(even, 1 - share_above[::-1], confidence[::-1]))
+        return true, QuantileScores(on_grid(np.interp(even, 1 - share_above[::-1], confidence[::-1])))
 
 
 @dataclass(frozen=True, eq=False)

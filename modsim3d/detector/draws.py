@@ -1,7 +1,8 @@
 """From uniform numbers to draws: which number belongs to what, and inverse distribution functions.
 
 All of it works element by element. A matrix product may round differently with the number of rows, and how
-a run is split into chunks must not show in its output.
+a run is split into chunks must not show in its output. What comes from a logarithm, an exponential or a quantile is
+rounded at once (`on_grid`), so that the processor does not show either.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from scipy import special
 from modsim3d.arrays import Array, Indices
 from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.random_streams import Purpose, Streams, normals
+from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
 
 _LN_2 = math.log(2)
 
@@ -78,7 +79,7 @@ def latent_normals(
 ) -> Array:
     """Independent standard normal numbers behind the box error of each target, shape (n, 4 + extra)."""
     parts = [target_uniforms(streams, purpose, frames, targets) for purpose in purposes.widths(extra)]
-    return normals(np.concatenate(parts, axis=1))
+    return grid_normals(np.concatenate(parts, axis=1))
 
 
 def select(targets: Targets, rows: Indices) -> Targets:
@@ -88,9 +89,8 @@ def select(targets: Targets, rows: Indices) -> Targets:
 
 
 def log2(values: Array) -> Array:
-    """Logarithm to base two, same shape, by SciPy's loop over elements: NumPy's own may take several at a time."""
-    result: Array = special.xlogy(1.0, values) / _LN_2
-    return result
+    """Logarithm to base two on the grid, same shape."""
+    return on_grid(special.xlogy(1.0, values) / _LN_2)
 
 
 def cumulative(probabilities: Array) -> Array:

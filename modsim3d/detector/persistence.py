@@ -19,10 +19,11 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.detector.box_error_law import ERROR_NORMALS
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
-from modsim3d.random_streams import Purpose, Streams, normals
+from modsim3d.random_streams import Purpose, Streams, grid_normals, on_grid
 
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
+_DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
 _MOST_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory
 
 
@@ -89,7 +90,7 @@ class Autoregressive:
         """Independent standard normal numbers, shape (count, width)."""
         purposes = BOX_ERROR_STREAMS.widths(self.width - ERROR_NORMALS)
         uniforms = [streams.uniforms(purpose, camera, vessel, first=first, count=count) for purpose in purposes]
-        return normals(np.concatenate(uniforms, axis=1))
+        return grid_normals(np.concatenate(uniforms, axis=1))
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
         """Mix old and new numbers, shape (vessels, width)."""
@@ -125,8 +126,7 @@ class Walk:
         """The values from the next step up to `stop`, shape (steps, vessels, width)."""
         first, process = self._next, self._process
         times = self._clock(max(first - 1, 0), stop).tolist()
-        # One exponential at a time: how a run is split must not show in how an array of them is rounded.
-        decays = [math.exp(-(b - a) / process.correlation_s) for a, b in itertools.pairwise(times)]
+        decays = [self._decay(b - a) for a, b in itertools.pairwise(times)]
         decays = decays if first else [0.0, *decays]  # nothing is kept from before the first step
         fresh = np.stack(
             [process.fresh(self._streams, self._camera, vessel, first, stop - first) for vessel in self._vessels],
@@ -138,6 +138,10 @@ class Walk:
             piece[k] = values = process.advance(values, fresh[k], decay)
         self._values, self._next = values, stop
         return piece
+
+    def _decay(self, seconds: float) -> float:
+        """One exponential at a time: how a run is split must not show in how an array of them is rounded."""
+        return float(on_grid(np.array(math.exp(-seconds / self._process.correlation_s)), _DECAY_STEP))
 
 
 class VesselNoise:

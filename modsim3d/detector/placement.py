@@ -9,6 +9,7 @@ from scipy import special
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.detector.draws import choose, cumulative
+from modsim3d.random_streams import on_grid
 
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:
@@ -61,6 +62,8 @@ def uniform_places(half_planes: Array, image_size_px: tuple[int, int], uniforms:
 _NODES = 129
 DRAWS = 3
 """Uniform numbers a place."""
+PLACE_STEP_PX = 2.0**-10
+"""Places are rounded to it: the horizon brings in all the rounding of a camera's angles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +83,18 @@ class Placement:
     def places(
         self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None = None
     ) -> Array:
-        """Points in the image, x and y in pixels, shape (m, 2).
+        """Points in the image, x and y in pixels, multiples of `PLACE_STEP_PX`, shape (m, 2).
 
         Args:
             half_planes: Sea side of the horizon for each point, shape (m, 3).
             uniforms: Uniform numbers, shape (m, 3).
             drift_px: How far each point has moved along the horizon, shape (m,); None for points that do not move.
         """
+        return on_grid(self._places(half_planes, image_size_px, uniforms, drift_px), PLACE_STEP_PX)
+
+    def _places(
+        self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None
+    ) -> Array:
         if self.density is not None:
             return _on_map(self.density, image_size_px, uniforms, drift_px)
         if self.band_px is None and self.far_half_px is None and drift_px is None:
@@ -109,8 +117,9 @@ class Placement:
         polygons = sea_polygons(half_planes, image_size_px)
         down, along = _axes(half_planes)
         offset = half_planes[:, 2] / _length(half_planes)
-        depth = (polygons * down[:, None]).sum(axis=2) + offset[:, None]  # below the horizon, (m, 8)
-        across = (polygons * along[:, None]).sum(axis=2)
+        # Below the horizon, (m, 8). On the grid: rounding must not decide whether an edge lies along a level.
+        depth = on_grid((polygons * down[:, None]).sum(axis=2) + offset[:, None])
+        across = on_grid((polygons * along[:, None]).sum(axis=2))
         level = _inverse(self._level_weights(depth, across), self._levels(depth), uniforms[:, 0])
         low, high = _slice(depth, across, level)
         width = np.maximum(high - low, 1e-9)

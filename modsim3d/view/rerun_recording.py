@@ -12,6 +12,7 @@ import numpy as np
 from modsim3d.arrays import Indices
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.motion.vessel_motion import PosesInWaves
+from modsim3d.outputs.placing import put_in_place
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
@@ -38,25 +39,24 @@ def write_recording(
         raise ModsimError("modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'") from None
     if not run.steps:
         raise RunDirectoryError(f"{run.folder} was interrupted before its first steps were finished")
-    rows, steps = RunRows.of(run), np.arange(0, run.steps, every)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.open("wb").close()
-    except OSError as error:
-        raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
+    rows = RunRows.of(run)
     name = f"{run.scene.name}-{run.scene.sha256[:12]}"
     stream = rerun.RecordingStream("modsim3d", recording_id=name, send_properties=False)
     stream.set_log_time_enabled(False)  # the time of writing does not belong to the run
-    stream.save(out)
-    recorder = _Recorder(rerun, stream, run.scene)
+    with put_in_place(out) as partial:
+        stream.save(partial)
+        _record(_Recorder(rerun, stream, run.scene), rows, np.arange(0, run.steps, every), progress)
+
+
+def _record(recorder: _Recorder, rows: RunRows, steps: Indices, progress: Callable[[int], None]) -> None:
     recorder.fixed()
     for first in range(0, len(steps), SIGHT_STEPS):
         some = steps[first : first + SIGHT_STEPS]
         recorder.space(some)
         recorder.images(rows, some)
         progress(len(some))
-    stream.flush()
-    stream.disconnect()
+    recorder.stream.flush()
+    recorder.stream.disconnect()
 
 
 @dataclass

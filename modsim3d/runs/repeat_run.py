@@ -1,0 +1,150 @@
+"""Repeats a finished run from the copy of its scene, and compares every file with the stored one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.files.differences import difference, settings_difference
+from modsim3d.runs.files.file_list import FileList, file_list
+from modsim3d.runs.files.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import StoredRun
+
+VERSION_KEYS = ("versions", "truth_versions", "plugins", "backend")
+"""What `run.json` says of the programs that made a run."""
+_NOT_REPEATED = frozenset({*VERSION_KEYS, "files"})
+_OF_LIVE_RUNS = frozenset({"scene_sha256", "poses_sha256"})  # the copy of a live scene reads its poses from a file
+
+
+@dataclass(frozen=True)
+class RepeatedFile:
+    """A file of the stored run.
+
+    Attributes:
+        name: Path inside the run directory.
+        stored: What is wrong with the stored file against the list in `run.json`; empty if nothing is.
+        repeated: How the repeated run's file differs from the one that was written; empty if it has the same bytes.
+        is_input: Whether the run is repeated from this file, so that there is nothing to compare.
+    """
+
+    name: str
+    stored: str = ""
+    repeated: str = ""
+    is_input: bool = False
+
+    @property
+    def same(self) -> bool:
+        """Whether the file is what was written, and was made again."""
+        return not (self.stored or self.repeated)
+
+
+@dataclass(frozen=True)
+class VersionDifference:
+    """A program that was another when the run was made, such as `numpy`; None where there was or is none."""
+
+    name: str
+    then: str | None
+    now: str | None
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """What came of repeating a run; `listed` is whether its `run.json` lists its files, as older ones do not."""
+
+    files: tuple[RepeatedFile, ...]
+    versions: tuple[VersionDifference, ...]
+    listed: bool
+
+    @property
+    def same(self) -> bool:
+        """Whether every file is the same bytes."""
+        return all(file.same for file in self.files)
+
+
+def repeat_run(
+    run: StoredRun, folder: Path, *, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
+) -> Repetition:
+    """Run the scene of a finished run again into a new folder, and compare.
+
+    Raises:
+        ModsimError: The run was interrupted, or cannot be run here.
+    """
+    if not run.finished:
+        raise RunDirectoryError(f"{run.folder} holds an interrupted run: {run.how_to_finish}")
+    run_scene(run.scene, folder, workers=workers, progress=progress)
+    again = orjson.loads((folder / RUN_FILE).read_bytes())
+    listed: FileList = run.settings.get("files", {})
+    names = sorted({name for name in {**listed, **again["files"]} if not _is_input(name)})
+    files = [_compared(run.folder, folder, name, listed, again["files"]) for name in names]
+    files += [RepeatedFile(name, _damage(run.folder, name, listed), is_input=True) for name in _inputs(run, listed)]
+    settings = settings_difference((run.folder / RUN_FILE).read_bytes(), (folder / RUN_FILE).read_bytes(), _ours(run))
+    versions = tuple(_versions(run.settings, again))
+    return Repetition((*files, RepeatedFile(RUN_FILE, repeated=settings)), versions, bool(listed))
+
+
+def _is_input(name: str) -> bool:
+    return name == POSES_FILE or name.startswith(f"{SCENE_FOLDER}/")
+
+
+def _inputs(run: StoredRun, listed: FileList) -> list[str]:
+    """Files that the run is repeated from."""
+    if listed:
+        return sorted(filter(_is_input, listed))
+    poses = [POSES_FILE] if (run.folder / POSES_FILE).is_file() else []
+    return sorted([*(f"{SCENE_FOLDER}/{name}" for name in run.scene.copy.names), *poses])
+
+
+def _ours(run: StoredRun) -> frozenset[str]:
+    """Entries of `run.json` that need not be the same."""
+    return _NOT_REPEATED | _OF_LIVE_RUNS if "poses_sha256" in run.settings else _NOT_REPEATED
+
+
+def _compared(stored: Path, again: Path, name: str, listed: FileList, made: FileList) -> RepeatedFile:
+    """A file of the stored run against the list and against the repeated run."""
+    damage = _damage(stored, name, listed)
+    if name not in made:
+        return RepeatedFile(name, damage, "was not made again")
+    written = listed.get(name) if listed else _found(stored, name)
+    if written == made[name]:
+        return RepeatedFile(name, damage)
+    if written is None:
+        return RepeatedFile(name, damage, "was made now, and is not in the run")
+    readable = (stored / name).is_file() and not damage
+    return RepeatedFile(name, damage, difference(stored / name, again / name) if readable else "differs")
+
+
+def _damage(folder: Path, name: str, listed: FileList) -> str:
+    """What is wrong with a stored file; empty if nothing is, or if nothing is known of it."""
+    found = _found(folder, name)
+    if found is None:
+        return "is missing" if name in listed or not listed else ""
+    if name not in listed or found == listed[name]:
+        return ""
+    if found["bytes"] != listed[name]["bytes"]:
+        return f"has {found['bytes']} bytes, and was written with {listed[name]['bytes']}"
+    return "is not what was written: its SHA-256 is another"
+
+
+def _found(folder: Path, name: str) -> Any:
+    return file_list(folder, [name])[name] if (folder / name).is_file() else None
+
+
+def _versions(then: dict[str, Any], now: dict[str, Any]) -> list[VersionDifference]:
+    """Programs that are not the same."""
+    before = _flat_versions({**then.get("versions", {}), **then.get("plugins", {}), "renderer": then.get("backend")})
+    today = _flat_versions({**now["versions"], **now["plugins"], "renderer": now["backend"]})
+    truth = {f"{name} (truth)": version for name, version in then.get("truth_versions", {}).items()}
+    today |= {name: today.get(name.removesuffix(" (truth)")) for name in truth}
+    before |= truth
+    names = [name for name in {**before, **today} if before.get(name) != today.get(name)]
+    return [VersionDifference(name, before.get(name), today.get(name)) for name in names]
+
+
+def _flat_versions(versions: dict[str, Any]) -> dict[str, str | None]:
+    return {name: None if version is None else str(version) for name, version in versions.items()}

@@ -1,0 +1,150 @@
+"""A stored run comes out the same again; what does not is named."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from modsim3d.runs.detect_run import detect_run
+from modsim3d.runs.files.differences import difference
+from modsim3d.runs.repeat_run import repeat_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import data_folder, load_scene
+from tests.commands.bad_input.builders import Call
+from tests.commands.bad_input.conftest import call
+from tests.runs.test_stream import lines, live_scene
+
+__all__ = ["call"]  # a fixture
+RICH = data_folder("scenes") / "detectors" / "rich.yaml"
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("repeat") / "stored"
+    run_scene(load_scene("simulation_1", steps=40, seed=3, mode=1, source="analytic"), folder)
+    return folder
+
+
+@pytest.fixture
+def run(stored: Path, tmp_path: Path) -> Path:
+    """A copy of the run, to be damaged."""
+    return Path(shutil.copytree(stored, tmp_path / "run"))
+
+
+def edited(run: Path, **changes: object) -> None:
+    settings = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps({**settings, **changes}))
+
+
+def flipped(path: Path) -> None:
+    """The file with another bit, in the middle."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def with_a_box_moved(run: Path, step: int) -> None:
+    """The run's detections with one number moved by half a pixel."""
+    table = pq.read_table(run / "detections.parquet")
+    x = table["x_px"].to_numpy().copy()
+    x[step] += 0.5
+    place = table.column_names.index("x_px")
+    pq.write_table(table.set_column(place, "x_px", pa.array(x)), run / "detections.parquet", compression="zstd")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_run_repeats(call: Call, run: Path, workers: int) -> None:
+    (run / "contact_sheet.png").write_bytes(b"not a file of the run")
+    status, said = call("repeat", run, "--workers", workers)
+    assert status == 0, said
+    files = len(json.loads((run / "run.json").read_text())["files"]) + 1
+    assert f"all {files} files are the same" in said
+    assert "made with other versions" not in said
+
+
+def test_a_run_of_the_detector_alone_repeats(stored: Path, tmp_path: Path) -> None:
+    detect_run(open_run(stored), tmp_path / "other", seed=9)
+    assert repeat_run(open_run(tmp_path / "other"), tmp_path / "again").same
+
+
+def test_a_live_run_repeats_from_the_poses_that_came(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO("".join(lines()).encode())))
+    run_scene(live_scene(tmp_path), tmp_path / "live")
+    found = repeat_run(open_run(tmp_path / "live"), tmp_path / "again")
+    assert found.same, found
+    assert "poses.jsonl" in {file.name for file in found.files if file.is_input}
+
+
+@pytest.mark.parametrize("name", ["truth.parquet", "annotations_C0.json", "scene/detector.yaml"])
+def test_one_changed_bit_is_noticed_and_named(call: Call, run: Path, name: str) -> None:
+    if name.startswith("scene/"):
+        (run / name).write_text((run / name).read_text() + "\n")
+    else:
+        flipped(run / name)
+    status, said = call("repeat", run)
+    assert status == 1, said
+    rows = [line for line in said.splitlines() if "stored:" in line]
+    assert [row.split()[0] for row in rows] == [name]
+
+
+def test_a_missing_file_is_named(call: Call, run: Path) -> None:
+    (run / "frames.parquet").unlink()
+    status, said = call("repeat", run)
+    assert status == 1
+    assert "is missing" in said
+
+
+def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Call, run: Path) -> None:
+    with_a_box_moved(run, 17)
+    counts = json.loads((run / "run.json").read_text())["counts"]
+    edited(run, files={}, versions={"numpy": "0.1"}, counts={**counts, "missed": -1})
+    status, said = call("repeat", run)
+    said = " ".join(said.split())
+    assert status == 1, said
+    assert f"1 of {len(pq.read_table(run / 'detections.parquet'))} rows differ: x_px in 1 by 0.5 at most" in said
+    assert "counts.missed -1 against" in said
+    assert "2 of " in said
+    assert "an older version wrote" in said
+    assert "numpy then 0.1 now" in said
+
+
+def test_an_older_version_alone_is_named_and_no_error(call: Call, run: Path) -> None:
+    edited(run, versions={"numpy": "0.1", "abacus": "3"}, backend="a plotter")
+    status, said = call("repeat", run)
+    assert status == 0, said
+    for part in ("made with other versions", "then 0.1", "abacus", "now none", "then a plotter"):
+        assert part in said
+
+
+def test_an_interrupted_run_is_refused(call: Call, run: Path) -> None:
+    shutil.move(run / "scene", run / "unfinished" / "scene")
+    (run / "run.json").rename(run / "unfinished" / "settings.json")
+    before = sorted(run.rglob("*"))
+    status, said = call("repeat", run)
+    assert status == 2
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert sorted(run.rglob("*")) == before
+
+
+def test_differences_of_tables_are_told_by_column(tmp_path: Path) -> None:
+    def written(file: str, **columns: object) -> Path:
+        pq.write_table(pa.table(columns), tmp_path / f"{file}.parquet")
+        return tmp_path / f"{file}.parquet"
+
+    one = written("one", x=[1.0, np.nan, 3.0, None], name=["a", "b", None, "d"], n=[1, 2, 3, 4])
+    other = written("other", x=[1.0, np.nan, 3.5, 7.0], name=["a", "c", None, "d"], n=[1, 2, 3, 4])
+    assert difference(one, other) == "3 of 4 rows differ: x in 2 by 0.5 at most; name in 1"
+    assert difference(one, written("fewer", x=[1.0], name=["a"], n=[1])) == "4 rows against 1"
+    assert difference(one, written("columns", y=[1.0])) == "the columns are others"
+    pq.write_table(pq.read_table(one), tmp_path / "packed.parquet", compression="zstd")
+    assert difference(one, tmp_path / "packed.parquet") == "the same rows, stored in other bytes"
