@@ -7,10 +7,21 @@ import reprlib
 from collections.abc import Iterable
 from typing import Annotated, Any, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+LEAST, MOST = 1e-9, 1e9
+"""Of the size of a number that is no place and no time; with them, products and quotients do not overflow."""
+
+
+def _not_tiny(value: float) -> float:
+    if 0 < value < LEAST:
+        raise ValueError(f"{value:g} is too small to calculate with: at least {LEAST:g}")
+    return value
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MOST, le=MOST)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MOST), AfterValidator(_not_tiny)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=MOST), AfterValidator(_not_tiny)]
 Probability = Annotated[float, Field(strict=True, ge=0, le=1)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 # Far beyond any scene; squares and products do not overflow.

@@ -148,10 +148,7 @@ def times_of(run: StoredRun) -> Array:
     Raises:
         ModsimError: No step is there.
     """
-    if not run.steps:
-        raise ModsimError(
-            f"{run.folder} holds an interrupted run that has not finished a single block of steps: {run.how_to_finish}"
-        )
+    run.check_has_steps()
     return np.array([float(text) for text in run.scene.timestamps(0, run.steps)])
 
 

@@ -93,13 +93,26 @@ class StoredRun:
         """All rows of `frames`, `truth` and `detections`: much faster than `frames()`, but all in memory.
 
         Raises:
-            RunDirectoryError: They are not what a run has written.
+            RunDirectoryError: They are not what a run has written, or no step is there.
         """
         if self.stored is not None:
             return self.stored.rows(0, self.steps)
+        self.check_has_steps()
         blocks = (self._simulation.detect(truth, *steps) for truth, *steps in self._kept_blocks())
         parts = [{name: table(block, self.scene) for name, (_, table) in TABLES.items()} for block in blocks]
         return {name: pa.concat_tables([part[name] for part in parts]) for name in TABLES}
+
+    def check_has_steps(self) -> None:
+        """Refuse an interrupted run that has no whole block.
+
+        Raises:
+            RunDirectoryError: No step is there.
+        """
+        if not self.steps:
+            raise RunDirectoryError(
+                f"{self.folder} holds an interrupted run that has not finished a single block of steps: "
+                f"{self.how_to_finish}"
+            )
 
     def _block(self, first: int, stop: int, wanted: range) -> Block:
         """The truth and detections of the wanted steps at least, of a block of steps first to stop − 1."""
@@ -126,7 +139,7 @@ class StoredRun:
         return [steps for steps in block_ranges(self.scene.steps, block_steps(self.scene)) if steps[0] < self.steps]
 
     def _kept(self, first: int, stop: int) -> Truth:
-        truth = finished_truth(self.folder / UNFINISHED, first, stop)
+        truth = finished_truth(self.folder / UNFINISHED, self.scene, first, stop)
         if truth is None:
             raise RunDirectoryError(f"{self.folder} has lost the truth of steps {first} to {stop - 1}")
         return truth
@@ -209,7 +222,7 @@ def _kept_steps(folder: Path, scene: Scene) -> int:
     """Number of steps, from the first on, whose truth an interrupted run has kept."""
     kept = 0
     for start, end in block_ranges(scene.steps, block_steps(scene)):
-        if finished_truth(folder / UNFINISHED, start, end) is None:
+        if finished_truth(folder / UNFINISHED, scene, start, end) is None:
             break
         kept = end
     return kept

@@ -100,7 +100,7 @@ class BlockMaker:
         """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks."""
         if self._stored is not None:
             return truth_of(self._stored.truth(first, stop), self._scene), 0, 0
-        truth = finished_truth(folder, first, stop)
+        truth = finished_truth(folder, self._scene, first, stop)
         if truth is not None:
             return truth, stop - first, 0
         damaged = kept_truth_path(folder, first, stop).exists()

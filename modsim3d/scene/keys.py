@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 import shapely
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from modsim3d.inputs.validation import MAX_COORDINATE_M, MOST_PROBLEMS, Metres, Number, Probability, Strict, shown
+from modsim3d.inputs.validation import (
+    MAX_COORDINATE_M,
+    MOST_PROBLEMS,
+    Metres,
+    NotNegative,
+    Number,
+    Probability,
+    Strict,
+    shown,
+)
 from modsim3d.motion.waves import GRAVITY_M_S2, STEEPEST
 from modsim3d.vessels.vessel import MeshName
 
@@ -24,7 +33,6 @@ NearClip = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-6, le=
 Interval = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e9)]
 Steps = Annotated[int, Field(strict=True, gt=0, le=MAX_STEPS)]
 Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
-NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Vector = tuple[Metres, Metres, Metres]
 Size = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
 TURN_RAD = 6.3

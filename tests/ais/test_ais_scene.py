@@ -204,6 +204,8 @@ def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
 def test_dimensions_that_no_ship_has_are_not_believed(tmp_path):
     hull = only(traffic_of(old_file(tmp_path, *steady(length=1022, beam=126)))).hull
     assert (hull.length_m, hull.beam_m) == (130, 20)
+    hull = only(traffic_of(old_file(tmp_path, *steady(length=1e-9, beam=0.09)))).hull
+    assert (hull.length_m, hull.beam_m) == (130, 20)
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_blocks_that_are_whole_are_taken_and_nothing_is_told(scene, whole, cut):
 def test_an_interrupted_run_shows_the_steps_before_a_damaged_block(cut):
     _, second = sorted((cut / "unfinished").glob("truth_*.npz"))
     second.write_bytes(flipped(second.read_bytes()))
-    assert finished_truth(cut / "unfinished", 250, 500) is None
     run = open_run(cut)
+    assert finished_truth(cut / "unfinished", run.scene, 250, 500) is None
     assert run.steps == 250
     assert len(list(run.frames())) == 250

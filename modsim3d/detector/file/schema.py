@@ -16,12 +16,12 @@ from modsim3d.detector.file.schema_models import (
     ConfidenceSection,
     DropoutSection,
     GatesSection,
-    NotNegative,
     PerformanceSection,
+    PerImage,
     PersistenceSection,
 )
 from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.inputs.validation import Number, Positive, Probability, Strict, nearest
+from modsim3d.inputs.validation import NotNegative, Number, Positive, Probability, Strict, nearest
 
 
 def _raise(problems: list[str]) -> None:
@@ -157,7 +157,7 @@ class StateSection(Strict):
     false_discovery_rate: FalseDiscoveryRate
     box_error: BoxErrorSection
     confidence: ConfidenceSection
-    false_positives_per_image: NotNegative | None = None
+    false_positives_per_image: PerImage | None = None
 
 
 class FalsePositivesSection(ClutterKeys):

@@ -10,11 +10,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 
 from modsim3d.detector.confidence import PrecisionRecall
 from modsim3d.detector.dropout import ATTRIBUTES
-from modsim3d.inputs.validation import Number, Positive, Probability, Strict, nearest
+from modsim3d.inputs.validation import MOST, NotNegative, Number, Positive, Probability, Strict, nearest
 
-NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+MOST_PER_IMAGE = 1000
+"""False positives, which all take memory; a detector has a few."""
+PerImage = Annotated[float, Field(strict=True, ge=0, le=MOST_PER_IMAGE)]
 LEAST_LIFETIME_S = 0.01
-Lifetime = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=LEAST_LIFETIME_S)]
+Lifetime = Annotated[float, Field(strict=True, ge=LEAST_LIFETIME_S, le=MOST)]
 Fraction = Annotated[float, Field(strict=True, ge=0, lt=1)]
 
 
@@ -133,7 +135,7 @@ def _density(value: list[list[float]]) -> list[list[float]]:
 class ClutterKeys(Strict):
     """What false positives have besides their model."""
 
-    rate: NotNegative | None = None
+    rate: PerImage | None = None
     placement: Literal["uniform", "horizon_band", "density"] = "uniform"
     band_px: Positive | None = None
     density: Annotated[list[list[NotNegative]], Field(min_length=1), AfterValidator(_density)] | None = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import io
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import pyarrow as pa
 from modsim3d.outputs.placing import written_whole
 from modsim3d.runs.blocks import Block
 from modsim3d.runs.files import own_ships_table, tables, thesis_json
+from modsim3d.runs.files.kept_truth import truth_of_columns
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import COLUMNS, Truth
 
@@ -63,8 +66,8 @@ def kept_truth_path(folder: Path, first: int, stop: int) -> Path:
     return folder / f"truth_{first:09d}_{stop:09d}.npz"
 
 
-def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
-    """The truth of a block that an interrupted run kept; None if it kept none, or if the file is damaged."""
+def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth | None:
+    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged."""
     try:
         content = kept_truth_path(folder, first, stop).read_bytes()
     except FileNotFoundError:
@@ -72,8 +75,11 @@ def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
     packed, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
     if hashlib.sha256(packed).digest() != digest:
         return None
-    with np.load(io.BytesIO(packed)) as columns:
-        return Truth(**columns)
+    try:
+        with np.load(io.BytesIO(packed)) as columns:
+            return truth_of_columns(dict(columns), scene, first, stop)
+    except (ValueError, TypeError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
 
 
 def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:

@@ -1,0 +1,116 @@
+"""A sample of the campaign's cases and every input that failed once: accepted, or refused with a clear error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modsim3d.errors import InputError, ModsimError
+from tests.fuzz.cases import files_of
+from tests.fuzz.kept import files_of_kept, kept_inputs
+from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, message_fault, outcome_of, printed
+from tests.fuzz.readers import READERS
+from tests.fuzz.runs import write_files
+from tests.fuzz.workers import Result, tried, within_limits
+
+SAMPLE = 20
+KEPT = [(name, entry) for name in READERS for entry in kept_inputs(name)]
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_good_inputs_are_accepted(name: str, tmp_path: Path) -> None:
+    for number, files in enumerate(READERS[name].bases()):
+        write_files(files, tmp_path / str(number))
+        assert outcome_of(READERS[name].read, tmp_path / str(number)).verdict == ACCEPTED
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_sample_of_cases_is_accepted_or_refused(name: str, tmp_path: Path) -> None:
+    for number in range(SAMPLE):
+        write_files(files_of(name, number), tmp_path / str(number))
+        outcome = outcome_of(READERS[name].read, tmp_path / str(number), READERS[name].also_names)
+        assert outcome.verdict != FAILED, (number, outcome)
+
+
+@pytest.mark.parametrize(("name", "entry"), KEPT, ids=[f"{name}: {entry['cause']}" for name, entry in KEPT])
+def test_an_input_that_failed_once_is_accepted_or_refused(name: str, entry: dict[str, Any], tmp_path: Path) -> None:
+    write_files(files_of_kept(name, entry), tmp_path / "case")
+    outcome = outcome_of(READERS[name].read, tmp_path / "case", READERS[name].also_names)
+    assert outcome.verdict != FAILED, outcome
+
+
+# ---- the campaign itself ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["scene", "yolo", "ais_nmea", "run"])
+def test_a_case_has_the_same_files_each_time(name: str) -> None:
+    assert all(files_of(name, number) == files_of(name, number) for number in range(10))
+    assert len({str(files_of(name, number)) for number in range(10)}) == 10
+
+
+def _raises(error: Exception) -> Any:
+    def read(folder: Path) -> None:
+        raise error
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict"),
+    [
+        (InputError("scene {folder}/scene.yaml", ["steps: missing"]), REFUSED),
+        (ModsimError("{folder} holds no run"), REFUSED),
+        (KeyError("steps"), FAILED),
+        (ResourceWarning("left open"), FAILED),
+        (ModsimError("something is wrong"), FAILED),
+        (InputError("{folder}", ["a bell \x07, a break \n and half a character \ud800"]), REFUSED),
+        (ModsimError("{folder} " + "x" * 3000), FAILED),
+        (ModsimError("{folder} is wrong\nvery wrong"), FAILED),
+        (ModsimError("{folder} is\twrong"), FAILED),
+        (InputError("{folder}" + "x" * 3000, ["wrong"]), FAILED),
+        (ModsimError(""), FAILED),
+    ],
+)
+def test_only_a_short_clear_error_that_names_the_source_is_a_refusal(
+    tmp_path: Path, error: Exception, verdict: str
+) -> None:
+    if isinstance(error, InputError):
+        error = InputError(error.source.replace("{folder}", str(tmp_path)), error.problems)
+    elif isinstance(error, ModsimError):
+        error = ModsimError(str(error).replace("{folder}", str(tmp_path)))
+    assert outcome_of(_raises(error), tmp_path).verdict == verdict
+
+
+def test_control_characters_are_those_of_the_output_of_the_command_line() -> None:
+    assert "\\u202e" in printed(ModsimError("a\u202eb"))
+    assert message_fault(ModsimError("a\tb")) == "holds control characters"
+
+
+def test_a_process_that_crashes_or_hangs_is_the_result_of_one_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    import dataclasses
+    import os
+
+    def read(folder: Path) -> None:
+        if folder.name == "3":
+            os._exit(9)
+        while folder.name == "5":
+            pass
+        if folder.name == "6":
+            bytearray(10**10)
+
+    stand_in = dataclasses.replace(READERS["stream"], read=read)
+    monkeypatch.setitem(READERS, "stream", stand_in)
+    monkeypatch.setattr("tests.fuzz.workers.KILLED_CPU_S", 0.5)
+    found = {result.number: within_limits(result) for result in tried("stream", range(8), 1, slice_cases=4)}
+    assert sorted(found) == list(range(8))
+    assert found[3].place == "crash" and found[5].place == "hang" and found[6].said.startswith("MemoryError")
+    assert all(found[number].verdict == ACCEPTED for number in (0, 1, 2, 4, 7))
+
+
+def test_too_much_time_or_memory_is_a_failure() -> None:
+    accepted = outcome_of(lambda folder: None, Path())
+    assert within_limits(Result(0, accepted, 1.9, 10**8)).verdict == ACCEPTED
+    assert within_limits(Result(0, accepted, 2.1, 10**8)).place == "time"
+    assert within_limits(Result(0, accepted, 0.1, 2 * 10**9)).place == "memory"
