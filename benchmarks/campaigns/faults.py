@@ -59,7 +59,7 @@ class Trial:
         """A run of five steps, perhaps over an older one."""
         old = self.folder / f"old_{scene}"
         if overwrite:
-            commands.run(run_job(old, scene, *TINY, "--seed", 1).arguments)
+            run_job(old, scene, *TINY, "--seed", 1).known()
         name = f"run {scene}" + " --overwrite" * overwrite + f" --workers {workers}" * (workers > 1)
         return run_job(self.target, scene, *TINY, name=name, start=old if overwrite else None, workers=workers).known()
 
