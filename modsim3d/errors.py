@@ -32,5 +32,9 @@ class RendererError(ModsimError):
     """No OpenGL software renderer can be used, or it does not do what the ID pass needs."""
 
 
+class OutputError(ModsimError):
+    """An output cannot be written, is taken, or is being written by another process."""
+
+
 class RunDirectoryError(ModsimError):
     """A run directory cannot be created, read or resumed."""

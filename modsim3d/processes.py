@@ -50,10 +50,9 @@ class Workers(Protocol[W_co]):
         """
 
 
-@contextmanager
 def open_workers(
     count: int, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
-) -> Iterator[Workers[W]]:
+) -> AbstractContextManager[Workers[W]]:
     """One worker in this process, or several in processes of their own.
 
     Args:
@@ -65,15 +64,22 @@ def open_workers(
     Raises:
         ModsimError: Several workers are asked for, and this process is itself a worker.
     """
-    if count == 1:
-        with set_up(*arguments) as worker:
-            yield _ThisProcess(worker)
-        return
-    if multiprocessing.parent_process() is not None:
+    if count > 1 and _made_by_multiprocessing():
         raise ModsimError(
             "workers cannot be started inside a process that multiprocessing made; a script that starts them must do "
             "so under `if __name__ == '__main__':`"
         )
+    return _opened(count, if_killed, set_up, *arguments)
+
+
+@contextmanager
+def _opened(
+    count: int, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
+) -> Iterator[Workers[W]]:
+    if count == 1:
+        with set_up(*arguments) as worker:
+            yield _ThisProcess(worker)
+        return
     context = multiprocessing.get_context(_start_method())
     started = [_WorkerProcess(context, set_up, arguments) for _ in range(count)]  # all before the first thread starts
     processes = _Processes(started, if_killed)
@@ -208,6 +214,12 @@ def _answer(
         if not isinstance(error, ModsimError):
             error.add_note("".join(traceback.format_exception(error)))
         pipe.send((None, error))
+
+
+def _made_by_multiprocessing() -> bool:
+    """Whether this process is a worker, or one that still imports the script that starts workers."""
+    importing = getattr(multiprocessing.current_process(), "_inheriting", False)  # before `parent_process` is set
+    return bool(importing) or multiprocessing.parent_process() is not None
 
 
 def _start_method() -> str:

@@ -68,6 +68,8 @@ def _time_rows(result: RunResult) -> list[Row]:
     rows = [("time per frame", f"{per_frame_ms:.2f} ms", f"{result.seconds:.1f} s in all")]
     if result.resumed_steps:
         rows.append(("resumed", str(result.resumed_steps), "steps taken from the interrupted run"))
+    if result.damaged_blocks:
+        rows.append(("damaged", str(result.damaged_blocks), "blocks of the interrupted run, made anew"))
     return rows
 
 

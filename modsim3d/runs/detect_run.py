@@ -41,14 +41,14 @@ def detect_run(
         raise RunDirectoryError(
             f"{run.folder} holds an interrupted run, whose truth is not complete: {run.how_to_finish}"
         )
-    if folder.resolve() == run.folder.resolve():
-        raise RunDirectoryError(f"{folder} is the run that the truth is read from: choose another folder")
+    if folder.resolve().is_relative_to(run.folder.resolve()):
+        raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
     scene = with_detector(run, detector, seed)
     settings = settings_of(scene, run.settings["backend"])
     if settings["versions"] != run.settings["versions"]:
         settings["truth_versions"] = run.settings["versions"]
-    with open_block_workers(scene, workers, truth_run=run.folder) as block_workers:
-        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, progress=progress)
+    block_workers = open_block_workers(scene, workers, truth_run=run.folder)
+    return write_run(scene, folder, block_workers, lambda _: settings, overwrite=overwrite, progress=progress)
 
 
 def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:

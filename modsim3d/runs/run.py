@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -14,7 +15,7 @@ from typing import Any
 from modsim3d.detector.census import TargetCensus
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.run_directory import LOG_FILE, RunDirectory
+from modsim3d.runs.files.run_directory import RunDirectory, locked_run
 from modsim3d.runs.pipeline import Range, step_ranges
 from modsim3d.runs.workers import BlockMaker, BlockWorkers, Tally, backend_of, open_block_workers
 from modsim3d.scene.scene import Scene
@@ -30,6 +31,7 @@ class RunResult:
     Attributes:
         seconds: Wall-clock time.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
+        damaged_blocks: Number of blocks whose truth an interrupted run had kept in a damaged file; it was made anew.
         intersecting: Pairs of vessels or obstacles that overlap in space: the analytic source cannot tell what is
             visible of them.
         truncation: How resampling shifts the box errors, by state, as in `run.json`.
@@ -40,6 +42,7 @@ class RunResult:
     steps: int
     seconds: float
     resumed_steps: int
+    damaged_blocks: int
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
 
@@ -71,22 +74,37 @@ def run_scene(
             f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
             "workers: leave --workers out"
         )
-    with open_block_workers(scene, workers) as block_workers:
-        settings = settings_of(scene, backend_of(block_workers))
-        return write_run(scene, folder, block_workers, settings, overwrite=overwrite, resume=resume, progress=progress)
+    return write_run(
+        scene,
+        folder,
+        open_block_workers(scene, workers),
+        lambda opened: settings_of(scene, backend_of(opened)),
+        overwrite=overwrite,
+        resume=resume,
+        progress=progress,
+    )
 
 
 def write_run(
     scene: Scene,
     folder: Path,
-    workers: BlockWorkers,
-    settings: dict[str, Any],
+    opened_workers: AbstractContextManager[BlockWorkers],
+    settings_by: Callable[[BlockWorkers], dict[str, Any]],
     *,
     overwrite: bool = False,
     resume: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
-    """Write the run directory of a scene from the blocks that workers make; see `run_scene` and `settings_of`.
+    """Write the run directory of a scene from the blocks that workers make; see `run_scene`.
+
+    Args:
+        scene: The scene.
+        folder: The run directory; it is locked until the workers have ended.
+        opened_workers: From `open_block_workers`.
+        settings_by: Gives the settings, see `settings_of`.
+        overwrite: Replace a run that is there.
+        resume: Continue an interrupted run that is there.
+        progress: Called with the number of steps done since its last call.
 
     Raises:
         ModsimError: The scene cannot be run, or the folder cannot be used.
@@ -97,20 +115,37 @@ def write_run(
             f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
             "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
         )
-    with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
-        total = _write_blocks(scene, directory, workers, progress)
-        directory.write_live_own_ships(total.steps)
-        truncation = total.boxes.truncation(scene)
-        known = {**settings, **directory.live_settings(total.steps)}
-        directory.finish({**known, "counts": asdict(total.counts), "truncation": truncation})
-    seconds = time.perf_counter() - started
-    (folder / LOG_FILE).write_text(
-        f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
-        f"{total.counts.frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
-    )
+    with locked_run(folder), opened_workers as workers:
+        settings = settings_by(workers)
+        with RunDirectory(folder, scene, settings, overwrite=overwrite, resume=resume) as directory:
+            total = _write_blocks(scene, directory, workers, progress)
+            directory.write_live_own_ships(total.steps)
+            truncation = total.boxes.truncation(scene)
+            known = {**settings, **directory.live_settings(total.steps)}
+            seconds = time.perf_counter() - started
+            directory.finish({**known, "counts": asdict(total.counts), "truncation": truncation}, _log(total, seconds))
     names = scene.occluder_names
     intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
-    return RunResult(folder, total.counts, total.steps, seconds, total.resumed_steps, intersecting, truncation)
+    return RunResult(
+        folder,
+        total.counts,
+        total.steps,
+        seconds,
+        total.resumed_steps,
+        total.damaged_blocks,
+        intersecting,
+        truncation,
+    )
+
+
+def _log(total: Tally, seconds: float) -> str:
+    """What `run.log` says of a run; times and the host are named nowhere else."""
+    damaged = f"{total.damaged_blocks} damaged blocks of it made anew\n" if total.damaged_blocks else ""
+    return (
+        f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
+        f"{total.counts.frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
+        f"{damaged}"
+    )
 
 
 def _write_blocks(
@@ -129,7 +164,9 @@ def _write_blocks(
         if not counted.steps:
             progress(tally.steps)
     # After a census all truth is taken from what it kept, and only the census knows what was kept before.
-    return replace(total, resumed_steps=counted.resumed_steps) if counted.steps else total
+    if not counted.steps:
+        return total
+    return replace(total, resumed_steps=counted.resumed_steps, damaged_blocks=counted.damaged_blocks)
 
 
 def _take_census(

@@ -12,7 +12,7 @@ from modsim3d.detector.census import TargetCensus
 from modsim3d.processes import Workers, open_workers
 from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth
+from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth, kept_truth_path
 from modsim3d.runs.files.reading import read_truth
 from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
 from modsim3d.scene.scene import Scene
@@ -30,6 +30,7 @@ class Tally:
 
     Attributes:
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
+        damaged_blocks: Number of blocks whose truth an interrupted run had kept in a file that is damaged.
         boxes: A sample of the detected boxes.
         intersecting: Pairs of vessels or obstacles that overlap in space, as indices: the analytic source cannot tell
             what is visible of them.
@@ -37,6 +38,7 @@ class Tally:
 
     steps: int = 0
     resumed_steps: int = 0
+    damaged_blocks: int = 0
     counts: Counts = field(default_factory=Counts)
     boxes: BoxSample = field(default_factory=BoxSample)
     intersecting: frozenset[tuple[int, int]] = frozenset()
@@ -46,6 +48,7 @@ class Tally:
         return Tally(
             self.steps + other.steps,
             self.resumed_steps + other.resumed_steps,
+            self.damaged_blocks + other.damaged_blocks,
             self.counts + other.counts,
             self.boxes + other.boxes,
             self.intersecting | other.intersecting,
@@ -66,8 +69,8 @@ class BlockMaker:
     def count_targets(self, steps: Range, folder: Path) -> tuple[Tally, TargetCensus]:
         """The census of a block's targets, with a tally of its steps; its truth is kept in the folder."""
         first, stop = steps
-        truth, resumed_steps = self._truth(folder, first, stop)
-        return Tally(stop - first, resumed_steps), scene_census(self._scene, [(truth, first, stop)])
+        truth, resumed_steps, damaged = self._truth(folder, first, stop)
+        return Tally(stop - first, resumed_steps, damaged), scene_census(self._scene, [(truth, first, stop)])
 
     def make(self, steps: Range, folder: Path, census: TargetCensus) -> tuple[Tally, BlockFiles]:
         """What happened in a block, and what it adds to the files.
@@ -78,30 +81,32 @@ class BlockMaker:
             census: The census of the whole scene, the same for all blocks.
         """
         first, stop = steps
-        truth, resumed_steps = self._truth(folder, first, stop)
+        truth, resumed_steps, damaged_blocks = self._truth(folder, first, stop)
         if self._simulation is None:
             self._simulation = Simulation(self._scene, census)
         block = self._simulation.detect(truth, first, stop)
         tally = Tally(
             steps=stop - first,
             resumed_steps=resumed_steps,
+            damaged_blocks=damaged_blocks,
             counts=Counts.of(block, self._scene),
             boxes=BoxSample.of(block, self._scene),
             intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
         )
         return tally, BlockFiles.of(block, self._scene)
 
-    def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, int]:
-        """The truth of some steps, and the number of steps that an interrupted run had kept."""
+    def _truth(self, folder: Path, first: int, stop: int) -> tuple[Truth, int, int]:
+        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks."""
         if self._truth_run is not None:
-            return read_truth(self._truth_run, self._scene, first, stop), 0
+            return read_truth(self._truth_run, self._scene, first, stop), 0, 0
         truth = finished_truth(folder, first, stop)
         if truth is not None:
-            return truth, stop - first
+            return truth, stop - first, 0
+        damaged = kept_truth_path(folder, first, stop).exists()
         truth = truth_block(self._scene, first, stop, self._renderer)
         if not self._scene.live:  # a live run cannot be resumed
             keep_truth(folder, truth, first, stop)
-        return truth, 0
+        return truth, 0, int(damaged)
 
 
 BlockWorkers = Workers[BlockMaker]

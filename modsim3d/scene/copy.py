@@ -31,13 +31,18 @@ class SceneCopy:
     document: Mapping[str, Any]
     files: Mapping[str, Path]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Paths of all files in the copy, the scene file first."""
+        return (f"{self.name}.json", *self.files)
+
     def write(self, folder: Path) -> Path:
         """Write the copy into a folder, and return its scene file, which `load_scene` reads."""
         folder.mkdir(parents=True, exist_ok=True)
         for name, source in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, folder / name)
-        path = folder / f"{self.name}.json"
+        path = folder / self.names[0]
         path.write_bytes(self._scene_file())
         return path
 

@@ -1,5 +1,6 @@
 """Run directories: complete, repeatable, in the formats that were promised."""
 
+import hashlib
 import json
 import math
 import shutil
@@ -65,6 +66,15 @@ def test_run_json_holds_no_time_and_no_host(finished):
     assert data["versions"]["modsim3d"] == modsim3d.__version__
     assert {"format", "backend", "annotation", "steps"} <= set(data)
     assert not {"time", "date", "host", "seconds"} & {key.lower() for key in data}
+
+
+def test_run_json_lists_every_file_with_its_size_and_checksum(finished):
+    listed = json.loads((finished / "run.json").read_text())["files"]
+    written = {path for path in finished.rglob("*") if path.is_file() and path.name not in ("run.json", "run.log")}
+    assert list(listed) == sorted(str(path.relative_to(finished)) for path in written)
+    for name, entry in listed.items():
+        data = (finished / name).read_bytes()
+        assert entry == {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
 def test_thesis_json_has_a_key_for_every_step_and_the_figures_fields(finished):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.outputs.placing import written_whole
 from modsim3d.runs.blocks import Block
 from modsim3d.runs.files import own_ships_table, tables, thesis_json
 from modsim3d.scene.scene import Scene
@@ -18,6 +21,7 @@ TABLES = {
     "truth": (tables.TRUTH, tables.truth_table),
     "detections": (tables.DETECTIONS, tables.detection_table),
 }
+DIGEST_BYTES = hashlib.sha256().digest_size
 OWN_SHIP = "ownship"
 JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
 
@@ -54,23 +58,28 @@ class BlockFiles:
         return cls(rows, lines)
 
 
-def _truth_path(folder: Path, first: int, stop: int) -> Path:
+def kept_truth_path(folder: Path, first: int, stop: int) -> Path:
+    """The file with the truth of a block: NumPy's `.npz`, and after it the SHA-256 of that."""
     return folder / f"truth_{first:09d}_{stop:09d}.npz"
 
 
 def finished_truth(folder: Path, first: int, stop: int) -> Truth | None:
-    """The truth of a block that an interrupted run kept; None if it kept none."""
-    path = _truth_path(folder, first, stop)
-    if not path.exists():
+    """The truth of a block that an interrupted run kept; None if it kept none, or if the file is damaged."""
+    try:
+        content = kept_truth_path(folder, first, stop).read_bytes()
+    except FileNotFoundError:
         return None
-    with np.load(path) as columns:
+    packed, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
+    if hashlib.sha256(packed).digest() != digest:
+        return None
+    with np.load(io.BytesIO(packed)) as columns:
         return Truth(**columns)
 
 
 def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
-    """Keep the truth of a block, so that an interrupted run can be resumed."""
-    path = _truth_path(folder, first, stop)
-    partial = path.with_suffix(".partial")
-    with partial.open("wb") as out:
-        np.savez(out, **{name: getattr(truth, name) for name in COLUMNS})
-    partial.replace(path)
+    """Keep the truth of a block on the disk, so that an interrupted run can be resumed."""
+    packed = io.BytesIO()
+    np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
+    with written_whole(kept_truth_path(folder, first, stop)) as partial, partial.open("wb") as out:
+        out.write(packed.getbuffer())
+        out.write(hashlib.sha256(packed.getbuffer()).digest())

@@ -5,30 +5,63 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import IO, Any
 
 import orjson
 
 from modsim3d.errors import RunDirectoryError
+from modsim3d.outputs.locks import LOCK_FILE, locked_folder
+from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
+from modsim3d.runs.files.file_list import file_list
 from modsim3d.runs.files.own_ships_table import own_ship_table
+from modsim3d.runs.files.replacing import (
+    LOG_FILE,
+    POSES_FILE,
+    RUN_FILE,
+    SCENE_FOLDER,
+    files_of_run,
+    foreign,
+    is_of_a_run,
+    made_of_run,
+    read_json,
+    remove_files,
+    safe_names,
+)
 from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
 
 UNFINISHED = "unfinished"
 """The folder inside a run directory with the files of a run that goes on."""
-RUN_FILE, LOG_FILE, SETTINGS_FILE = "run.json", "run.log", "settings.json"
-SCENE_FOLDER = "scene"
-"""The folder with a copy of the scene and of every file that it names."""
-POSES_FILE = "poses.jsonl"
-"""The poses that a live scene received, as a pose file for another run."""
+SETTINGS_FILE, REPLACES_FILE = "settings.json", "replaces.json"
+"""In that folder: the settings of the run, and the paths of the files of earlier runs that it replaces."""
+
+
+@contextmanager
+def locked_run(folder: Path) -> Iterator[None]:
+    """Hold the lock of a run directory, which is made if it is not there; hold it before workers start to write.
+
+    Raises:
+        OutputError: Another process writes to the folder.
+        RunDirectoryError: The folder cannot be written to, or is a file.
+    """
+    with ExitStack() as locks:
+        try:
+            if folder.exists() and not folder.is_dir():
+                raise _not_ours(folder)
+            locks.enter_context(locked_folder(folder))
+        except OSError as error:
+            raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
+        yield
 
 
 class RunDirectory:
-    """The folder of one run, while it is written.
+    """The folder of one run, while it is written; `locked_run` holds its lock.
 
     The truth of finished blocks is kept, so that an interrupted run can be resumed. A resumed run writes the files of
     the detector from the start, because the detector is cheap.
@@ -55,20 +88,24 @@ class RunDirectory:
         self._settings = orjson.dumps(settings, option=orjson.OPT_SORT_KEYS)
         try:
             self._prepare(overwrite, resume)
-            scene.copy.write(self.work / SCENE_FOLDER)
-            self._writers = {
-                name: tables.TableWriter(self.work / f"{name}.parquet", schema)
-                for name, schema in schemas_of(scene).items()
-            }
-            self._lines: dict[tuple[str, int], IO[bytes]] = {
-                (kind, index): self._lines_path(kind, index).open("wb")
-                for kind in JSON_LINES
-                for index in range(len(scene.cameras))
-            }
-            self._poses = (self.work / POSES_FILE).open("wb") if scene.live else None
-            self._poses_sha256 = hashlib.sha256()
+            self._open_files()
         except OSError as error:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
+
+    def _open_files(self) -> None:
+        """Copy the scene, and open the files of the run for writing."""
+        self._scene.copy.write(self.work / SCENE_FOLDER)
+        self._writers = {
+            name: tables.TableWriter(self.work / f"{name}.parquet", schema)
+            for name, schema in schemas_of(self._scene).items()
+        }
+        self._lines: dict[tuple[str, int], IO[bytes]] = {
+            (kind, index): self._lines_path(kind, index).open("wb")
+            for kind in JSON_LINES
+            for index in range(len(self._scene.cameras))
+        }
+        self._poses = (self.work / POSES_FILE).open("wb") if self._scene.live else None
+        self._poses_sha256 = hashlib.sha256()
 
     def __enter__(self) -> RunDirectory:
         """Return the folder, which is ready."""
@@ -83,63 +120,91 @@ class RunDirectory:
             RunDirectoryError: The disk is full, or the files cannot be written for another reason.
         """
         try:
-            for stream in self._lines.values():
-                stream.close()
-            for writer in self._writers.values():
-                writer.close()
-            if self._poses is not None:
-                self._poses.close()
+            self._close_files()
         except OSError as failure:
             raise self._unwritable(failure) from failure
         if isinstance(error, OSError):
             raise self._unwritable(error) from error
+
+    def _close_files(self) -> None:
+        for stream in self._lines.values():
+            stream.close()
+        for writer in self._writers.values():
+            writer.close()
+        if self._poses is not None:
+            self._poses.close()
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
         problem = f"{self.folder} cannot be written to: {error.strerror or error}"
         return RunDirectoryError(f"{problem}; what was finished is kept: go on with --resume")
 
     def _prepare(self, overwrite: bool, resume: bool) -> None:
-        interrupted, finished = _is_ours(self.work / SETTINGS_FILE), _is_ours(self.folder / RUN_FILE)
-        taken = self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir()))
-        if resume and interrupted:
-            if (self.work / SETTINGS_FILE).read_bytes() == self._settings:
-                return
-            if not overwrite:
-                raise RunDirectoryError(
-                    f"{self.folder} holds an interrupted run with another scene, seed, settings or version: "
-                    "resume it with the same, or use --overwrite"
-                )
-        if taken and not (interrupted or finished or self._hardly_begun()):
-            raise RunDirectoryError(f"{self.folder} exists and is not a run directory: choose another folder")
-        if not overwrite and (interrupted or finished):
+        interrupted = is_of_a_run(read_json(self.work / SETTINGS_FILE))
+        goes_on = resume and interrupted and (self.work / SETTINGS_FILE).read_bytes() == self._settings
+        if not goes_on:
+            self._check_taken(interrupted, overwrite, resume)
+        self._replaced = self._known_files()
+        self._check_in_the_way()
+        if not goes_on:
+            self._begin()
+
+    def _check_taken(self, interrupted: bool, overwrite: bool, resume: bool) -> None:
+        """Refuse a folder that holds a run that is not to be replaced, or no run."""
+        finished = is_of_a_run(read_json(self.folder / RUN_FILE))
+        if resume and interrupted and not overwrite:
+            raise RunDirectoryError(
+                f"{self.folder} holds an interrupted run with another scene, seed, settings or version: "
+                "resume it with the same, or use --overwrite"
+            )
+        if not (interrupted or finished or self._hardly_begun()):
+            if any(path.name != LOCK_FILE for path in self.folder.iterdir()):
+                raise _not_ours(self.folder)
+        elif not overwrite and (interrupted or finished):
             state = "an interrupted run: use --resume or --overwrite" if interrupted else "a run: use --overwrite"
             raise RunDirectoryError(f"{self.folder} holds {state}, or choose another folder")
-        if self.work.is_dir():
-            shutil.rmtree(self.work)
-        self.work.mkdir(parents=True)
-        partial = self.work / f"{SETTINGS_FILE}.partial"
-        partial.write_bytes(self._settings)
-        partial.replace(self.work / SETTINGS_FILE)
 
     def _hardly_begun(self) -> bool:
         """Whether a run was killed before it had written its settings."""
-        names = {path.name for path in self.work.iterdir()} if self.work.is_dir() else {"none"}
-        return names <= {f"{SETTINGS_FILE}.partial"} and {path.name for path in self.folder.iterdir()} == {UNFINISHED}
+        names = [path.name for path in self.work.iterdir()] if self.work.is_dir() else ["none"]
+        beside = {path.name for path in self.folder.iterdir()} - {LOCK_FILE}
+        return all(".partial" in name or name == REPLACES_FILE for name in names) and beside == {UNFINISHED}
 
-    def _remove_replaced(self) -> None:
-        """Remove the run that this one replaces; `run.json` first, as it means that all other files are complete."""
-        replaced = self.work / "replaced.json"
-        if (self.folder / RUN_FILE).exists():
-            (self.folder / RUN_FILE).replace(replaced)
-        if not replaced.exists():
-            return
-        for path in self.folder.iterdir():
-            if path == self.work:
-                continue
+    def _known_files(self) -> set[str]:
+        """Paths of all files of runs in the folder, also of one that was killed while it put its files in place."""
+        begun = read_json(self.work / REPLACES_FILE)
+        replaced = begun.get("replaces") if isinstance(begun, dict) else None
+        known = safe_names(replaced) if isinstance(replaced, list) else set()
+        return known | files_of_run(self.folder) | files_of_run(self.work)
+
+    def _check_in_the_way(self) -> None:
+        """Refuse to replace what no run has written, and what this run reads."""
+        written = {RUN_FILE, LOG_FILE, *self._file_names()}
+        if name := foreign(self.folder, written, self._replaced | {RUN_FILE, LOG_FILE}):
+            raise RunDirectoryError(
+                f"{self.folder / name} is in the way, and no run has written it: move it, or choose another folder"
+            )
+        replaced = written | self._replaced | made_of_run(self.folder)
+        places, work = {_real(self.folder / name) for name in replaced}, _real(self.work)
+        for path in (self._scene.path, *self._scene.copy.files.values()):
+            if _real(path) in places or _real(path).is_relative_to(work):
+                raise RunDirectoryError(
+                    f"{path} belongs to the run in {self.folder}, which would be replaced, and this run reads it: "
+                    "copy it to another folder first, or choose another folder for the run"
+                )
+
+    def _begin(self) -> None:
+        """Empty the folder of the run that goes on; its settings are replaced last, so that it stays a run's."""
+        self.work.mkdir(exist_ok=True)
+        with written_whole(self.work / REPLACES_FILE) as partial:
+            partial.write_bytes(orjson.dumps({"replaces": sorted(self._replaced)}))
+        for path in self.work.iterdir():
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
-            else:
+            elif path.name not in (REPLACES_FILE, SETTINGS_FILE):
                 path.unlink()
+        with written_whole(self.work / SETTINGS_FILE) as partial:
+            partial.write_bytes(self._settings)
+        sync_folder(self.folder)
 
     def _lines_path(self, kind: str, camera: int) -> Path:
         return self.work / f"{kind}_{self._scene.cameras[camera].name}.jsonl"
@@ -158,6 +223,7 @@ class RunDirectory:
             lines = pose_lines(self._scene, first, stop)
             self._poses.write(lines)
             self._poses.flush()
+            os.fsync(self._poses.fileno())  # they cannot come again
             self._poses_sha256.update(lines)
 
     def write_live_own_ships(self, steps: int) -> None:
@@ -169,40 +235,54 @@ class RunDirectory:
         """The settings of a live scene that are known only after the run."""
         return {"steps": steps, "poses_sha256": self._poses_sha256.hexdigest()} if self._poses is not None else {}
 
-    def finish(self, run: dict[str, Any]) -> None:
-        """Put every file in its place; `run.json` (the content is `run`) comes last and says that all are complete."""
-        self.__exit__(None, None, None)
-        self._remove_replaced()
-        for name in self._writers:
-            place(self.work / f"{name}.parquet", self.folder / f"{name}.parquet")
-        for kind, camera in self._lines:
-            lines = self._lines_path(kind, camera)
-            joined = lines.with_suffix(".json")
-            with joined.open("wb") as out:
+    def finish(self, run: dict[str, Any], log: str) -> None:
+        """Put every file in its place: `run.json` goes first and comes last, so that where it is all else is complete.
+
+        Args:
+            run: Content of `run.json`; the list of the files is added.
+            log: Content of `run.log`.
+        """
+        self._close_files()
+        for key in self._lines:
+            lines = self._lines_path(*key)
+            with lines.with_suffix(".json").open("wb") as out:
                 thesis_json.join_lines(lines, out)
-            place(joined, self.folder / joined.name)
-        if (self.folder / SCENE_FOLDER).is_dir():  # put there by a run that was killed just then
-            shutil.rmtree(self.folder / SCENE_FOLDER)
-        (self.work / SCENE_FOLDER).replace(self.folder / SCENE_FOLDER)
-        if self._poses is not None:
-            place(self.work / POSES_FILE, self.folder / POSES_FILE)
-        partial = self.work / RUN_FILE
-        partial.write_bytes(orjson.dumps(run, option=orjson.OPT_INDENT_2) + b"\n")
-        place(partial, self.folder / RUN_FILE)
+        names = self._file_names()
+        content = {**run, "files": file_list(self.work, names)}
+        (self.work / LOG_FILE).write_text(log)
+        (self.work / RUN_FILE).write_bytes(orjson.dumps(content, option=orjson.OPT_INDENT_2) + b"\n")
+        for name in (*names, LOG_FILE, RUN_FILE):
+            sync_file(self.work / name)
+        _sync_folders(self.work, names)
+        (self.folder / RUN_FILE).unlink(missing_ok=True)
+        sync_folder(self.folder)
+        remove_files(self.folder, (self._replaced | made_of_run(self.folder)) - set(names))
+        for name in (*names, LOG_FILE):
+            (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (self.work / name).replace(self.folder / name)
+        _sync_folders(self.folder, names)
+        (self.work / RUN_FILE).replace(self.folder / RUN_FILE)
+        sync_folder(self.folder)
         shutil.rmtree(self.work)
 
-
-def _is_ours(path: Path) -> bool:
-    """Whether a file is the `run.json` or `settings.json` of a run, and not of another program."""
-    try:
-        content = orjson.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return False
-    return isinstance(content, dict) and "scene_sha256" in content and "format" in content
+    def _file_names(self) -> list[str]:
+        """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
+        names = [f"{name}.parquet" for name in schemas_of(self._scene)]
+        names += [f"{kind}_{camera.name}.json" for kind in JSON_LINES for camera in self._scene.cameras]
+        names += [f"{SCENE_FOLDER}/{name}" for name in self._scene.copy.names]
+        return [*names, POSES_FILE] if self._scene.live else names
 
 
-def place(partial: Path, final: Path) -> None:
-    """Move a complete file to its place in one step, once it is on the disk."""
-    with partial.open("rb+") as written:
-        os.fsync(written.fileno())
-    partial.replace(final)
+def _not_ours(folder: Path) -> RunDirectoryError:
+    return RunDirectoryError(f"{folder} exists and is not a run directory: choose another folder")
+
+
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))
+
+
+def _sync_folders(folder: Path, names: Iterable[str]) -> None:
+    """Keep the names of some files in a folder, and in folders inside it, on the disk."""
+    inside = {parent for name in names for parent in PurePosixPath(name).parents}
+    for parent in sorted(inside, reverse=True):
+        sync_folder(folder / parent)

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.errors import ModsimError
-from modsim3d.runs.files.run_directory import place
+from modsim3d.outputs.placing import put_in_place
 from modsim3d.view.films.gif import TICKS_PER_S, quantised, write_gif
 
 FORMATS = ("mp4", "gif", "png")
@@ -66,17 +66,6 @@ def check_encoder(kind: str) -> None:
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
         raise ModsimError(NO_FFMPEG) from None
-
-
-@contextmanager
-def put_in_place(path: Path) -> Iterator[Path]:
-    """A path to write a file to; the file gets its final name when it is complete, and is removed on an error."""
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    try:
-        yield partial
-        place(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: Image.Image | None = None) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from modsim3d.outputs.placing import put_in_place
 from modsim3d.processes import Workers, open_workers
 from modsim3d.runs.selection import Selection, StepFrames
-from modsim3d.view.films.files import MOST_RATE, EncodedFrame, put_in_place, write_film
+from modsim3d.view.films.files import MOST_RATE, EncodedFrame, write_film
 from modsim3d.view.films.gif import film_palette
 from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer, open_film_renderer

@@ -13,8 +13,8 @@ from PIL import Image
 from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.outputs.placing import put_in_place
 from modsim3d.view import palette
-from modsim3d.view.films.files import put_in_place
 from modsim3d.view.maps.birds_eye import BirdsEye, hull_m, ring_step, view_of
 from modsim3d.view.maps.map_names import MapNames
 

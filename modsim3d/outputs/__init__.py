@@ -1,0 +1,1 @@
+"""What commands write: one writer at a time, and every file whole."""

@@ -1,0 +1,105 @@
+"""What a run directory holds that a new run replaces: the old run's files, and what was made of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import orjson
+
+RUN_FILE, LOG_FILE = "run.json", "run.log"
+SCENE_FOLDER = "scene"
+"""The folder with a copy of the scene and of every file that it names."""
+POSES_FILE = "poses.jsonl"
+"""The poses that a live scene received, as a pose file for another run."""
+MADE_OF_A_RUN = frozenset(
+    {
+        *("contact_sheet.png", "report.html", "run.rrd", "verify.html", "verify.json"),
+        *("compare.html", "compare.json", "rectangle_rule.png"),
+    }
+)
+"""What other commands write into a run directory; of a run that is replaced, nothing of it may stay."""
+_FILMS = "detections|scene|ids|corners|map|all"
+_PICTURE = re.compile(rf"(?:{_FILMS})(?:_\d+\.(?:png|svg|pdf)|\.(?:mp4|gif))")
+_FRAME = re.compile(r"frame_\d+\.png")
+_OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parquet", POSES_FILE)
+
+
+def files_of_run(folder: Path) -> set[str]:
+    """Paths inside a run directory of all files of the finished run in it; none if there is none.
+
+    A run of an older version has no list of its files: then they are the names that such a version wrote.
+    """
+    run = read_json(folder / RUN_FILE)
+    if not is_of_a_run(run):
+        return set()
+    listed = run.get("files")
+    names = set(listed) if isinstance(listed, dict) else set(_names_without_list(folder, run))
+    return {RUN_FILE, LOG_FILE, *safe_names(names)}
+
+
+def _names_without_list(folder: Path, run: dict[str, Any]) -> Iterator[str]:
+    yield from _OLDER
+    cameras = run.get("cameras")
+    for camera in cameras if isinstance(cameras, list) else ():
+        yield from (f"annotations_{camera}.json", f"detections_{camera}.json")
+    for pattern in ("*", "meshes/*"):
+        yield from (path.relative_to(folder).as_posix() for path in (folder / SCENE_FOLDER).glob(pattern))
+
+
+def made_of_run(folder: Path) -> set[str]:
+    """Paths inside a run directory of what other commands have written there under the names that are their default."""
+    made = {name for name in MADE_OF_A_RUN if (folder / name).is_file()}
+    for path in folder.iterdir():
+        if path.is_file() and _PICTURE.fullmatch(path.name):
+            made.add(path.name)
+        elif path.is_dir() and path.name in _FILMS.split("|") and path.name != SCENE_FOLDER:
+            made |= {f"{path.name}/{frame.name}" for frame in path.iterdir() if _FRAME.fullmatch(frame.name)}
+    return made
+
+
+def remove_files(folder: Path, names: Iterable[str]) -> None:
+    """Remove files of a folder, and the folders in it that are empty then; what is not there is passed over."""
+    inside, parents = folder.resolve(), set()
+    for name in safe_names(names):
+        path = folder / name
+        # Never through a link out of the folder.
+        if path.parent.resolve().is_relative_to(inside) and (path.is_file() or path.is_symlink()):
+            path.unlink()
+            parents |= {parent for parent in path.parents if parent.is_relative_to(folder) and parent != folder}
+    for parent in sorted(parents, key=lambda path: len(path.parts), reverse=True):
+        with suppress(OSError):  # it holds what is not the run's
+            parent.rmdir()
+
+
+def foreign(folder: Path, names: Iterable[str], own: set[str]) -> str | None:
+    """The first of some paths in a folder where there is something that is not a run's; None if there is none."""
+    for name in sorted(names):
+        if name not in own and ((folder / name).exists() or (folder / name).is_symlink()):
+            return name
+        for parent in PurePosixPath(name).parents[:-1]:
+            if (folder / parent).exists() and not (folder / parent).is_dir():
+                return str(parent)
+    return None
+
+
+def safe_names(names: Iterable[Any]) -> set[str]:
+    """Those of some names, read from a file, that are paths inside a folder."""
+    texts = (name for name in names if isinstance(name, str) and name)
+    return {text for text in texts if not PurePosixPath(text).is_absolute() and ".." not in PurePosixPath(text).parts}
+
+
+def is_of_a_run(content: Any) -> bool:
+    """Whether it is the content of the `run.json` or `settings.json` of a run, and not of another program's file."""
+    return isinstance(content, dict) and "scene_sha256" in content and "format" in content
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file; None if it cannot be read."""
+    try:
+        return orjson.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return None
