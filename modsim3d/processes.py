@@ -14,10 +14,10 @@ from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from multiprocessing.context import BaseContext
+from multiprocessing.context import ForkContext, SpawnContext
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from modsim3d.errors import ModsimError
 
@@ -82,7 +82,7 @@ def _opened(
         return
     context = multiprocessing.get_context(_start_method())
     started = [_WorkerProcess(context, set_up, arguments) for _ in range(count)]  # all before the first thread starts
-    processes = _Processes(started, if_killed)
+    processes: _Processes[W] = _Processes(started, if_killed)
     try:
         yield processes
     finally:
@@ -151,7 +151,9 @@ class _WorkerProcess:
     a queue that several processes share, half a result would be waited for without end.
     """
 
-    def __init__(self, context: BaseContext, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    def __init__(
+        self, context: ForkContext | SpawnContext, set_up: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> None:
         self._pipe, other_end = context.Pipe()
         self._process = context.Process(target=_serve, args=(other_end, set_up, arguments), daemon=True)
         self._process.start()
@@ -222,7 +224,7 @@ def _made_by_multiprocessing() -> bool:
     return bool(importing) or multiprocessing.parent_process() is not None
 
 
-def _start_method() -> str:
+def _start_method() -> Literal["fork", "spawn"]:
     """`fork` starts at once, but is safe only while this process has one thread."""
     tasks = Path("/proc/self/task")
     threads = len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
