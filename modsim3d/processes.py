@@ -14,10 +14,10 @@ from concurrent.futures import Future
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkContext, SpawnContext
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from modsim3d.errors import ModsimError
 
@@ -80,8 +80,8 @@ def _opened(
         with set_up(*arguments) as worker:
             yield _ThisProcess(worker)
         return
-    context = multiprocessing.get_context(_start_method())
-    started = [_WorkerProcess(context, set_up, arguments) for _ in range(count)]  # all before the first thread starts
+    start = multiprocessing.get_context("fork").Process if _may_fork() else multiprocessing.get_context("spawn").Process
+    started = [_WorkerProcess(start, set_up, arguments) for _ in range(count)]  # all before the first thread starts
     processes: _Processes[W] = _Processes(started, if_killed)
     try:
         yield processes
@@ -152,10 +152,10 @@ class _WorkerProcess:
     """
 
     def __init__(
-        self, context: ForkContext | SpawnContext, set_up: Callable[..., Any], arguments: tuple[Any, ...]
+        self, start: Callable[..., BaseProcess], set_up: Callable[..., Any], arguments: tuple[Any, ...]
     ) -> None:
-        self._pipe, other_end = context.Pipe()
-        self._process = context.Process(target=_serve, args=(other_end, set_up, arguments), daemon=True)
+        self._pipe, other_end = multiprocessing.Pipe()
+        self._process = start(target=_serve, args=(other_end, set_up, arguments), daemon=True)
         self._process.start()
         other_end.close()  # before the next process is forked, which would hold it too
 
@@ -224,8 +224,7 @@ def _made_by_multiprocessing() -> bool:
     return bool(importing) or multiprocessing.parent_process() is not None
 
 
-def _start_method() -> Literal["fork", "spawn"]:
-    """`fork` starts at once, but is safe only while this process has one thread."""
+def _may_fork() -> bool:
+    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise."""
     tasks = Path("/proc/self/task")
-    threads = len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
-    return "fork" if threads == 1 else "spawn"
+    return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shutil
 import signal
 import sys
 import tempfile
@@ -149,7 +150,8 @@ CLASSES: dict[str, Callable[[Trial], Iterator[Tried]]] = {
 def try_class(name: str, share: float, show: bool) -> list[dict[str, Any]]:
     """All faults of a class, as rows of the table."""
     tried = []
-    with tempfile.TemporaryDirectory(prefix="faults_") as folder:
+    folder = tempfile.mkdtemp(prefix="faults_")  # a `TemporaryDirectory` would be removed by the first fork that ends
+    try:
         trial = Trial(Path(folder), share)
         trial.target.parent.mkdir()
         started = time.monotonic()
@@ -160,6 +162,8 @@ def try_class(name: str, share: float, show: bool) -> list[dict[str, Any]]:
                 print(f"{one.fault}: {one.case}: {one.outcome.value}: {said}", file=sys.stderr, flush=True)
         print(f"{name}: {len(tried)} faults in {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
         return rows_of(tried, folder)
+    finally:
+        shutil.rmtree(folder)
 
 
 def main() -> int:
