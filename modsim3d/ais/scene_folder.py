@@ -16,8 +16,11 @@ from modsim3d.ais.traffic import Traffic
 from modsim3d.errors import ModsimError
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.text_files import read_text
+from modsim3d.outputs.locks import LOCK_FILE
+from modsim3d.outputs.placing import write_files
 
 SCENE, REPORT = "scene.yaml", "report.json"
+FILES = (SCENE, REPORT, "vessels.json", "detector.yaml", "poses.json.gz")
 SCENE_TEXT = """\
 # Traffic from AIS: {vessels} vessels from {start}, one step every {time_step:g} s; made by `modsim3d ais`.
 # w1 points east, w2 north of latitude {latitude:.7f}, longitude {longitude:.7f}. report.json says what was left out
@@ -52,7 +55,7 @@ def check_free(folder: Path, overwrite: bool) -> None:
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise ModsimError(f"{folder} is there already and is not a folder: choose another with --out")
-    if not folder.is_dir() or not any(folder.iterdir()):
+    if not folder.is_dir() or all(path.name == LOCK_FILE for path in folder.iterdir()):
         return
     ours = all((folder / name).is_file() for name in (SCENE, REPORT))
     if not overwrite:
@@ -83,10 +86,7 @@ def write_scene(traffic: Traffic, folder: Path, detector: Path, overwrite: bool 
         SCENE: _scene_text(traffic),
     }
     packed = gzip.compress(_poses_text(traffic).encode("utf-8"), mtime=0)
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "poses.json.gz").write_bytes(packed)
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    write_files({folder / "poses.json.gz": packed} | {folder / name: text for name, text in files.items()})
 
 
 def _json_text(content: Any) -> str:

@@ -64,9 +64,11 @@ def ais_command(
     Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --duration 600 --out scenes/sound
     """
     from modsim3d.ais import options as given
-    from modsim3d.ais.scene_folder import check_free, write_scene
+    from modsim3d.ais.scene_folder import FILES, check_free, write_scene
     from modsim3d.ais.traffic import read_traffic
     from modsim3d.inputs.shipped import data_folder
+    from modsim3d.outputs import claims
+    from modsim3d.outputs.locks import locked_folder
 
     options = given.Options(
         origin=given.parse_origin(origin) if origin else None,
@@ -82,8 +84,11 @@ def ais_command(
         labels=given.parse_labels(label or ()),
     )
     check_free(out, overwrite)
-    traffic = read_traffic(files, options)
-    write_scene(traffic, out, data_folder("scenes") / "detectors" / "thesis.yaml", overwrite)
+    with locked_folder(out):
+        for name in FILES:
+            claims.check_free(out / name, overwrite, files)
+        traffic = read_traffic(files, options)
+        write_scene(traffic, out, data_folder("scenes") / "detectors" / "thesis.yaml", overwrite)
     _print_summary(traffic, out)
 
 

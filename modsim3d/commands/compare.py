@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.progress import progress
-from modsim3d.commands.shared import EveryOption, SceneArgument, StepsOption, print_line, print_rows
+from modsim3d.commands.shared import EveryOption, OverwriteOption, SceneArgument, StepsOption, print_line, print_rows
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def compare_command(
         int | None, typer.Option(min=1, max=8, help="Buffer pixels per image pixel and axis, in place of the scene's.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write compare.json and compare.html here.")] = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
 
@@ -34,15 +35,16 @@ def compare_command(
     """
     from rich.console import Console
 
+    from modsim3d.outputs.claims import claimed
     from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
     from modsim3d.verify.sources import report as compare_report
     from modsim3d.verify.sources.compare import compare_sources
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)  # fails before the work if it cannot be made
-    with open_renderer(loaded) as renderer:
+    written = [out / name for name in compare_report.FILES] if out is not None else []
+    read = [loaded.path, *loaded.copy.files.values()]
+    with claimed(written, overwrite=overwrite, inputs=read), open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("compare needs the rendered source")
         with progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:

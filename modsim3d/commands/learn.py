@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.commands.shared import OverwriteOption
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def learn_command(
     category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out wrong entries.")] = False,
     page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
 
@@ -74,6 +76,8 @@ def learn_command(
     from modsim3d.inputs.text_files import read_text
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import Settings
+    from modsim3d.outputs.claims import claimed
+    from modsim3d.runs.files.replacing import read_of_run
 
     page = out.with_suffix(".html") if page is None else page
     if page == out:
@@ -84,8 +88,11 @@ def learn_command(
     order = read_text(sequence, "sequence") if sequence else None
     settings = Settings(Rule(match.value, iou, distance), confidence, replicates, seed, clutter.value)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
-    report = learn_detector(labelled, settings, wanted)
-    _write(report, out, page, correct)
+    read = [*(truth or ()), *(detections or ()), *([sequence] if sequence else ())]
+    read += [path for folder in run or () for path in read_of_run(folder)]
+    with claimed([out, page], overwrite=overwrite, inputs=read):
+        report = learn_detector(labelled, settings, wanted)
+        _write(report, out, page, correct)
     _show(report, out, page)
 
 
@@ -149,8 +156,9 @@ def _labelled_set(
 def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
     """Write the detector file, its numbers corrected for the bias if asked for, and the page."""
     from modsim3d.detector.file.writing import detector_text
-    from modsim3d.learn.page import write_page
+    from modsim3d.learn.page import page_text
     from modsim3d.learn.report import lead
+    from modsim3d.outputs.placing import write_files
 
     learned = report.bias.corrected() if correct and report.bias else report.learned
     comments = [f"Learned by modsim3d learn. {lead(report)}"]
@@ -158,10 +166,7 @@ def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
     comments += [f"Remark: {remark}" for remark in report.remarks]
     comments += ["Corrected once for the bias of the matching."] if correct else []
     comments += [f"Left simple: {note}" for note in report.learned.notes]
-    for path in (out, page):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(detector_text(learned.detector(), comments), encoding="utf-8", newline="\n")
-    write_page(report, page)
+    write_files({out: detector_text(learned.detector(), comments), page: page_text(report)})
 
 
 def _show(report: Report, out: Path, page: Path) -> None:
@@ -220,14 +225,18 @@ def _fitted(rows: Sequence[Sequence[str]], width: int) -> list[list[str]]:
 def export_command(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
     coco: Annotated[Path, typer.Option(help="Folder for COCO's gt.json and dt.json.")],
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Write a run's truth and detections in another program's format.
 
     Example: modsim3d export runs/first --coco exported
     """
-    from modsim3d.formats.coco import write_coco
+    from modsim3d.formats.coco import FILES, write_coco
     from modsim3d.formats.labelled_run import labelled_run
+    from modsim3d.outputs.claims import claimed
+    from modsim3d.runs.files.replacing import read_of_run
 
-    labelled, _ = labelled_run(run)
-    written = write_coco(labelled, coco)
+    with claimed([coco / name for name in FILES], overwrite=overwrite, inputs=read_of_run(run)):
+        labelled, _ = labelled_run(run)
+        written = write_coco(labelled, coco)
     typer.echo(f"written  {written[0]}, {written[1]}")

@@ -70,10 +70,12 @@ def run_command(
     with _interruptible(kept), progress(loaded.name, total) as advance:
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     if sheet:
+        from modsim3d.outputs.claims import claimed
         from modsim3d.runs.stored_run import open_run
-        from modsim3d.view.pictures.contact_sheet import draw_contact_sheet
+        from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
 
-        draw_contact_sheet(open_run(folder))
+        with claimed([folder / SHEET_FILE], overwrite=True):
+            draw_contact_sheet(open_run(folder))
     print_summary(loaded, result, sheet)
 
 

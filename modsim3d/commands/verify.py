@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.shared import FinishedRunArgument, print_line
+from modsim3d.commands.shared import FinishedRunArgument, OverwriteOption, print_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,6 +27,7 @@ def verify_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder for verify.json and verify.html.", show_default="RUN")
     ] = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Check that a run obeys its detector file: every parameter as given and as measured, with a verdict.
 
@@ -36,13 +37,19 @@ def verify_command(
     """
     from rich.console import Console
 
+    from modsim3d.outputs.claims import claimed
+    from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
     from modsim3d.verify import report as verify_report
     from modsim3d.verify.verification import verify_run
 
-    verified = verify_run(open_run(run), detector)
+    opened = open_run(run)
     folder = run if out is None else out
-    verify_report.write_report(verified, folder)
+    paths = [folder / name for name in verify_report.FILES]
+    read = [*read_of_run(run), *([detector] if detector else [])]
+    with claimed(paths, overwrite=overwrite or folder == run, inputs=read):
+        verified = verify_run(opened, detector)
+        verify_report.write_report(verified, folder)
     console = Console()
     if not console.is_terminal:
         console = Console(width=WIDE)

@@ -9,7 +9,7 @@ import typer
 
 from modsim3d.commands import view_options as options
 from modsim3d.commands.view_options import Film, Style
-from modsim3d.commands.view_output import check_free, check_free_folder, film_format
+from modsim3d.commands.view_output import claimed_file, claimed_folder, film_format
 from modsim3d.errors import ModsimError, RendererError
 
 if TYPE_CHECKING:
@@ -145,9 +145,9 @@ def _draw_map(
     if path.suffix.lower() not in FORMATS:
         raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
     check_matplotlib()
-    check_free(path, overwrite)
-    _say_what_there_is(run)
-    typer.echo(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
+    with claimed_file(path, run, overwrite):
+        _say_what_there_is(run)
+        typer.echo(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
 
 
 def _plan(
@@ -184,8 +184,8 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
             f"{run.folder} holds an interrupted run, and a contact sheet needs a finished one (go on with "
             f"modsim3d run --resume); --film and --frame draw the {run.steps} steps that are there"
         )
-    check_free(run.folder / SHEET_FILE, overwrite)
-    typer.echo(f"contact sheet  {draw_contact_sheet(run)}")
+    with claimed_file(run.folder / SHEET_FILE, run, overwrite):
+        typer.echo(f"contact sheet  {draw_contact_sheet(run)}")
 
 
 def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | None, overwrite: bool) -> None:
@@ -194,8 +194,8 @@ def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | 
     path = out or selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png"
     if path.suffix.lower() != ".png":
         raise ModsimError(f"{path}: the name of a picture must end in .png")
-    check_free(path, overwrite)
-    typer.echo(f"picture  {draw_picture(selection, plan, path)}")
+    with claimed_file(path, selection.run, overwrite):
+        typer.echo(f"picture  {draw_picture(selection, plan, path)}")
 
 
 def _draw_film(
@@ -216,9 +216,9 @@ def _draw_film(
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
     check_encoder(kind)
     path = out or selection.run.folder / (film.value if kind == "png" else f"{film.value}.{kind}")
-    (check_free_folder if kind == "png" else check_free)(path, overwrite)
+    claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
     try:
-        with progress_bar() as bar:
+        with claim, progress_bar() as bar:
             task = bar.add_task(path.name, total=len(selection.steps))
             drawn = draw_film(
                 selection,

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from modsim3d.commands.view_options import Format
 from modsim3d.errors import ModsimError
+from modsim3d.outputs.claims import claimed
+from modsim3d.outputs.locks import locked_file
+from modsim3d.runs.files.replacing import read_of_run
+
+if TYPE_CHECKING:
+    from modsim3d.runs.stored_run import StoredRun
+
+FRAME_FILES = "frame_*.png"
 
 
 def film_format(option: Format | None, out: Path | None) -> str:
@@ -26,32 +37,39 @@ def film_format(option: Format | None, out: Path | None) -> str:
     return option.value
 
 
-def check_free(path: Path, overwrite: bool) -> None:
-    """Check that a file can be written.
+@contextmanager
+def claimed_file(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
+    """Check that a picture or a film of a run can be written to a file, and hold its lock.
 
     Raises:
-        ModsimError: Its folder is missing, it is a folder itself, or it exists and is not to be overwritten.
+        ModsimError: Its folder is missing, or it may not be written; see `claimed`.
     """
     _check_parent(path)
-    if path.is_dir():
-        raise ModsimError(f"{path} is a folder: choose another name with --out")
-    if path.exists() and not overwrite:
-        raise ModsimError(f"{path} exists: use --overwrite, or another name with --out")
+    with claimed([path], overwrite=overwrite, inputs=read_of_run(run.folder)):
+        yield
 
 
-def check_free_folder(path: Path, overwrite: bool) -> None:
-    """Check that the PNG files of a film can be written to a folder.
+@contextmanager
+def claimed_folder(path: Path, overwrite: bool) -> Iterator[None]:
+    """Check that the PNG files of a film can be written to a folder, and hold its lock.
 
     Raises:
         ModsimError: It is a file, holds other files than a film's, or holds a film that is not to be overwritten.
     """
     _check_parent(path)
+    _check_free_folder(path, overwrite)
+    with locked_file(path):
+        _check_free_folder(path, overwrite)  # another process may have ended just now
+        yield
+
+
+def _check_free_folder(path: Path, overwrite: bool) -> None:
     if not path.exists():
         return
     if not path.is_dir():
         raise ModsimError(f"{path} is a file: choose another name with --out")
     entries = list(path.iterdir())
-    strange = [entry.name for entry in entries if not entry.match("frame_*.png")]
+    strange = [entry.name for entry in entries if not entry.match(FRAME_FILES)]
     if strange:
         raise ModsimError(f"{path} holds other files than frames of a film ({strange[0]}): choose another folder")
     if entries and not overwrite:

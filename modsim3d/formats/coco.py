@@ -13,14 +13,15 @@ from typing import Any
 import orjson
 
 from modsim3d.formats.labelled import LabelledSet
+from modsim3d.outputs.placing import write_files
+
+FILES = ("gt.json", "dt.json")
 
 
 def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
     """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths."""
-    folder.mkdir(parents=True, exist_ok=True)
-    truth, results = folder / "gt.json", folder / "dt.json"
-    truth.write_bytes(orjson.dumps(ground_truth(labelled)))
-    results.write_bytes(orjson.dumps(coco_results(labelled)))
+    truth, results = (folder / name for name in FILES)
+    write_files({truth: orjson.dumps(ground_truth(labelled)), results: orjson.dumps(coco_results(labelled))})
     return truth, results
 
 

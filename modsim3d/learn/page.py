@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from modsim3d.arrays import Array
@@ -13,7 +11,7 @@ from modsim3d.learn.report import NEVER_LEARNED, Report, lead, tables
 from modsim3d.view.pages import charts, page
 
 
-def write_page(report: Report, path: Path) -> None:
+def page_text(report: Report) -> str:
     """The page, in one file."""
     body = [page.paragraph(lead(report), "lead"), f"<style>{_STYLE}</style>"]
     body += [page.paragraph(f"{remark}.") for remark in report.remarks]
@@ -30,7 +28,7 @@ def write_page(report: Report, path: Path) -> None:
     body.append(page.heading("Left simple"))
     body += [page.paragraph(note) for note in notes] or [page.paragraph("Nothing: there was enough of everything.")]
     body += [page.paragraph(NEVER_LEARNED), page.paragraph(_POINTS, "soft")]
-    path.write_text(page.page("A detector, learned", body), encoding="utf-8")
+    return page.page("A detector, learned", body)
 
 
 _STYLE = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -24,13 +25,15 @@ def put_in_place(path: Path) -> Iterator[Path]:
 
 
 def write_files(contents: Mapping[Path, bytes | str]) -> None:
-    """Write files; none of them gets its place before all of them are complete.
+    """Write files; none of them gets its place before all of them are complete. Folders are made where there are none.
 
     Raises:
         OutputError: A file cannot be written.
     """
     with ExitStack() as places:
         for path, content in contents.items():
+            with _told_of(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
             partial = places.enter_context(put_in_place(path))
             with _told_of(path):
                 partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
@@ -50,6 +53,44 @@ def written_whole(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
+@contextmanager
+def put_folder_in_place(folder: Path, pattern: str) -> Iterator[Path]:
+    """A folder to write files to; it gets its final name when all of them are complete, and is removed on an error.
+
+    Args:
+        folder: The final folder; one that is there is replaced.
+        pattern: Names of the files that it may hold.
+
+    Raises:
+        OutputError: The folder cannot be written, or the one that is there holds other files.
+    """
+    final, partial = Path(os.path.realpath(folder)), partial_of(folder)
+    before = partial.with_name(f".{final.name}.replaced")
+    try:
+        with _told_of(folder):
+            if before.exists() and not final.exists():
+                before.replace(final)  # a command was killed between the two renames below
+            if final.exists() and not all(path.match(pattern) for path in final.iterdir()):
+                raise OutputError(f"{folder} holds other files than {pattern}: choose another folder")
+            for left in (partial, before):
+                if left.exists():
+                    shutil.rmtree(left)
+            partial.mkdir(parents=True)
+            yield partial
+            for path in partial.iterdir():
+                sync_file(path)
+            sync_folder(partial)
+            if final.exists():
+                final.replace(before)
+            partial.replace(final)
+            sync_folder(final.parent)
+    finally:
+        if before.exists() and not final.exists():
+            before.replace(final)
+        shutil.rmtree(before, ignore_errors=True)
+        shutil.rmtree(partial, ignore_errors=True)
+
+
 def partial_of(path: Path) -> Path:
     """Where a file lies until it is complete: hidden, beside its place, or beside that of the file a link leads to."""
     final = Path(os.path.realpath(path))
@@ -62,7 +103,7 @@ def _told_of(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is not None and os.fsdecode(error.filename) != str(partial_of(path)):
+        if error.filename is not None and partial_of(path) not in (at := Path(str(error.filename)), at.parent):
             raise
         raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
 

@@ -15,6 +15,7 @@ from modsim3d.boxes import sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
+from modsim3d.outputs.placing import write_files
 from modsim3d.verify.class_checks import miss_probabilities
 from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
@@ -25,6 +26,7 @@ from modsim3d.verify.verification import VerifiedRun
 from modsim3d.view.pages import charts, page
 
 FORMAT = 1
+FILES = ("verify.json", "verify.html")
 HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
 _MOST_DOTS = 1200
 _BINS = 10
@@ -148,10 +150,8 @@ def _finite(value: float | None) -> float | None:
 
 def write_report(verified: VerifiedRun, folder: Path) -> None:
     """Write `verify.json` and `verify.html` into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
     data = orjson.dumps(report_data(verified), option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY) + b"\n"
-    (folder / "verify.json").write_bytes(data)
-    (folder / "verify.html").write_text(_page(verified), encoding="utf-8")
+    write_files(dict(zip((folder / name for name in FILES), (data, _page(verified)), strict=True)))
 
 
 def _page(verified: VerifiedRun) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from modsim3d.arrays import Indices
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.motion.vessel_motion import PosesInWaves
+from modsim3d.outputs.placing import put_in_place
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
@@ -38,15 +39,15 @@ def write_recording(
         raise ModsimError("modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'") from None
     if not run.steps:
         raise RunDirectoryError(f"{run.folder} was interrupted before its first steps were finished")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.open("wb").close()
-    except OSError as error:
-        raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
     name = f"{run.scene.name}-{run.scene.sha256[:12]}"
     stream = rerun.RecordingStream("modsim3d", recording_id=name, send_properties=False)
     stream.set_log_time_enabled(False)  # the time of writing does not belong to the run
-    stream.save(out)
+    with put_in_place(out) as partial:
+        stream.save(partial)
+        _record(rerun, stream, run, every, progress)
+
+
+def _record(rerun: Any, stream: Any, run: StoredRun, every: int, progress: Callable[[int], None]) -> None:
     recorder = _Recorder(rerun, stream, run.scene)
     recorder.fixed()
     rows, steps = RunRows.of(run), np.arange(0, run.steps, every)

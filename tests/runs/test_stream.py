@@ -420,6 +420,15 @@ def test_bad_lines_of_a_pose_file_are_told(tmp_path, text, part):
         load_scene(scene_of(tmp_path, {"file": "poses.jsonl"}))
 
 
+@pytest.mark.parametrize("torn", [line(3, "own")[:-9], "\0" * 40, "{", ""])
+def test_half_a_line_at_the_end_of_an_interrupted_runs_poses_is_left_out(tmp_path, torn):
+    (tmp_path / "unfinished" / "scene").mkdir(parents=True)
+    (tmp_path / "unfinished" / "poses.jsonl").write_text("".join(lines(3)) + torn)
+    scene = load_scene(scene_of(tmp_path / "unfinished" / "scene", {"file": "../poses.jsonl"}))
+    assert scene.timestamps(0, 3) == ("0.0", "0.1", "0.2")
+    assert scene.steps == 3
+
+
 def test_live_poses_keep_what_came_and_refuse_what_never_came():
     def step(number):
         return f"{number}.0", Poses(np.array([[number % 2 == 0]]), np.full((1, 1, 3), number), np.full((1, 1), -number))

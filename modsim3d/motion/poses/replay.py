@@ -19,6 +19,8 @@ from modsim3d.motion.poses.base import PoseRequest, Poses, SourceKeys
 
 MAX_PROBLEMS = 20
 """Most problems that are reported of one file."""
+OF_AN_INTERRUPTED_RUN = ("unfinished", "poses.jsonl")
+"""End of the path of the poses that a live run took in; a kill or a power cut may leave half a line at its end."""
 SECONDS = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """Form of a timestamp; `float` accepts more, such as `1_0`."""
 
@@ -54,7 +56,8 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """Poses from a JSON file: timestamp → vessel ID → centre position and heading; or one such time step a line.
 
     Args:
-        path: A file that ends in `.jsonl` or `.jsonl.gz` has one step a line.
+        path: A file that ends in `.jsonl` or `.jsonl.gz` has one step a line. Of an interrupted run's own
+            `unfinished/poses.jsonl` a last line without its end is left out.
         vessels: IDs of the scene's vessels, one for each column; None if they are not known.
 
     Raises:
@@ -62,7 +65,10 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
     """
     source = f"pose file {path}"
     if path.name.removesuffix(".gz").endswith(".jsonl"):
-        return parse_poses(parse_lines(read_text(path, "pose file"), source), source, vessels)
+        text = read_text(path, "pose file")
+        if path.resolve().parts[-2:] == OF_AN_INTERRUPTED_RUN:
+            text = text[: text.rfind("\n") + 1] or text
+        return parse_poses(parse_lines(text, source), source, vessels)
     return parse_poses(load_json(path, "pose file"), source, vessels)
 
 

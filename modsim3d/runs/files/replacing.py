@@ -11,6 +11,8 @@ from typing import Any
 import orjson
 
 RUN_FILE, LOG_FILE = "run.json", "run.log"
+UNFINISHED = "unfinished"
+"""The folder inside a run directory with the files of a run that goes on."""
 SCENE_FOLDER = "scene"
 """The folder with a copy of the scene and of every file that it names."""
 POSES_FILE = "poses.jsonl"
@@ -56,9 +58,14 @@ def made_of_run(folder: Path) -> set[str]:
     for path in folder.iterdir():
         if path.is_file() and _PICTURE.fullmatch(path.name):
             made.add(path.name)
-        elif path.is_dir() and path.name in _FILMS.split("|") and path.name != SCENE_FOLDER:
+        elif path.is_dir() and path.name in _FILMS.split("|"):
             made |= {f"{path.name}/{frame.name}" for frame in path.iterdir() if _FRAME.fullmatch(frame.name)}
     return made
+
+
+def read_of_run(folder: Path) -> list[Path]:
+    """What is read of a run directory: the files of a finished run, and the folder of an interrupted one."""
+    return [folder / name for name in sorted(files_of_run(folder))] + [folder / UNFINISHED]
 
 
 def remove_files(folder: Path, names: Iterable[str]) -> None:

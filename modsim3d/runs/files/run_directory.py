@@ -25,6 +25,7 @@ from modsim3d.runs.files.replacing import (
     POSES_FILE,
     RUN_FILE,
     SCENE_FOLDER,
+    UNFINISHED,
     files_of_run,
     foreign,
     is_of_a_run,
@@ -36,10 +37,8 @@ from modsim3d.runs.files.replacing import (
 from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
 
-UNFINISHED = "unfinished"
-"""The folder inside a run directory with the files of a run that goes on."""
 SETTINGS_FILE, REPLACES_FILE = "settings.json", "replaces.json"
-"""In that folder: the settings of the run, and the paths of the files of earlier runs that it replaces."""
+"""In the folder of a run that goes on: its settings, and the paths of the files of earlier runs that it replaces."""
 
 
 @contextmanager

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import orjson
 from PIL import Image
 
+from modsim3d.outputs.placing import write_files
 from modsim3d.render.id_pass import IdRenderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import image_silhouettes, visible_regions
@@ -17,6 +19,8 @@ from modsim3d.verify.sources.findings import VesselDifference
 from modsim3d.view.pages import page
 from modsim3d.view.pictures.comparison_picture import comparison_picture
 from modsim3d.view.pictures.solids import Solids
+
+FILES = ("compare.json", "compare.html", "rectangle_rule.png")
 
 Rows = list[tuple[str, str]]
 
@@ -93,11 +97,15 @@ def _share(part: int, whole: int) -> str:
 
 def write_report(comparison: SourceComparison, scene: Scene, renderer: IdRenderer, folder: Path) -> None:
     """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "compare.json").write_bytes(orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n")
-    (folder / "compare.html").write_text(_page(comparison, scene, renderer), encoding="utf-8")
+    contents: list[bytes | str] = [orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n"]
+    contents.append(_page(comparison, scene, renderer))
     if worst := comparison.findings.rule.worst:
-        draw_case(scene, worst, renderer).save(folder / "rectangle_rule.png")
+        picture = io.BytesIO()
+        draw_case(scene, worst, renderer).save(picture, format="PNG")
+        contents.append(picture.getvalue())
+    else:
+        (folder / FILES[-1]).unlink(missing_ok=True)  # that of a comparison which is replaced
+    write_files(dict(zip((folder / name for name in FILES), contents, strict=False)))
 
 
 def _page(comparison: SourceComparison, scene: Scene, renderer: IdRenderer) -> str:

@@ -1,20 +1,21 @@
-"""Films on disk: MP4 through imageio, GIF and PNG through Pillow."""
+"""Films on disk: MP4 through ffmpeg, GIF and PNG through Pillow."""
 
 from __future__ import annotations
 
 import io
+import subprocess
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import IO
 
-import numpy as np
 from PIL import Image
 
 from modsim3d.errors import ModsimError
-from modsim3d.outputs.placing import put_in_place
+from modsim3d.outputs.placing import put_folder_in_place, put_in_place
 from modsim3d.view.films.gif import TICKS_PER_S, quantised, write_gif
 
 FORMATS = ("mp4", "gif", "png")
@@ -23,8 +24,6 @@ MOST_RATE = {"mp4": 60, "gif": 50, "png": 1_000_000}
 ENCODER_THREADS = 2
 """A fixed number, as the encoder's bytes depend on it."""
 KEY_FRAME_S = 2
-FFMPEG: Any = "FFMPEG"
-"""A plugin that imageio's type hints leave out."""
 NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif and --format png do not need it"
 
 
@@ -89,7 +88,7 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
             _write_gif(partial, frames, rate, colours)
         else:
             _write_mp4(path, partial, frames, rate)
-        if not partial.exists():
+        if not partial.exists() or not partial.stat().st_size:
             raise ModsimError(f"{path} could not be encoded: ffmpeg wrote nothing")
 
 
@@ -98,43 +97,66 @@ def _write_mp4(path: Path, partial: Path, frames: Frames, rate: Fraction) -> Non
 
     The encoder starts with the first frame. By then the workers run, which must not hold its pipe open.
     """
-    import imageio.v3 as iio
+    encoder: subprocess.Popen[bytes] | None = None
+    with TemporaryFile() as said, ExitStack() as running:
+        for frame, repeats in frames:
+            if encoder is None:
+                command = _ffmpeg_command(frame.size, rate, partial)
+                # In a group of its own, so that Ctrl-C reaches this process alone.
+                encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said, process_group=0)
+                running.callback(_end, encoder)
+            for _ in range(repeats):
+                _send(encoder, frame.data, path, partial, said)
+        if encoder is not None:
+            _end_of_film(encoder, path, partial, said)
 
-    options = [
+
+def _ffmpeg_command(size: tuple[int, int], rate: Fraction, out: Path) -> list[str]:
+    import imageio_ffmpeg
+
+    return [
+        *(imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-f", "rawvideo", "-vcodec", "rawvideo"),
+        *("-s", f"{size[0]}x{size[1]}", "-pix_fmt", "rgb24", "-r", str(rate), "-i", "-", "-an"),
+        *("-vcodec", "libx264", "-pix_fmt", "yuv420p", "-v", "warning"),
         *("-crf", "20", "-preset", "veryfast", "-threads", str(ENCODER_THREADS)),
         *("-g", str(max(1, round(KEY_FRAME_S * rate)))),
         # Without these players guess the colours' matrix by the film's size.
         *("-vf", "scale=out_color_matrix=bt709:out_range=tv"),
         *("-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv"),
         *("-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"),
+        str(out),
     ]
-    with iio.imopen(partial, "w", plugin=FFMPEG) as file:
-        writer = file.legacy_get_writer(  # `file.write(frames)` would leave ffmpeg running after an error
-            fps=rate,
-            codec="libx264",
-            pixelformat="yuv420p",
-            quality=None,
-            macro_block_size=2,  # 16 by default, and then it scales frames whose sides are not multiples of it
-            output_params=options,
-        )
-        try:
-            for frame, repeats in frames:
-                width, height = frame.size
-                pixels = np.frombuffer(frame.data, np.uint8).reshape(height, width, 3)
-                for _ in range(repeats):
-                    with _encoder_errors(path):
-                        writer.append_data(pixels)
-        finally:
-            with _encoder_errors(path):
-                writer.close()
 
 
-@contextmanager
-def _encoder_errors(path: Path) -> Iterator[None]:
+def _send(encoder: subprocess.Popen[bytes], data: bytes, path: Path, partial: Path, said: IO[bytes]) -> None:
+    assert encoder.stdin is not None
     try:
-        yield
-    except (OSError, RuntimeError) as error:
-        raise ModsimError(f"{path} could not be encoded: {str(error).strip().splitlines()[0]}") from None
+        encoder.stdin.write(data)
+    except BrokenPipeError:
+        _end_of_film(encoder, path, partial, said)
+        raise ModsimError(f"{path} could not be encoded: ffmpeg ended before the film did") from None
+
+
+def _end_of_film(encoder: subprocess.Popen[bytes], path: Path, partial: Path, said: IO[bytes]) -> None:
+    """Wait until the film is complete; what ffmpeg says is repeated only where it failed."""
+    assert encoder.stdin is not None
+    with suppress(BrokenPipeError):
+        encoder.stdin.close()
+    status = encoder.wait()
+    said.seek(0)
+    lines = said.read().decode(errors="replace").strip().splitlines()
+    if status or any("Error" in line for line in lines):
+        reason = lines[-1].replace(str(partial), str(path)) if lines else f"ffmpeg ended with exit status {status}"
+        raise ModsimError(f"{path} could not be encoded: {reason}")
+
+
+def _end(encoder: subprocess.Popen[bytes]) -> None:
+    """Leave no encoder behind, whatever went wrong."""
+    encoder.kill()
+    encoder.wait()
+    if encoder.stdin is not None:
+        with suppress(BrokenPipeError):
+            encoder.stdin.close()
 
 
 def _write_gif(path: Path, frames: Frames, rate: Fraction, colours: Image.Image) -> None:
@@ -151,8 +173,6 @@ def _write_gif(path: Path, frames: Frames, rate: Fraction, colours: Image.Image)
 
 
 def _write_pngs(folder: Path, frames: Frames) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.glob("frame_*.png"):
-        old.unlink()
-    for frame, _ in frames:
-        (folder / f"frame_{frame.step:06d}.png").write_bytes(frame.data)
+    with put_folder_in_place(folder, "frame_*.png") as partial:
+        for frame, _ in frames:
+            (partial / f"frame_{frame.step:06d}.png").write_bytes(frame.data)

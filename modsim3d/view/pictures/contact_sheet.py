@@ -6,6 +6,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw
 
+from modsim3d.outputs.placing import put_in_place
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view import palette
@@ -29,7 +30,9 @@ def draw_contact_sheet(run: StoredRun) -> Path:
     """Draw the contact sheet of a finished run into its folder: panels of frames that are worth a look."""
     path = run.folder / SHEET_FILE
     with open_id_renderer(run.scene) as id_renderer:
-        _sheet(run, pick_highlights(run.folder), id_renderer).save(path)
+        sheet = _sheet(run, pick_highlights(run.folder), id_renderer)
+    with put_in_place(path) as partial:
+        sheet.save(partial, format="PNG")
     return path
 
 

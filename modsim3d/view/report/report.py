@@ -15,6 +15,7 @@ from typing import Any
 import orjson
 
 from modsim3d.errors import RunDirectoryError
+from modsim3d.outputs.placing import write_files
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.page import heading, table
@@ -40,7 +41,8 @@ def write_report(
         progress: Called with the number of shown steps done since its last call.
 
     Raises:
-        RunDirectoryError: An interrupted run has kept nothing yet, or the file cannot be written.
+        RunDirectoryError: An interrupted run has kept nothing yet.
+        OutputError: The file cannot be written.
     """
     if not run.steps:
         raise RunDirectoryError(
@@ -49,11 +51,7 @@ def write_report(
         )
     out = run.folder / REPORT_FILE if out is None else out
     page = _page(run, every, out, progress)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise RunDirectoryError(f"{out} cannot be written: {error.strerror or error}") from error
+    write_files({out: page})
     return out
 
 
