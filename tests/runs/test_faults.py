@@ -9,13 +9,17 @@ import errno
 import os
 import resource
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
 import pytest
 
 from modsim3d.errors import ModsimError
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 
@@ -72,16 +76,31 @@ def test_a_run_goes_on_after_a_call_that_failed(name, share, scene, whole, tmp_p
     assert content(tmp_path / "run") == whole
 
 
-@pytest.mark.parametrize("size", [2, 5_000, 20_000])
-def test_a_run_goes_on_after_files_could_not_grow(size, scene, whole, tmp_path):
-    assert max(map(len, whole.values())) > 20_000
+@contextmanager
+def no_file_above(size: int) -> Iterator[None]:
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:
-        with pytest.raises(ModsimError, match="File too large"):
-            run_scene(scene, tmp_path / "run")
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("rows", [10, ROW_GROUP_ROWS + 10])
+def test_a_table_that_could_not_be_written_is_closed_without_another_error(rows, tmp_path):
+    table = pa.table({"step": np.arange(rows)})
+    writer = TableWriter(tmp_path / "table.parquet", table.schema)
+    with pytest.raises(OSError, match="File too large"), no_file_above(20):
+        writer.write(table)
+        writer.close()
+    writer.close()
+
+
+@pytest.mark.parametrize("size", [2, 5_000, 20_000])
+def test_a_run_goes_on_after_files_could_not_grow(size, scene, whole, tmp_path):
+    assert max(map(len, whole.values())) > 20_000
+    with pytest.raises(ModsimError, match="File too large"), no_file_above(size):
+        run_scene(scene, tmp_path / "run")
     run_scene(scene, tmp_path / "run", resume=True)
     assert content(tmp_path / "run") == whole
 
