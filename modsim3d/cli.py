@@ -15,6 +15,7 @@ from modsim3d.commands.learn import export_command, learn_command
 from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
+from modsim3d.commands.shared import INTERRUPTED
 from modsim3d.commands.verify import verify_command
 from modsim3d.commands.view import view_command
 from modsim3d.errors import ModsimError
@@ -99,6 +100,9 @@ def main() -> None:
     except OSError as error:
         typer.echo(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
         sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        typer.echo("modsim3d: interrupted", err=True)
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

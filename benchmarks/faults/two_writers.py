@@ -52,7 +52,7 @@ def _without(arguments: tuple[object, ...], second: tuple[str, ...]) -> list[obj
 def _while_writing(calls: tuple[Call, ...]) -> list[Call]:
     """The calls while the lock is held; all where there is none."""
     locks = [i for i, call in enumerate(calls) if LOCK in call.arguments]
-    taken = [i for i in locks if "unlink" not in calls[i].name]
+    taken = [i for i in locks if calls[i].name not in ("unlink", "close")]
     given_back = [i for i in locks if "unlink" in calls[i].name]
     first = taken[-1] + 1 if taken else 0
     last = given_back[-1] if given_back else len(calls)
