@@ -173,7 +173,7 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
     assert "persistence: none; had 0 sightings" in named.output
     (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
     command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
-            "--replicates", 30)  # fmt: skip
+            "--overwrite", "--replicates", 30)  # fmt: skip
     model = load_detector(out)
     assert [state.name for state in model.states] == ["excellent", "good", "bad"]
     assert model.transition_interval_s == 5
