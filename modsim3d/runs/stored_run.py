@@ -13,11 +13,10 @@ import pyarrow as pa
 
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.runs.blocks import Block, Frame, frames_of
-from modsim3d.runs.files.block_files import TABLES, finished_truth
+from modsim3d.runs.files.block_files import SETTINGS_FILE, TABLES, finished_truth
 from modsim3d.runs.files.columns import read_rows
 from modsim3d.runs.files.reading import read_detections, read_truth
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
-from modsim3d.runs.files.run_directory import SETTINGS_FILE
 from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene

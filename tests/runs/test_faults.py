@@ -11,6 +11,7 @@ import resource
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pyarrow as pa
 import pytest
 
 from modsim3d.errors import ModsimError
+from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
@@ -142,4 +144,31 @@ def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
         shutil.rmtree(tmp_path / "run" / "unfinished", ignore_errors=True)
     else:
         run_scene(scene, tmp_path / "run", resume=True)
+    assert content(tmp_path / "run") == whole
+
+
+def interrupted(scene, folder: Path) -> list[Path]:
+    """The blocks that a run keeps which is interrupted after its last."""
+    with pytest.raises(PowerCutError), pytest.MonkeyPatch.context() as broken:
+        broken.setattr(RunDirectory, "finish", lambda *_: raise_power_cut())
+        run_scene(scene, folder)
+    return sorted((folder / "unfinished").glob("truth_*.npz"))
+
+
+def raise_power_cut() -> None:
+    raise PowerCutError
+
+
+def test_a_kept_block_of_another_run_is_made_anew(scene, whole, tmp_path):
+    mine = interrupted(scene, tmp_path / "run")
+    for block, other in zip(mine, interrupted(replace(scene, seed=1), tmp_path / "other"), strict=True):
+        shutil.copy(other, block)
+    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == len(mine)
+    assert content(tmp_path / "run") == whole
+
+
+def test_a_kept_block_of_other_steps_is_made_anew(scene, whole, tmp_path):
+    first, second = interrupted(scene, tmp_path / "run")
+    shutil.copy(first, second)
+    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == 1
     assert content(tmp_path / "run") == whole
