@@ -35,7 +35,7 @@ def two_writers(job: Job, second: tuple[str, ...], times: int, seed: int) -> Ite
         tracer = Tracer(running, inject=call.signalled("SIGSTOP"))
         _wait_until_stopped(running)
         other = run(_without(job.arguments, second))
-        running.send(signal.SIGCONT)
+        running.send(signal.SIGCONT, group=True)
         ended = running.wait()
         tracer.calls()
         case = f"{job.name}, then {' '.join(second) or 'the same'}, at {call.name} {call.nth}"
@@ -50,7 +50,8 @@ def _without(arguments: tuple[object, ...], second: tuple[str, ...]) -> list[obj
 
 
 def _while_writing(calls: tuple[Call, ...]) -> list[Call]:
-    """The calls while the lock is held; all where there is none."""
+    """The calls of the first process while the lock is held; all where there is none."""
+    calls = tuple(call for call in calls if call.pid == calls[0].pid)
     locks = [i for i, call in enumerate(calls) if LOCK in call.arguments]
     taken = [i for i in locks if calls[i].name not in ("unlink", "close")]
     given_back = [i for i in locks if "unlink" in calls[i].name]

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pytest
 
 from modsim3d.errors import ModsimError
+from modsim3d.outputs.placing import write_files
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
 from modsim3d.runs.run import run_scene
@@ -60,7 +61,7 @@ class Counted:
 
 
 @pytest.mark.parametrize("name", ["fsync", "replace"])
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.99])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.95])
 def test_a_run_goes_on_after_a_call_that_failed(name, share, scene, whole, tmp_path, monkeypatch):
     with monkeypatch.context() as counting:
         counted = Counted(counting, name, lambda call, _: None)
@@ -172,3 +173,13 @@ def test_a_kept_block_of_other_steps_is_made_anew(scene, whole, tmp_path):
     shutil.copy(first, second)
     assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == 1
     assert content(tmp_path / "run") == whole
+
+
+def test_the_names_of_folders_that_are_made_are_on_the_disk_too(scene, tmp_path, monkeypatch):
+    synced = set()
+    with monkeypatch.context() as watched:
+        Counted(watched, "fsync", lambda _, descriptor: synced.add(os.fstat(descriptor).st_ino))
+        run_scene(scene, tmp_path / "runs" / "first")
+        write_files({tmp_path / "files" / "first" / "file": "text"})
+    for folder in ("", "runs", "runs/first", "runs/first/scene", "files", "files/first"):
+        assert (tmp_path / folder).stat().st_ino in synced

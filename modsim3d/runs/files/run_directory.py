@@ -6,7 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import IO, Any
@@ -263,7 +263,8 @@ class RunDirectory:
         (self.work / RUN_FILE).replace(self.folder / RUN_FILE)
         sync_folder(self.folder)
         shutil.rmtree(self.work)
-        sync_folder(self.folder)
+        with suppress(OSError):  # the run is there already
+            sync_folder(self.folder)
 
     def _file_names(self) -> list[str]:
         """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
