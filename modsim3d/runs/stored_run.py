@@ -12,10 +12,9 @@ import pyarrow as pa
 
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.runs.blocks import Block, Frame, frames_of
-from modsim3d.runs.files.block_files import TABLES, finished_truth
+from modsim3d.runs.files.block_files import SETTINGS_FILE, TABLES, finished_truth
 from modsim3d.runs.files.reading import detections_of, truth_of
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
-from modsim3d.runs.files.run_directory import SETTINGS_FILE
 from modsim3d.runs.files.run_file import (
     RunFile,
     Settings,
