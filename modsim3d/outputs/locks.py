@@ -26,28 +26,33 @@ def locked_folder(folder: Path) -> Iterator[None]:
         OutputError: Another process, which the message names, writes to the folder.
         OSError: The folder or the lock in it cannot be made.
     """
-    made = make_folder(folder)
-    try:
-        with _locked(folder / LOCK_FILE, folder):
-            yield
-    finally:
-        with suppress(OSError):  # not empty
-            for path in made:
-                path.rmdir()
+    with _made_for_it(folder), _locked(folder / LOCK_FILE, folder):
+        yield
 
 
 @contextmanager
 def locked_file(path: Path) -> Iterator[None]:
-    """Hold the lock of a file that is written; it lies beside the file, whose folder is made if it is not there.
+    """Hold the lock of a file that is written; it lies beside the file, whose folder is made as by `locked_folder`.
 
     Raises:
         OutputError: Another process, which the message names, writes the file.
         OSError: The folder or the lock in it cannot be made.
     """
     real = path.resolve()
-    make_folder(real.parent)
-    with _locked(real.with_name(f".{real.name}.lock"), path):
+    with _made_for_it(real.parent), _locked(real.with_name(f".{real.name}.lock"), path):
         yield
+
+
+@contextmanager
+def _made_for_it(folder: Path) -> Iterator[None]:
+    """A folder that is made if it is not there, and removed again if nothing came into it."""
+    made = make_folder(folder)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # not empty
+            for path in made:
+                path.rmdir()
 
 
 @contextmanager

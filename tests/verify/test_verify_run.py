@@ -172,7 +172,7 @@ def test_a_table_that_is_broken_is_bad_input(finished, tmp_path, monkeypatch, ca
     shutil.copytree(finished, broken)
     (broken / "detections.parquet").write_bytes(b"not a table")
     assert command(monkeypatch, "verify", broken) == 2
-    assert "is not what a run has written" in capsys.readouterr().err
+    assert "detections.parquet has 11 bytes, and had" in capsys.readouterr().err
 
 
 def test_an_interrupted_run_is_refused(tmp_path):

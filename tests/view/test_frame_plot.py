@@ -25,8 +25,9 @@ def frames():
 
 @pytest.fixture(scope="module")
 def frame(frames):
-    """With a missed vessel and a false positive."""
-    return next(f for f in frames if np.any(f.truth.annotated & ~f.truth.detected) and None in f.detections.vessels)
+    """With a missed vessel and a false positive, and few others, so that there is room for all labels."""
+    suitable = [f for f in frames if np.any(f.truth.annotated & ~f.truth.detected) and None in f.detections.vessels]
+    return min(suitable, key=lambda f: len(f.truth.vessels) + len(f.detections))
 
 
 def boxes_of(figure, colour, dashed=None):

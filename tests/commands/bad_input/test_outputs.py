@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import resource
 import subprocess
 import sys
@@ -102,8 +103,8 @@ def test_the_pages_of_a_run_are_replaced_in_its_directory(run, call: Call) -> No
     "line",
     [
         lambda run: ("report", run, "--out", run / "truth.parquet"),
-        lambda run: ("view", run, "--frame", 3, "--out", run / "scene" / "picture.png"),
-        lambda run: ("view", run, "--film", "ids", "--out", run / "scene" / "film.gif"),
+        lambda run: ("view", run, "--frame", 3, "--out", run / "listed.png"),
+        lambda run: ("view", run, "--film", "ids", "--out", run / "listed.gif"),
         lambda run: ("learn", "--run", run, "--out", run / "run.json"),
         lambda run: ("learn", "--run", run, "--out", run.parent / "d.yaml", "--page", run / "detections.parquet"),
         lambda run: ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
@@ -112,11 +113,12 @@ def test_the_pages_of_a_run_are_replaced_in_its_directory(run, call: Call) -> No
     ],
 )
 def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, line) -> None:
-    for path in (run / "scene" / "picture.png", run / "scene" / "film.gif", run.parent / "coco" / "verify.json"):
+    for path in (run / "listed.png", run / "listed.gif", run.parent / "coco" / "verify.json"):
         path.write_bytes(b"mine")
     listed = (run / "run.json").read_text()
+    entry = f'{{"bytes": 4, "sha256": "{hashlib.sha256(b"mine").hexdigest()}"}}'
     (run / "run.json").write_text(
-        listed.replace('"files": {', '"files": {"scene/picture.png": {}, "scene/film.gif": {},')
+        listed.replace('"files": {', f'"files": {{"listed.png": {entry}, "listed.gif": {entry},')
     )
     if not (run.parent / "link").exists():
         (run.parent / "link").symlink_to(run.parent / "coco")
