@@ -70,7 +70,7 @@ def killed_runs(trial: Trial) -> Iterator[Tried]:
     for scene, steps in SCENES.items():
         job = run_job(trial.target, scene, "--steps", steps).known()
         yield from kills.chains(job, trial.many(10), SEED)
-        yield from kills.killed_workers(job, trial.many(6), SEED)
+        yield from kills.killed_workers(job, trial.many(4), SEED)
         yield from kills.ended_by(signal.SIGTERM, (-signal.SIGTERM,), job, trial.many(2))
         yield from kills.ended_by(signal.SIGINT, (130,), job, trial.many(2))
 
@@ -78,11 +78,11 @@ def killed_runs(trial: Trial) -> Iterator[Tried]:
 def failing_runs(trial: Trial) -> Iterator[Tried]:
     """Every call of a small run fails in turn; of other runs, some."""
     yield from failing_calls(trial.tiny(), trial.many(1000))
-    yield from failing_calls(trial.tiny(overwrite=True), trial.many(120))
-    yield from failing_calls(trial.tiny(workers=2), trial.many(30))
+    yield from failing_calls(trial.tiny(overwrite=True), trial.many(60))
+    yield from failing_calls(trial.tiny(workers=2), trial.many(15))
     for scene in SCENES:
-        yield from failing_calls(trial.tiny(scene=scene), trial.many(20), SEED + 1)
-    yield from failing_calls(trial.tiny(), trial.many(20), SEED + 2, "EDQUOT")
+        yield from failing_calls(trial.tiny(scene=scene), trial.many(8), SEED + 1)
+    yield from failing_calls(trial.tiny(), trial.many(10), SEED + 2, "EDQUOT")
 
 
 def full_and_read_only(trial: Trial) -> Iterator[Tried]:
@@ -91,28 +91,28 @@ def full_and_read_only(trial: Trial) -> Iterator[Tried]:
     largest = max(path.stat().st_size for path in trial.target.iterdir())
     needed = 2 * sum(path.stat().st_size for path in trial.target.rglob("*") if path.is_file())
     small = trial.tiny(overwrite=True)
-    yield from limited_files(job, largest, trial.many(12), SEED)
+    yield from limited_files(job, largest, trial.many(8), SEED)
     if not may_mount():
         print(NO_MOUNT, file=sys.stderr)
         return
-    yield from full_disks(job, needed, trial.many(12))
-    yield from full_disks(small, 100_000, trial.many(12))
+    yield from full_disks(job, needed, trial.many(8))
+    yield from full_disks(small, 100_000, trial.many(8))
     yield from read_only(small)
 
 
 def power_cut_runs(trial: Trial) -> Iterator[Tried]:
     """Power cuts of runs."""
-    yield from power_cuts(trial.tiny(), trial.many(25), SEED)
-    yield from power_cuts(trial.tiny(overwrite=True), trial.many(25), SEED)
-    yield from power_cuts(trial.tiny(scene="simulation_3"), trial.many(10), SEED)
-    yield from power_cuts(run_job(trial.target, "simulation_1", *BLOCKS, workers=2).known(), trial.many(15), SEED)
+    yield from power_cuts(trial.tiny(), trial.many(20), SEED)
+    yield from power_cuts(trial.tiny(overwrite=True), trial.many(20), SEED)
+    yield from power_cuts(trial.tiny(scene="simulation_3"), trial.many(8), SEED)
+    yield from power_cuts(run_job(trial.target, "simulation_1", *BLOCKS, workers=2).known(), trial.many(6), SEED)
 
 
 def two_runs(trial: Trial) -> Iterator[Tried]:
     """Two runs into one folder."""
     for job in (trial.tiny(), trial.tiny(overwrite=True)):
         for second in ((), ("--resume",), OVERWRITE):
-            yield from two_writers(job, second, trial.many(8), SEED)
+            yield from two_writers(job, second, trial.many(5), SEED)
 
 
 def damaged_runs(trial: Trial) -> Iterator[Tried]:
@@ -121,19 +121,19 @@ def damaged_runs(trial: Trial) -> Iterator[Tried]:
     job = run_job(trial.target, "simulation_1", *BLOCKS).known()
     interrupted(run_job(trial.target, "simulation_1", *BLOCKS, "--seed", 1).known(), other)
     interrupted(job, kept)
-    yield from damaged(job, kept, other, trial.many(3), SEED)
+    yield from damaged(job, kept, other, trial.many(2), SEED)
 
 
 def other_commands(trial: Trial) -> Iterator[Tried]:
     """All faults on the commands besides `run`."""
     for job in output_jobs(trial.folder, trial.target):
         second = OVERWRITE if "--overwrite" in job.arguments else ()
-        yield from kills.killed_outputs(job, trial.many(6), SEED)
+        yield from kills.killed_outputs(job, trial.many(4), SEED)
         yield from kills.ended_by(signal.SIGTERM, (-signal.SIGTERM,), job, 1)
         yield from kills.ended_by(signal.SIGINT, (130,), job, 1)
-        yield from failing_calls(job, trial.many(25))
-        yield from two_writers(job, second, trial.many(3), SEED)
-        yield from power_cuts(job, trial.many(5), SEED)
+        yield from failing_calls(job, trial.many(15))
+        yield from two_writers(job, second, trial.many(2), SEED)
+        yield from power_cuts(job, trial.many(3), SEED)
 
 
 CLASSES: dict[str, Callable[[Trial], Iterator[Tried]]] = {
@@ -157,6 +157,8 @@ def try_class(name: str, share: float, show: bool) -> list[dict[str, Any]]:
         started = time.monotonic()
         for one in CLASSES[name](trial):
             tried.append(one)
+            if len(tried) % 50 == 0:
+                print(f"{name}: {len(tried)}", file=sys.stderr, flush=True)
             if show or one.outcome.value == "failure":
                 said = re.sub(r"\s+", " ", one.said)[-200:]
                 print(f"{one.fault}: {one.case}: {one.outcome.value}: {said}", file=sys.stderr, flush=True)

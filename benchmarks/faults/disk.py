@@ -56,6 +56,7 @@ class Disk:
     def __init__(self, root: Path) -> None:
         """Take what the folder `root` holds as it is now; all of it is on the disk."""
         self.root = root
+        self._name = "".join(f"\\x{byte:02x}" for byte in str(root).encode())
         self.top = _load(root) if root.is_dir() else Folder()
         self.pending: list[tuple[Change, ...]] = []
         self._made = root.is_dir()
@@ -79,7 +80,7 @@ class Disk:
     def replay(self, call: Call) -> None:
         """Do what a call did."""
         handler = HANDLERS.get(call.name)
-        if handler is not None and call.result >= 0:
+        if handler is not None and call.result >= 0 and self._name in call.arguments:
             handler(self, call, split(call.arguments))
 
     # What the calls do.

@@ -135,8 +135,12 @@ def after(job: Job, fault: str, case: str, ended: Ended | None = None) -> Tried:
     if wrong := whole(job):
         return failed(wrong)
     if ended is not None and ended.status == 0:
-        wrong = differences(tree(job.folder), job.expected)
-        return failed(f"success, but {wrong}") if wrong else Tried(fault, case, Outcome.NO_MATTER)
+        found = tree(job.folder)
+        wrong = differences({name: sha for name, sha in found.items() if not name.startswith(".")}, job.expected)
+        if wrong or found == job.expected:
+            return failed(f"success, but {wrong}") if wrong else Tried(fault, case, Outcome.NO_MATTER)
+        again = _go_on(job, fault, case, ended)  # it must remove what could not be removed
+        return again if again.outcome is Outcome.FAILED else replace(again, outcome=Outcome.NO_MATTER)
     return _go_on(job, fault, case, ended)
 
 

@@ -29,7 +29,7 @@ LONGEST = 300
 def rows_of(tried: Sequence[Tried], folder: str) -> list[dict[str, Any]]:
     """A row for each kind of fault, with what failed and which failing calls did not matter."""
     rows = []
-    for fault in dict.fromkeys(one.fault for one in tried):
+    for fault in sorted({one.fault for one in tried}, key=str.casefold):
         ours = [one for one in tried if one.fault == fault]
         counts = Counter(one.outcome for one in ours)
         failures = [f"{one.case}: {_short(one.said)}" for one in ours if one.outcome is Outcome.FAILED]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 
 from benchmarks.faults.commands import Ended, Running, run, start
 from benchmarks.faults.jobs import Job, Outcome, Tried
@@ -35,8 +37,7 @@ def two_writers(job: Job, second: tuple[str, ...], times: int, seed: int) -> Ite
         tracer = Tracer(running, inject=call.signalled("SIGSTOP"))
         _wait_until_stopped(running)
         other = run(_without(job.arguments, second))
-        running.send(signal.SIGCONT, group=True)
-        ended = running.wait()
+        ended = _continued(running)
         tracer.calls()
         case = f"{job.name}, then {' '.join(second) or 'the same'}, at {call.name} {call.nth}"
         wrong = _wrong(job, running.pid, ended, other)
@@ -65,6 +66,17 @@ def _wait_until_stopped(running: Running, patience_s: float = 60) -> None:
     while looks < STOPPED_FOR and time.monotonic() < deadline and not running.ended():
         looks = looks + 1 if running.stopped() else 0
         time.sleep(0.002)
+
+
+def _continued(running: Running, patience_s: float = 120) -> Ended:
+    """Let a process go on to its end; one that it starts may be stopped by the same call."""
+    deadline = time.monotonic() + patience_s
+    while not running.ended() and time.monotonic() < deadline:
+        for pid in (running.pid, *running.children()):
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+        time.sleep(0.02)
+    return running.wait()
 
 
 def _wrong(job: Job, pid: int, first: Ended, second: Ended) -> str:

@@ -44,6 +44,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     """As `put_in_place`, with errors of the system as they are."""
     final, partial = Path(os.path.realpath(path)), partial_of(path)
     try:
+        partial.unlink(missing_ok=True)  # an encoder that outlives a killed command may write to it still
         partial.open("wb").close()  # an error comes before the work
         yield partial
         place(partial, final)
@@ -89,6 +90,8 @@ def put_folder_in_place(folder: Path, pattern: str) -> Iterator[Path]:
             before.replace(final)
         shutil.rmtree(before, ignore_errors=True)
         shutil.rmtree(partial, ignore_errors=True)
+        with suppress(OSError):  # the folder is there already
+            sync_folder(final.parent)
 
 
 def partial_of(path: Path) -> Path:
