@@ -41,7 +41,7 @@ from benchmarks.mutations import Mutant, mutants_of, mutated
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"
-ROOMS = {"geometry": 1.0, "truth": 0.4, "detector": 0.35}
+ROOMS = {"geometry": 1.0, "truth": 0.4, "detector": 0.25}
 """Share of the mutants of each file of these rooms that is tried."""
 TESTS = {
     "geometry": ("geometry", "truth", "motion", "scene"),
