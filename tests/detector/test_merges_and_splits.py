@@ -9,6 +9,7 @@ import pytest
 
 from modsim3d.boxes import sizes, unions
 from modsim3d.detector import KINDS, TRUE, Detections, Targets, parse_detector
+from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, SPLIT
 from tests.detector.detector_builders import (
     centred,
@@ -161,3 +162,21 @@ def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
     assert [set(targets.vessel[found.gated & (targets.frame == f)]) for f in range(50)] == [
         {2} if f in merged else {0, 1} for f in range(50)
     ]
+
+
+def test_vessels_that_do_not_overlap_are_not_merged_however_little_is_asked() -> None:
+    apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
+    assert not np.any(detect(apart, {"merges": 1.0, "merge_overlap": 1e-6})[1].kind == MERGED)
+    sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
+    assert np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.00499})[1].kind == MERGED)
+    assert not np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.0051})[1].kind == MERGED)
+
+
+def test_of_two_merged_boxes_as_large_as_each_other_the_first_counts_as_the_larger() -> None:
+    targets, found = detect([PAIR[0], PAIR[0]], {"merges": 1.0}, false_discovery_rate=0)
+    assert np.all(targets.vessel[found.target] == 0)
+
+
+def test_box_may_be_split_from_the_aspect_given_on() -> None:
+    long = MergesAndSplits(split_aspect=4.0).looks_long(np.array([[0.0, 0, 40, 10], [0, 0, 39, 10], [0, 0, 41, 10]]))
+    assert long.tolist() == [True, False, True]
