@@ -27,12 +27,14 @@ class Reach:
     """Which tests reach which lines.
 
     Attributes:
-        cost_s: Processor time of each test, with the fixtures that it shares with others.
+        cost_s: Processor time of each test, without the fixtures that it shares with others.
         tests: Tests by file and line.
+        shared_s: Processor time of these fixtures, by test and name.
     """
 
     cost_s: dict[str, float]
     tests: dict[str, dict[int, set[str]]]
+    shared_s: dict[str, dict[str, float]]
 
     def of_lines(self, path: str, lines: tuple[int, int]) -> set[str]:
         """The tests that reach one of these lines, the first and the last included."""
@@ -45,13 +47,19 @@ class Reach:
 
     def quickest(self, tests: set[str], budget_s: float) -> list[str]:
         """The quickest tests, at least one if there are any, that take no longer together than the budget."""
-        chosen, spent = [], 0.0
+        chosen, spent, paid = [], 0.0, set[str]()
         for name in sorted(tests, key=lambda name: (self.cost_s[name], name)):
-            spent += self.cost_s[name]
+            shared = self.shared_s.get(name, {})
+            spent += self.cost_s[name] + sum(cost for fixture, cost in shared.items() if fixture not in paid)
+            paid |= set(shared)
             if chosen and spent > budget_s:
                 break
             chosen.append(name)
         return chosen
+
+    def alone_s(self, name: str) -> float:
+        """Processor time of a test with all its fixtures."""
+        return self.cost_s[name] + sum(self.shared_s.get(name, {}).values())
 
     @classmethod
     def joined(cls, parts: Sequence[Reach]) -> Reach:
@@ -62,12 +70,14 @@ class Reach:
             for file, lines in part.tests.items():
                 for line, names in lines.items():
                     tests[file][line] |= names
-        return cls(cost, tests)
+        return cls(cost, tests, {name: shared for part in parts for name, shared in part.shared_s.items()})
 
     def save(self, path: Path) -> None:
         """Write it as JSON."""
         tests = {file: {line: sorted(names) for line, names in lines.items()} for file, lines in self.tests.items()}
-        path.write_text(json.dumps({"cost_s": self.cost_s, "tests": tests}), encoding="utf-8")
+        path.write_text(
+            json.dumps({"cost_s": self.cost_s, "tests": tests, "shared_s": self.shared_s}), encoding="utf-8"
+        )
 
     @classmethod
     def load(cls, path: Path) -> Reach:
@@ -76,7 +86,7 @@ class Reach:
         tests = {
             file: {int(line): set(names) for line, names in lines.items()} for file, lines in data["tests"].items()
         }
-        return cls(data["cost_s"], tests)
+        return cls(data["cost_s"], tests, data["shared_s"])
 
 
 class _TooSlowError(BaseException):
@@ -161,8 +171,8 @@ class _Mapper:
             }
             for file in data.measured_files()
         }
-        cost = {test: self.spent[test] + sum(self.spent[f] for f in used) for test, used in kept.items()}
-        return Reach(cost, tests)
+        shared = {test: {name: self.spent[name] for name in used} for test, used in kept.items()}
+        return Reach({test: self.spent[test] for test in kept}, tests, shared)
 
 
 def map_tests(root: Path, sources: Sequence[str], tests: Sequence[str], out: Path) -> None:
