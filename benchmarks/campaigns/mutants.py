@@ -60,9 +60,9 @@ def sampled(path: str, share: float | None) -> tuple[int, list[Mutant]]:
 
 
 def trial_of(path: str, mutant: Mutant, reach: Reach, budget_s: float) -> Trial:
-    tests = reach.of_lines(path, mutant.lines) if mutant.function else reach.of_file(path)
-    if not tests and not mutant.function:  # a file of definitions only
-        tests = {name for name in reach.cost_s if name.split("/")[1] == path.split("/")[1]}
+    tests = reach.of_lines(path, mutant.lines)
+    if not mutant.function:  # constants and defaults, which no test is seen to reach
+        tests = reach.of_file(path) | {name for name in reach.cost_s if name.split("/")[1] == path.split("/")[1]}
     chosen = {name: reach.alone_s(name) for name in reach.quickest(tests, budget_s)}
     tree = functools.partial(mutated, (ROOT / path).read_text(encoding="utf-8"), mutant.index)
     return Trial(key(path, mutant.index), path, mutant.function, tree, chosen)
