@@ -156,9 +156,9 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
         f"meets the tests that reach its line, the quickest first, for up to {BUDGET_S:.0f} s; tests of more than "
         f"{SLOW_S:.0f} s, and those of other rooms, are left out, and can only kill more.",
         "",
-        "Killed later are those that survived until a test was written for them. A survivor is harmless if it changes "
-        "no result that a user can see: it is equivalent, within a tolerance, or changes the text of a message or the "
-        "speed only. The others are open.",
+        "Killed later are those that survived the first run, but not one with more tests. A survivor is harmless "
+        "if it changes no result that a user can see: it is equivalent, within a tolerance, or changes the text of a "
+        "message or the speed only. The others are open.",
         "",
         "| File | Mutants | Tried | Killed | of these later | Timed out | Survived | Harmless | Open |",
         "|---|---|---|---|---|---|---|---|---|",
