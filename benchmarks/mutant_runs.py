@@ -1,4 +1,4 @@
-"""Runs tests against mutants: which tests reach which lines, and whether the quickest of them notice a change.
+"""Runs tests against mutants: does the quickest of those that reach a changed line notice the change?
 
 Each mutant gets a process of its own, forked from one that has imported everything, so that imports are paid once. A
 mutant of a function gets that function's changed code; one of a module's or a class's body imports the changed module
@@ -13,259 +13,21 @@ import gc
 import importlib
 import importlib.abc
 import importlib.util
-import json
-import math
 import os
-import resource
-import select
 import signal
 import sys
-import traceback
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
-import coverage
 import pytest
 from hypothesis import Phase, settings
 
-SURVIVED, KILLED, TIMED_OUT = "survived", "killed", "timed out"
-LIBRARIES = ("hypothesis.extra.numpy", "pyarrow.parquet", "pydantic", "scipy.optimize", "scipy.spatial", "scipy.stats")
-LIBRARIES += ("shapely", "trimesh", "yaml")
-SLOW_S = 4.0
-MOST_BYTES = 8 << 30
-WALL_S = 300.0
-"""Only for a process that waits for ever: what counts against a mutant is its processor time."""
-QUIET = ("-q", "--assert=plain", "-s", "--tb=no", "--no-header", "--no-summary", "-p", "no:cacheprovider")
-
-
-@dataclass(frozen=True)
-class Reach:
-    """Which tests reach which lines.
-
-    Attributes:
-        cost_s: Processor time of each test, with the fixtures that it shares with others.
-        tests: Tests by file and line.
-    """
-
-    cost_s: dict[str, float]
-    tests: dict[str, dict[int, set[str]]]
-
-    def of_lines(self, path: str, lines: tuple[int, int]) -> set[str]:
-        """The tests that reach one of these lines, the first and the last included."""
-        here = self.tests.get(path, {})
-        return set().union(*(here.get(line, set()) for line in range(lines[0], lines[1] + 1)))
-
-    def of_file(self, path: str) -> set[str]:
-        """The tests that reach any line of a function in a file."""
-        return set().union(*self.tests.get(path, {}).values())
-
-    def quickest(self, tests: set[str], budget_s: float) -> list[str]:
-        """The quickest tests, at least one if there are any, that take no longer together than the budget."""
-        chosen, spent = [], 0.0
-        for name in sorted(tests, key=lambda name: (self.cost_s[name], name)):
-            spent += self.cost_s[name]
-            if chosen and spent > budget_s:
-                break
-            chosen.append(name)
-        return chosen
-
-    @classmethod
-    def joined(cls, parts: Sequence[Reach]) -> Reach:
-        """What several sets of tests reach, as one."""
-        cost = {name: spent for part in parts for name, spent in part.cost_s.items()}
-        tests: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
-        for part in parts:
-            for file, lines in part.tests.items():
-                for line, names in lines.items():
-                    tests[file][line] |= names
-        return cls(cost, tests)
-
-    def save(self, path: Path) -> None:
-        """Write it as JSON."""
-        tests = {file: {line: sorted(names) for line, names in lines.items()} for file, lines in self.tests.items()}
-        path.write_text(json.dumps({"cost_s": self.cost_s, "tests": tests}), encoding="utf-8")
-
-    @classmethod
-    def load(cls, path: Path) -> Reach:
-        """Read what `save` wrote."""
-        data = json.loads(path.read_text(encoding="utf-8"))
-        tests = {
-            file: {int(line): set(names) for line, names in lines.items()} for file, lines in data["tests"].items()
-        }
-        return cls(data["cost_s"], tests)
-
-
-def preload() -> None:
-    """Import what forked processes need, without threads, but nothing of the package, of which a module may change."""
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ[f"{library}_NUM_THREADS"] = "1"
-    for name in LIBRARIES:
-        importlib.import_module(name)
-
-
-# ---- processes ---------------------------------------------------------------------------------
-
-
-def in_a_process(work: Callable[[], bool], cpu_s: float | None = None) -> str:
-    """Do some work in a forked process and say how it ended: its result is whether it survived."""
-    pid = os.fork()
-    if pid == 0:
-        _child(work, cpu_s)
-    watch = os.pidfd_open(pid)
-    ended = select.select([watch], [], [], None if cpu_s is None else WALL_S)[0]
-    os.close(watch)
-    with suppress(ProcessLookupError):
-        os.killpg(pid, signal.SIGKILL)  # it, if it waits for ever, and the workers that it may have left
-    _, status = os.waitpid(pid, 0)
-    if not ended or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
-        return TIMED_OUT
-    return SURVIVED if status == 0 else KILLED
-
-
-def _child(work: Callable[[], bool], cpu_s: float | None) -> None:
-    os.setsid()
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)
-    if cpu_s is not None:
-        os.dup2(nothing, 2)
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(cpu_s), math.ceil(cpu_s) + 5))
-        resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
-    code = 1
-    try:
-        code = int(not work())
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        sys.stderr.flush()
-        os._exit(code)
-
-
-# ---- which tests reach which lines -------------------------------------------------------------
-
-
-class _TooSlowError(BaseException):
-    """A test takes too long; no `except Exception` of its own may catch this."""
-
-
-def _interrupt(*_: object) -> None:
-    raise _TooSlowError
-
-
-class _Mapper:
-    """A plug-in of pytest that notes which lines each test reaches.
-
-    Lines that a shared fixture reaches count for every test that uses the fixture. A test that takes longer than
-    `SLOW_S` is interrupted and left out.
-    """
-
-    def __init__(self, sources: Sequence[str]) -> None:
-        self.measured = coverage.Coverage(data_file=None, include=list(sources), config_file=False)
-        self.now = ""
-        self.spent: dict[str, float] = defaultdict(float)
-        self.shared_by: dict[str, set[str]] = {}
-        self.fixture: dict[Any, str] = {}
-        self.failed: list[str] = []
-        self.slow: set[str] = set()
-        self.since = 0.0
-
-    def _switch(self, context: str) -> str:
-        before, self.now = self.now, context
-        now = sum(os.times()[:4])  # with the processes that a test starts
-        self.spent[before] += now - self.since
-        self.since = now
-        self.measured.switch_context(context)
-        return before
-
-    def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        caches = caches_of_all()
-        signal.signal(signal.SIGVTALRM, _interrupt)
-        self.measured.start()
-        for item, following in zip(session.items, [*session.items[1:], None], strict=True):
-            clear(caches)
-            self._switch(item.nodeid)
-            signal.setitimer(signal.ITIMER_VIRTUAL, SLOW_S)
-            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-            defined = item._fixtureinfo.name2fixturedefs.values()
-            self.shared_by[item.nodeid] = {self.fixture[each[-1]] for each in defined if each[-1] in self.fixture}
-        self._switch("")
-        self.measured.stop()
-        return True
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
-        if fixturedef.scope == "function":
-            return (yield)
-        name = f"fixture {fixturedef.baseid} {fixturedef.argname} {request.param_index}"
-        self.fixture[fixturedef] = name
-        before = self._switch(name)
-        try:
-            return (yield)
-        finally:
-            self._switch(before)
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> None:
-        if call.excinfo is not None and isinstance(call.excinfo.value, _TooSlowError):
-            self.slow.add(item.nodeid)
-        elif call.excinfo is not None:
-            self.failed.append(item.nodeid)
-
-    def reach(self, root: Path) -> Reach:
-        users: dict[str, set[str]] = defaultdict(set)
-        kept = {test: fixtures for test, fixtures in self.shared_by.items() if test not in self.slow}
-        for test, fixtures in kept.items():
-            for context in (test, *fixtures):
-                users[context].add(test)
-        data = self.measured.get_data()
-        tests = {
-            str(Path(file).relative_to(root)): {
-                line: set().union(*(users[context] for context in contexts if context))
-                for line, contexts in data.contexts_by_lineno(file).items()
-            }
-            for file in data.measured_files()
-        }
-        cost = {test: self.spent[test] + sum(self.spent[f] for f in used) for test, used in kept.items()}
-        return Reach(cost, tests)
-
-
-def map_tests(root: Path, sources: Sequence[str], tests: Sequence[str], out: Path) -> None:
-    """Run tests once and write to a file which lines of some sources each reaches.
-
-    Raises:
-        RuntimeError: A test fails, without any mutant.
-    """
-
-    def _work() -> bool:
-        mapper = _Mapper([str(root / source) for source in sources])
-        pytest.main([*QUIET, *tests], plugins=[mapper])
-        if not mapper.failed:
-            mapper.reach(root).save(out)
-        print(*mapper.failed, *(f"too slow: {name}" for name in sorted(mapper.slow)), sep="\n", file=sys.stderr)
-        return not mapper.failed
-
-    if in_a_process(_work) != SURVIVED:
-        raise RuntimeError("tests fail before anything is changed")
-
-
-def caches_of_all() -> list[functools._lru_cache_wrapper[Any]]:
-    """The cached functions of the package and of the tests."""
-    found = [each for each in gc.get_objects() if isinstance(each, functools._lru_cache_wrapper)]
-    return [each for each in found if each.__module__.startswith(("modsim3d", "tests"))]
-
-
-def clear(caches: Sequence[functools._lru_cache_wrapper[Any]]) -> None:
-    """Forget what cached functions have computed."""
-    for each in caches:
-        each.cache_clear()
-
-
-# ---- mutants -----------------------------------------------------------------------------------
+from benchmarks.mutant_reach import QUIET
+from benchmarks.processes_of_mutants import SURVIVED, caches_of_all, clear, in_a_process
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,32 @@ def test_curves_that_no_detector_can_have_are_found() -> None:
     assert all(PrecisionRecall.through(points).falls() is None for points in CURVES.values())
 
 
+@pytest.mark.parametrize("threshold", [0.0, 0.2, 0.6])
+@pytest.mark.parametrize("name", CURVES)
+def test_scores_make_the_curve_at_every_confidence(name: str, threshold: float) -> None:
+    curve = PrecisionRecall.through(CURVES[name])
+    true, false = curve.scores(threshold)
+    share, last = np.linspace(0.01, 0.99, 50), curve.recall[-1]
+    np.testing.assert_allclose(true.at(share), threshold + (1 - threshold) * share, atol=1e-9)
+    confidence = false.at(share)
+    recall = last * (1 - confidence) / (1 - threshold)  # of true detections above that confidence
+    found = curve.false_per_target(recall) / curve.false_per_target(np.array([last]))
+    np.testing.assert_allclose(found, 1 - share, atol=0.01)  # the steep curve rises within a dozen points of the grid
+
+
+def test_detector_without_false_detections_has_one_distribution_of_scores() -> None:
+    true, false = PrecisionRecall.through([[0.3, 1.0], [0.9, 1.0]]).scores(0.25)
+    for scores in (true, false):
+        np.testing.assert_allclose(scores.at(np.array([0.0, 0.4, 0.8])), [0.25, 0.55, 0.85])
+
+
+def test_recalls_between_which_a_curve_falls_ascend() -> None:
+    curve = PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]])
+    low, high = curve.falls() or (0.0, 0.0)
+    assert 0.4 - 1e-3 < low < high <= 0.5
+    assert curve.false_per_target(np.array([low])) > curve.false_per_target(np.array([high]))
+
+
 def test_quantiles_at_the_ends_are_reached() -> None:
     scores = QuantileScores(np.array([0.2, 0.5, 1.0])).at(np.array([0.0, 0.5, 1 - 2.0**-53]))
     np.testing.assert_allclose(scores, [0.2, 0.5, 1.0])

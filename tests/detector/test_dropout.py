@@ -19,6 +19,7 @@ from modsim3d.detector import (
     take_census,
 )
 from modsim3d.detector.classification import ConfusionClassifier
+from modsim3d.detector.gates import Gates
 from tests.detector.detector_builders import (
     all_bytes,
     clock,
@@ -169,6 +170,25 @@ def test_gates_keep_out_what_is_far_small_or_hidden() -> None:
     assert 0.3 < out.mean() < 0.9
     assert np.array_equal(found.gated, out)
     assert not out[found.target[found.kind == TRUE]].any()
+
+
+@pytest.mark.parametrize(
+    ("limit", "passes"),
+    [({"min_box_px": 20.0}, [1, 1, 0]), ({"max_range_m": 100.0}, [1, 1, 0]), ({"max_occlusion": 0.25}, [1, 1, 0])],
+)
+def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too(
+    limit: dict[str, float], passes: list[int]
+) -> None:
+    sides = [20.5, 20.0, 19.5]
+    targets = make_targets([[[0, 0, 50, side] for side in sides]])
+    targets.depth_m[:] = [99.0, 100.0, 100.5]
+    targets.visible_fraction[:] = [np.nan, 0.75, 0.7]
+    assert Gates(**limit).passed(make_frames(1), targets).tolist() == [bool(each) for each in passes]
+
+
+def test_census_is_needed_by_anchored_misses() -> None:
+    assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_census
+    assert not parse_detector(model_data(dropout=LOGISTIC)).needs_census
 
 
 def test_gates_change_nothing_in_what_passes() -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from modsim3d.boxes import sizes, unions
 from modsim3d.detector import KINDS, TRUE, Detections, Targets, parse_detector
-from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
+from modsim3d.detector.merges_and_splits import MergesAndSplits
+from modsim3d.detector.records import DUPLICATE, FALSE_POSITIVE, FRAGMENT, MERGED, SPLIT
 from tests.detector.detector_builders import (
     centred,
     make_frames,
@@ -130,3 +131,52 @@ def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> No
     assert set(found.kind) == set(range(len(KINDS)))
     assert np.array_equal(found.confidence == 0.4, found.false())
     assert np.array_equal(found.confidence == 0.8, ~found.false())
+
+
+def test_merged_box_is_neither_split_nor_doubled_whichever_row_its_smaller_vessel_has() -> None:
+    keys = {"merges": 1.0, "splits": 0.5, "duplicates": 0.4}
+    for seed in range(20):
+        data = one_state_data(confusion=ALL_SEEN, box_error=no_error(), false_discovery_rate=0.5)
+        data["false_positives"] = {"model": "calibrated"} | keys
+        found = run(parse_detector(data), make_frames(1), make_targets([PAIR]), seed)
+        assert set(found.kind) <= {MERGED, FALSE_POSITIVE}
+        assert found.partner[found.kind == MERGED].tolist() == [0]
+
+
+def test_first_draws_of_parts_and_false_positives_do_not_count_as_resampled() -> None:
+    wide = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([1.0, 1.0, 150.0**2, 1.0]).tolist()}
+    _, found = detect([LONG], {"splits": 0.5}, box_error=wide, false_discovery_rate=0.4)
+    assert found.redrawn[np.isin(found.kind, (TRUE, SPLIT))].any()
+    assert (found.kind == FRAGMENT).any()
+    assert not found.redrawn[~np.isin(found.kind, (TRUE, SPLIT))].any()
+
+
+def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
+    data = one_state_data(confusion=ALL_SEEN, box_error=no_error(), false_discovery_rate=0)
+    data |= {"false_positives": {"model": "calibrated", "merges": 1.0}, "gates": {"max_detections": 1}}
+    targets = make_targets(np.tile(np.array([*PAIR, SQUARE]), (50, 1, 1)))
+    found = run(parse_detector(data), make_frames(50), targets)
+    assert len(found) == 50
+    merged = set(found.frame[found.kind == MERGED].tolist())
+    assert 0 < len(merged) < 50
+    assert [set(targets.vessel[found.gated & (targets.frame == f)]) for f in range(50)] == [
+        {2} if f in merged else {0, 1} for f in range(50)
+    ]
+
+
+def test_vessels_that_do_not_overlap_are_not_merged_however_little_is_asked() -> None:
+    apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
+    assert not np.any(detect(apart, {"merges": 1.0, "merge_overlap": 1e-6})[1].kind == MERGED)
+    sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
+    assert np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.00499})[1].kind == MERGED)
+    assert not np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.0051})[1].kind == MERGED)
+
+
+def test_of_two_merged_boxes_as_large_as_each_other_the_first_counts_as_the_larger() -> None:
+    targets, found = detect([PAIR[0], PAIR[0]], {"merges": 1.0}, false_discovery_rate=0)
+    assert np.all(targets.vessel[found.target] == 0)
+
+
+def test_box_may_be_split_from_the_aspect_given_on() -> None:
+    long = MergesAndSplits(split_aspect=4.0).looks_long(np.array([[0.0, 0, 40, 10], [0, 0, 39, 10], [0, 0, 41, 10]]))
+    assert long.tolist() == [True, False, True]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from modsim3d import detector
 from modsim3d.arrays import Array
 from modsim3d.detector import Detector, TargetCensus, parse_detector
 from modsim3d.detector.clutter_models import CLUTTER_MODELS, ClutterRates, FrameCounts, PerImage
@@ -96,3 +98,12 @@ def test_parts_of_a_state_without_checks_are_listed_state_by_state(part: Part, m
     found = unchecked(model)
     assert [parameter.state for parameter in found] == [state.name for state in model.states]
     assert {parameter.group for parameter in found} == {part}
+
+
+def test_names_that_the_room_offers_exist() -> None:
+    assert [name for name in detector.__all__ if not hasattr(detector, name)] == []
+
+
+def test_kinds_of_detections_are_those_of_the_page() -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
+    assert [kind for kind in detector.KINDS if f"`{kind}`" not in text] == []

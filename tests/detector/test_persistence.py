@@ -14,6 +14,7 @@ from tests.detector.detector_builders import (
     MEAN_PX,
     all_bytes,
     centred,
+    chunk,
     clock,
     detect_in_chunks,
     detector_data,
@@ -185,3 +186,15 @@ def test_chunk_borders_change_nothing_in_what_persists(borders: list[int]) -> No
 def test_a_detector_cannot_be_made_without_a_clock() -> None:
     with pytest.raises(TypeError, match="clock"):
         Detector(parse_detector(detector_data()), 1, TargetCensus())  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("first", [1, 2, 40])
+def test_detector_that_begins_at_a_later_step_detects_what_one_from_the_start_does(first: int) -> None:
+    data = one_state_data(false_discovery_rate=0) | {"persistence": {"class_s": TAU_S, "box_s": TAU_S}}
+    frames, targets = make_frames(45), make_targets(same_boxes(45, 3, centred(600, 600)))
+    whole = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(frames, targets)
+    part, part_targets, _ = chunk(frames, targets, first, 45)
+    later = Detector(parse_detector(data), 1, TargetCensus(), clock()).detect(part, part_targets)
+    rows = whole.frame >= first
+    np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[rows])
+    np.testing.assert_array_equal(later.label, whole.label[rows])

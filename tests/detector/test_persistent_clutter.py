@@ -59,6 +59,25 @@ def test_numbers_follow_a_rate_that_changes_from_frame_to_frame() -> None:
         assert abs(ours.mean() - rate) < 4 * np.sqrt(rate / len(ours) * 2 * 2.0 / 0.2)
 
 
+def test_places_sizes_and_directions_do_not_depend_on_the_rate_or_on_each_other() -> None:
+    seen = watch(0.3, 0.5)
+    _, births = np.unique(seen.uniforms[:, 0], return_index=True)
+    numbers = np.column_stack([seen.uniforms[births], (seen.sign[births] + 1) / 2])
+    for column in numbers[:, :5].T:
+        assert stats.kstest(column, "uniform").pvalue > 1e-4
+    correlations = np.corrcoef(numbers.T)[np.triu_indices(6, 1)]
+    assert np.abs(correlations).max() < 4.5 / np.sqrt(len(births))
+    assert abs(numbers[:, 5].mean() - 0.5) < 4 * 0.5 / np.sqrt(len(births))
+
+
+def test_nothing_is_seen_at_a_rate_of_zero() -> None:
+    seen = watch(0.0, 2.0, frames=10)
+    assert seen.uniforms.shape == (0, 5)
+    assert len(seen.frame) == len(seen.age_s) == len(seen.sign) == 0
+    rates = np.where(np.arange(400) < 200, 0.0, 2.5)
+    assert watch(rates, 2.0, frames=400).frame.min() >= 200
+
+
 def test_lifetimes_are_exponential() -> None:
     found = watch(1.0, 2.0)
     _, one = np.unique(found.uniforms[:, 0], return_inverse=True)

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from scipy import stats
 
 from modsim3d.boxes import sizes
 from modsim3d.detector import FALSE_POSITIVE, Detections, Detector, parse_detector, take_census
-from modsim3d.detector.placement import PLACE_STEP_PX, Placement
+from modsim3d.detector.placement import PLACE_STEP_PX, Placement, _inverse, _slice, sea_polygons
 from modsim3d.errors import ModsimError
 from tests.detector.detector_builders import (
     IMAGE_PX,
@@ -154,3 +155,72 @@ def test_sizes_come_from_all_of_the_scenes_boxes_where_a_frame_may_have_none() -
 def test_a_scene_without_vessels_must_say_how_large_false_alarms_are() -> None:
     with pytest.raises(ModsimError, match="give false_positives a size"):
         detect({"model": "per_image", "rate": 2}, vessels=0)
+
+
+HORIZONS = [(0.0, 1.0, -500.0), (0.6, 0.8, -900.0), (-1.0, 0.0, 40.0), (0.0, -1.0, 300.0), (0.0, 1.0, -5000.0)]
+"""Sea below row 500; below a slope; left of column 40; above row 300; nowhere."""
+
+
+def random_uniforms(count: int) -> np.ndarray:
+    return np.random.default_rng(8).random((count, 3))
+
+
+@pytest.mark.parametrize(
+    "placement",
+    [Placement(), Placement(band_px=100.0), Placement(far_half_px=60.0), Placement(band_px=80.0, far_half_px=30.0)],
+)
+@pytest.mark.parametrize("drift", [None, 300.0])
+def test_many_places_at_once_are_those_of_each(placement: Placement, drift: float | None) -> None:
+    planes, uniforms = np.tile(HORIZONS, (4, 1)), random_uniforms(20)
+    moved = None if drift is None else np.full(20, drift)
+    together = placement.places(planes, (800, 600), uniforms, moved)
+    for row in range(20):
+        one = slice(row, row + 1)
+        alone = placement.places(planes[one], (800, 600), uniforms[one], None if moved is None else moved[one])
+        np.testing.assert_array_equal(together[one], alone)
+
+
+def test_place_below_a_level_horizon_is_its_uniform_numbers_share_of_the_width_and_of_the_density() -> None:
+    uniforms = np.stack(np.meshgrid(np.linspace(0, 0.999, 12), np.linspace(0, 0.999, 9), [0.3]), axis=-1).reshape(-1, 3)
+    planes = np.tile(HORIZONS[0], (len(uniforms), 1))
+    x, y = Placement(band_px=80.0).places(planes, (800, 600), uniforms).T
+    np.testing.assert_allclose(x, 800 * uniforms[:, 1], atol=PLACE_STEP_PX)
+    np.testing.assert_allclose(y, 500 + 80 * uniforms[:, 0], atol=2 * PLACE_STEP_PX)
+    _, y = Placement(far_half_px=20.0).places(planes, (800, 600), uniforms).T
+    # The share of a density 2^(−d / 20) above depth d, of 100 in all, solved for d.
+    np.testing.assert_allclose(y, 500 - 20 * np.log2(1 - uniforms[:, 0] * (1 - 2.0**-5)), atol=0.02)
+    moved = Placement(band_px=80.0).places(planes, (800, 600), uniforms, np.full(len(uniforms), 50.0))
+    free = uniforms[:, 1] * 800 < 740
+    np.testing.assert_allclose(moved[free, 0], 50 + 800 * uniforms[free, 1], atol=PLACE_STEP_PX)
+    turned = 2 * 800 - 50 - 800 * uniforms[:, 1]
+    np.testing.assert_allclose(
+        moved[~free, 0], np.minimum(turned, 50 + 800 * uniforms[:, 1])[~free], atol=PLACE_STEP_PX
+    )
+
+
+def test_first_place_of_a_map_is_the_corner_of_the_image() -> None:
+    density = Placement(density=np.array([[1.0, 3.0], [0.0, 4.0]]))
+    uniforms = np.array([[0.0, 0.0, 0.0], [0.2, 0.5, 0.5], [0.9, 0.25, 0.75]])
+    found = density.places(np.tile(HORIZONS[0], (3, 1)), (800, 600), uniforms)
+    np.testing.assert_array_equal(found, [[0, 0], [600, 150], [500, 525]])
+
+
+def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
+    rng = np.random.default_rng(9)
+    weights, nodes, uniforms = rng.random((50, 20)), np.sort(rng.random((50, 20)), axis=1), rng.random(50)
+    uniforms[:2] = 0.0, 0.001
+    for found, weight, node, share in zip(_inverse(weights, nodes, uniforms), weights, nodes, uniforms, strict=True):
+        area = np.append(0, np.cumsum((weight[1:] + weight[:-1]) / 2 * np.diff(node)))
+        assert found == pytest.approx(np.interp(share, area / area[-1], node))
+
+
+def test_level_meets_a_polygon_where_a_line_does() -> None:
+    planes = np.array(HORIZONS[:4])
+    polygons = sea_polygons(planes, (800, 600))
+    for level in (0.0, 20.0, 150.0, 299.0, 590.0, 700.0):
+        low, high = _slice(polygons[..., 1], polygons[..., 0], np.full(4, level))
+        for row, corners in enumerate(polygons):
+            shape = shapely.Polygon(corners)
+            line = shapely.intersection(shape, shapely.LineString([(-1, level), (801, level)]))
+            left, _, right, _ = (shape if line.is_empty else line).bounds
+            assert (low[row], high[row]) == (pytest.approx(left), pytest.approx(right))

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutant_runs import KILLED, SURVIVED, TIMED_OUT, Reach, in_a_process
+from benchmarks.mutant_reach import Reach
 from benchmarks.mutations import mutants_of, mutated
+from benchmarks.processes_of_mutants import KILLED, SURVIVED, TIMED_OUT, in_a_process
 
 SOURCE = '''
 """A module."""
@@ -88,7 +89,7 @@ def test_process_survives_is_killed_or_times_out():
 
 
 def test_quickest_tests_that_reach_a_line_come_first_within_the_budget():
-    reach = Reach({"slow": 5.0, "quick": 1.0, "other": 0.1}, {"a.py": {3: {"slow", "quick"}, 4: {"other"}}})
+    reach = Reach({"slow": 5.0, "quick": 1.0, "other": 0.1}, {"a.py": {3: {"slow", "quick"}, 4: {"other"}}}, {})
     assert reach.of_lines("a.py", (2, 3)) == {"slow", "quick"}
     assert reach.quickest({"slow", "quick"}, 3.0) == ["quick"]
     assert reach.quickest({"slow", "quick"}, 6.0) == ["quick", "slow"]
@@ -96,7 +97,15 @@ def test_quickest_tests_that_reach_a_line_come_first_within_the_budget():
     assert reach.of_file("a.py") == {"slow", "quick", "other"}
 
 
+def test_fixture_that_tests_share_is_paid_for_once():
+    shared = {name: {"renderer": 1.0} for name in "abc"}
+    reach = Reach({"a": 0.1, "b": 0.2, "c": 0.3}, {}, shared)
+    assert reach.quickest(set("abc"), 1.35) == ["a", "b"]
+    assert reach.quickest(set("abc"), 1.7) == ["a", "b", "c"]
+    assert reach.alone_s("c") == 1.3
+
+
 def test_reach_is_read_back_as_it_was_written(tmp_path: Path):
-    reach = Reach({"test": 1.0}, {"a.py": {3: {"test"}}})
+    reach = Reach({"test": 1.0}, {"a.py": {3: {"test"}}}, {"test": {"fixture": 2.0}})
     reach.save(tmp_path / "reach.json")
     assert Reach.load(tmp_path / "reach.json") == reach

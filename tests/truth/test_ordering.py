@@ -15,7 +15,9 @@ from modsim3d.truth.occlusion_order import order_of
 from modsim3d.truth.outlines import Part
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
+from modsim3d.truth.separating_axes import axis_count, candidate_axes
 from modsim3d.verify.sources.agreement import compare_with_analytic
+from modsim3d.vessels.vessel import shoebox
 from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, vessel
 
 SHIP, BOAT = 0, 1
@@ -201,6 +203,24 @@ def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_
     monkeypatch.setattr(occlusion_order, "MOST_COORDINATES", 2_000)
     for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):
         np.testing.assert_array_equal(getattr(order_of(replace(outlines, parts=parts)), name), getattr(whole, name))
+
+
+def test_two_shoeboxes_have_fifteen_axes_that_are_normals_and_edges_across_each_other():
+    """Gottschalk, Lin & Manocha (1996): 3 + 3 face normals and 9 cross products of edges."""
+    outlines, (_, turns, _) = tumbled_pairs(np.random.default_rng(14), 40)
+    vertices, box = outlines.parts[0].vertices_camera, shoebox()
+    assert axis_count(box, box) == 15
+    axes = candidate_axes(vertices[::2], box, vertices[1::2], box)
+    assert axes.shape == (40, 15, 3)
+    for found, a, b in zip(axes, turns[::2], turns[1::2], strict=True):  # the columns of a turn are the box's axes
+        crosses = np.cross(a.T[:, None], b.T[None]).reshape(-1, 3)
+        crosses /= np.linalg.norm(crosses, axis=1, keepdims=True)
+        alike = np.abs(np.concatenate([a.T, b.T, crosses]) @ found.T)
+        np.testing.assert_allclose(np.sort(alike, axis=1)[:, -1], 1, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
+    alone = candidate_axes(vertices[:1], box, vertices[:1], box)[0]
+    assert np.isclose(np.linalg.norm(alone, axis=1), 1).sum() == 12  # three pairs of edges are parallel
+    assert (np.linalg.norm(alone, axis=1) == 0).sum() == 3
 
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])

@@ -120,6 +120,28 @@ def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer, box, exp
     np.testing.assert_array_equal(painted(spans, 0, (40, 40)), drawn > 0)
 
 
+@pytest.mark.parametrize(
+    "box", [(5.0, -9.0, 20.0, -3.0), (5.0, 43.0, 20.0, 49.0), (-9.0, 5.0, -3.0, 20.0), (43, 5, 49, 20)]
+)
+def test_box_outside_the_image_has_no_span(box):
+    spans, odd = scan_convert(flat_box(*box), shoebox(), (40, 40))
+    assert len(spans.row) == len(odd) == 0
+
+
+def test_outline_that_crosses_itself_is_drawn_instead_and_its_neighbours_are_not():
+    boxes = [flat_box(3.2, 4.1, 20.7, 30.2), flat_box(8.0, 2.0, 33.0, 21.0), flat_box(1.0, 1.0, 9.5, 38.0)]
+    alone = [painted(scan_convert(box, shoebox(), (40, 40))[0], 0, (40, 40)) for box in boxes]
+    spans, odd = scan_convert(np.concatenate(boxes), shoebox(), (40, 40))
+    assert len(odd) == 0
+    twisted = boxes[1].copy()
+    twisted[:, :4] = twisted[:, 3::-1]
+    spans, odd = scan_convert(np.concatenate([boxes[0], twisted, boxes[2]]), shoebox(), (40, 40))
+    assert odd.tolist() == [1]
+    for row in (0, 2):
+        np.testing.assert_array_equal(painted(spans, row, (40, 40)), alone[row])
+    assert not (spans.row == 1).any()
+
+
 def test_box_smaller_than_a_pixel_has_no_span_between_centres_and_one_on_a_centre():
     for x, expected in ((10.6, 0), (10.45, 1)):
         spans, _ = scan_convert(flat_box(x, 10.45, x + 0.1, 10.55), shoebox(), (40, 40))

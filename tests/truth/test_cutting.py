@@ -1,0 +1,102 @@
+"""Solids cut at the near plane, what needs no clipping, and triangles whose edges are halved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from scipy.spatial.transform import Rotation
+
+from modsim3d.geometry.clipping import clip_triangles, near_plane
+from modsim3d.truth.silhouettes import cut_near
+from modsim3d.truth.triangles import subdivided, triangles_of, within_guard
+from modsim3d.vessels.vessel import shoebox
+from tests.scenes import INTRINSICS, outlines_of, random_places
+
+LENS = replace(INTRINSICS, near_clip_m=2.0)
+
+
+def box_across_the_plane(rng):
+    """The twelve triangles of a box turned any way about a point near the plane, and where its edges meet the plane."""
+    turn = Rotation.random(rng=rng).as_matrix()
+    corners = (shoebox().vertices - [0, 0, 0.5]) * rng.uniform(1, 6, 3) @ turn.T + rng.normal([0, 0, 2], [1, 1, 0.9])
+    unit = shoebox().vertices
+    ends = [(i, j) for i in range(8) for j in range(i) if np.abs(unit[i] - unit[j]).sum() == 1]
+    a, b = (corners[[pair[side] for pair in ends]] for side in (0, 1))
+    share = (2.0 - a[:, 2]) / (b[:, 2] - a[:, 2])
+    crossing = (share > 0) & (share < 1)
+    return corners[shoebox().faces], (a + share[:, None] * (b - a))[crossing]
+
+
+@pytest.mark.parametrize("convex", [True, False])
+def test_section_closes_what_the_plane_cuts_open(convex):
+    rng, solid = np.random.default_rng(0), replace(shoebox(), convex=convex)
+    sides = set()
+    for _ in range(60):
+        triangles, met = box_across_the_plane(rng)
+        if not len(met):
+            continue
+        clipped = clip_triangles(triangles, near_plane(LENS))
+        section = cut_near(triangles, LENS, solid)[len(clipped) :]
+        assert (section[..., 2] == 2.0).all()
+        parts = shapely.polygons(section[..., :2])
+        hull = shapely.convex_hull(shapely.multipoints(met[:, :2]))
+        assert shapely.area(parts).sum() == pytest.approx(hull.area, rel=1e-9)
+        assert shapely.union_all(parts).symmetric_difference(hull).area < 1e-9 * hull.area
+        sides.add(len(met))
+    assert sides >= {3, 4, 5, 6}
+
+
+def test_section_leaves_holes_open_and_surfaces_without_an_inside_get_none():
+    outer, inner = ((shoebox().vertices - [0, 0, 0.5]) * size + [0, 0, 2.0] for size in ([6, 6, 4], [2, 3, 5]))
+    tube = np.concatenate([outer[shoebox().faces], inner[shoebox().faces][:, ::-1]])
+    section = cut_near(tube, LENS, replace(shoebox(), convex=False))[len(clip_triangles(tube, near_plane(LENS))) :]
+    assert shapely.union_all(shapely.polygons(section[..., :2])).area == pytest.approx(6 * 6 - 2 * 3)
+    sheet = cut_near(tube, LENS, replace(shoebox(), convex=False, closed=False))
+    np.testing.assert_allclose(sheet, clip_triangles(tube, near_plane(LENS)), rtol=1e-9)
+
+
+def test_solid_that_the_plane_does_not_meet_gets_no_section():
+    beyond = shoebox().vertices[shoebox().faces] + [0, 0, 5.0]
+    for convex in (True, False):
+        np.testing.assert_array_equal(cut_near(beyond, LENS, replace(shoebox(), convex=convex)), beyond)
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+@pytest.mark.parametrize("guard", [0.0, 50.0, 200.0])
+def test_rows_within_the_guard_are_those_with_every_vertex_in_it(factor, guard):
+    outlines = outlines_of(random_places(np.random.default_rng(20), 60, near_m=5.0, far_m=150.0))
+    inside, size = within_guard(outlines, INTRINSICS, factor, guard), np.array(INTRINSICS.image_size_px)
+    for part in outlines.parts:
+        for row, vertices in zip(part.rows, part.vertices_px, strict=True):
+            assert inside[row] == np.all(np.maximum(-vertices, vertices - size) * factor <= guard)
+    assert inside.any()
+    assert guard or not inside.all()
+    drawn = triangles_of(outlines, INTRINSICS, factor, guard)
+    assert sorted(set(drawn.row[drawn.of_whole].tolist())) == np.flatnonzero(inside).tolist()
+    low, high = drawn.corners_px.min(axis=(0, 1)), drawn.corners_px.max(axis=(0, 1))
+    assert (low >= -guard / factor - 1e-6).all()
+    assert (high <= size + guard / factor + 1e-6).all()
+
+
+def test_triangles_on_both_sides_of_an_edge_are_cut_at_the_same_points():
+    rng = np.random.default_rng(21)
+    for a, b, c, d in rng.uniform([-2, -2, 6], [2, 2, 9], (60, 4, 3)):
+        along = [
+            {tuple(p) for p in subdivided(triangle[None], INTRINSICS, 90.0).reshape(-1, 3) if on_segment(p, a, b)}
+            for triangle in (np.array([a, b, c]), np.array([b, a, d]), np.array([d, b, a]), np.array([c, a, b]))
+        ]
+        assert along[0] == along[1] == along[2] == along[3]
+
+
+def on_segment(point, a, b):
+    return np.linalg.norm(point - a) + np.linalg.norm(point - b) <= np.linalg.norm(b - a) + 1e-12
+
+
+def test_only_long_edges_are_cut():
+    """Edges of 300, 300 and 30 px: the short one stays whole, as it is no longer than 40 px."""
+    corners = np.array([[-0.3, -0.3, 20.0], [0.3, -0.3, 20.0], [0.0, 5.7, 20.0]])
+    for turn in range(3):
+        small = subdivided(np.roll(corners, turn, axis=0)[None], INTRINSICS, 40.0)
+        lowest = small[np.isclose(small[..., 1], -0.3).sum(axis=1) == 2]
+        assert len(lowest) == 1
