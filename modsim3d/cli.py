@@ -16,6 +16,7 @@ from modsim3d.commands.repeat import repeat_command
 from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
+from modsim3d.commands.shared import INTERRUPTED
 from modsim3d.commands.terminal import check_arguments, prepare_output, say, say_error
 from modsim3d.commands.verify import verify_command
 from modsim3d.commands.view import view_command
@@ -131,6 +132,9 @@ def main() -> None:
     except ImportError as error:
         say(f"modsim3d: a library cannot be loaded: {error}", err=True)
         sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:
+        say("modsim3d: interrupted", err=True)
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

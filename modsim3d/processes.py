@@ -7,13 +7,16 @@ import multiprocessing
 import signal
 import sys
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from concurrent.futures import Future
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
 
 from modsim3d.errors import ModsimError
@@ -26,6 +29,10 @@ T = TypeVar("T")
 P = TypeVar("P")
 W = TypeVar("W")
 W_co = TypeVar("W_co", covariant=True)
+
+
+_Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]
+"""Where the result goes, the work and the piece."""
 
 
 class Workers(Protocol[W_co]):
@@ -73,12 +80,13 @@ def _opened(
         with set_up(*arguments) as worker:
             yield _ThisProcess(worker)
         return
-    context = multiprocessing.get_context(_start_method())
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(set_up, *arguments))
+    start = multiprocessing.get_context("fork").Process if _may_fork() else multiprocessing.get_context("spawn").Process
+    started = [_WorkerProcess(start, set_up, arguments) for _ in range(count)]  # all before the first thread starts
+    processes: _Processes[W] = _Processes(started, if_killed)
     try:
-        yield _Processes(pool, count, if_killed)
+        yield processes
     finally:
-        pool.shutdown(cancel_futures=True)
+        processes.close()
 
 
 @dataclass(frozen=True)
@@ -89,49 +97,125 @@ class _ThisProcess(Generic[W]):
         return (work(self.worker, piece) for piece in pieces)
 
 
-@dataclass(frozen=True)
 class _Processes(Generic[W]):
-    pool: ProcessPoolExecutor
-    count: int
-    if_killed: str
+    """Worker processes, each with a thread here that hands it one piece after another and waits for the result."""
+
+    def __init__(self, processes: list[_WorkerProcess], if_killed: str) -> None:
+        self._processes = processes
+        self._if_killed = if_killed
+        self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
+        self._threads = [threading.Thread(target=self._hand_out, args=(process,)) for process in processes]
+        for thread in self._threads:
+            thread.start()
 
     def map(self, work: Callable[[W, P], T], pieces: Iterable[P]) -> Iterator[T]:
         waiting: deque[Future[T]] = deque()
         for piece in pieces:
-            waiting.append(self.pool.submit(_work_here, work, piece))
-            if len(waiting) >= self.count * AHEAD:
+            waiting.append(Future())
+            self._tasks.put((waiting[-1], work, piece))
+            if len(waiting) >= len(self._processes) * AHEAD:
                 yield self._result(waiting.popleft())
         while waiting:
             yield self._result(waiting.popleft())
 
+    def close(self) -> None:
+        """Let the workers end what they have begun, and end them."""
+        while not self._tasks.empty():
+            self._tasks.get()
+        for _ in self._threads:
+            self._tasks.put(None)
+        for thread in self._threads:
+            thread.join()
+        for process in self._processes:
+            process.close()
+
     def _result(self, future: Future[T]) -> T:
         try:
             return future.result()
-        except BrokenProcessPool:
-            raise ModsimError(f"a worker process died (killed, or out of memory); {self.if_killed}") from None
+        except _DiedError:
+            raise ModsimError(f"a worker process died (killed, or out of memory); {self._if_killed}") from None
+
+    def _hand_out(self, process: _WorkerProcess) -> None:
+        while (task := self._tasks.get()) is not None:
+            future, work, piece = task
+            try:
+                future.set_result(process.do(work, piece))
+            except BaseException as error:
+                future.set_exception(error)
 
 
-_worker: Any = None
-"""The worker of this process, or the error that setting it up raised; only worker processes have one."""
-_open = ExitStack()
+class _WorkerProcess:
+    """A worker in a process of its own.
+
+    Nobody else holds the other end of its pipe, so that the pipe ends when the process dies, whatever it was doing. In
+    a queue that several processes share, half a result would be waited for without end.
+    """
+
+    def __init__(
+        self, start: Callable[..., BaseProcess], set_up: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> None:
+        self._pipe, other_end = multiprocessing.Pipe()
+        self._process = start(target=_serve, args=(other_end, set_up, arguments), daemon=True)
+        self._process.start()
+        other_end.close()  # before the next process is forked, which would hold it too
+
+    def do(self, work: Callable[[Any, P], T], piece: P) -> T:
+        """Do the work on a piece.
+
+        Raises:
+            _DiedError: The process died, now or before.
+            BaseException: What the work raised.
+        """
+        try:
+            self._pipe.send((work, piece))
+            result, error = self._pipe.recv()
+        except (EOFError, OSError) as lost:
+            raise _DiedError from lost
+        if error is not None:
+            raise error
+        done: T = result
+        return done
+
+    def close(self) -> None:
+        """End the process, if it has not died."""
+        with suppress(OSError):
+            self._pipe.send(None)
+        self._process.join()
+        self._pipe.close()
 
 
-def _start_worker(set_up: Callable[..., AbstractContextManager[Any]], *arguments: Any) -> None:
-    """Set up the worker of this process; what it opens lives as long as the process."""
-    global _worker
+class _DiedError(Exception):
+    """A worker process died."""
+
+
+def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]], arguments: tuple[Any, ...]) -> None:
+    """Set up the worker of this process, and do what comes through a pipe until None comes."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)  # a killed parent must not leave workers behind
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process tells the user what was interrupted
+    with ExitStack() as opened:
+        worker, problem = None, None
+        try:
+            worker = opened.enter_context(set_up(*arguments))
+        except ModsimError as error:
+            problem = error
+        while (task := pipe.recv()) is not None:
+            work, piece = task
+            _answer(pipe, problem, work, worker, piece)
+
+
+def _answer(
+    pipe: Connection, problem: ModsimError | None, work: Callable[[Any, Any], Any], worker: Any, piece: Any
+) -> None:
+    """Send a result and no error, or an error with its traceback as a note."""
     try:
-        _worker = _open.enter_context(set_up(*arguments))
-    except ModsimError as error:
-        _worker = error  # raised here it would break the pool, and its message would be lost
-
-
-def _work_here(work: Callable[[Any, P], T], piece: P) -> T:
-    if isinstance(_worker, ModsimError):
-        raise _worker
-    return work(_worker, piece)
+        if problem is not None:
+            raise problem
+        pipe.send((work(worker, piece), None))
+    except BaseException as error:
+        if not isinstance(error, ModsimError):
+            error.add_note("".join(traceback.format_exception(error)))
+        pipe.send((None, error))
 
 
 def _made_by_multiprocessing() -> bool:
@@ -140,8 +224,7 @@ def _made_by_multiprocessing() -> bool:
     return bool(importing) or multiprocessing.parent_process() is not None
 
 
-def _start_method() -> str:
-    """`fork` starts at once, but is safe only while this process has one thread."""
+def _may_fork() -> bool:
+    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise."""
     tasks = Path("/proc/self/task")
-    threads = len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
-    return "fork" if threads == 1 else "spawn"
+    return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1

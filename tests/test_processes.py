@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
 
 import pytest
 
@@ -50,3 +54,29 @@ def test_a_worker_process_that_dies_is_told() -> None:
         open_workers(2, "try again", open_factor, 3) as workers,
     ):
         list(workers.map(kill_this_process, [1]))
+
+
+def die_while_the_result_is_sent(factor: int, piece: int) -> bytes:
+    if piece:
+        return bytes(factor)
+
+    def send_half(self: Connection, content: bytes, write: object = None) -> None:
+        os.write(self.fileno(), bytes(content)[: len(content) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    Connection._send = send_half
+    return bytes(100_000)
+
+
+def lose_a_worker_half_way_through_its_result() -> None:
+    with (
+        pytest.raises(ModsimError, match="a worker process died"),
+        open_workers(2, "try again", open_factor, 100_000) as workers,
+    ):
+        list(workers.map(die_while_the_result_is_sent, range(9)))
+
+
+def test_a_worker_process_that_dies_while_it_sends_its_result_is_told() -> None:
+    code = f"import {__name__} as test; test.{lose_a_worker_half_way_through_its_result.__name__}()"
+    root = Path(__file__).resolve().parents[1]
+    subprocess.run([sys.executable, "-c", code], cwd=root, check=True, timeout=60)  # it waited for ever

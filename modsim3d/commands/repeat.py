@@ -10,6 +10,7 @@ import typer
 
 from modsim3d.commands.progress import progress
 from modsim3d.commands.shared import FinishedRunArgument, WorkersOption, print_line, print_rows
+from modsim3d.commands.terminal import open_console
 
 if TYPE_CHECKING:
     from modsim3d.runs.repeat_run import RepeatedFile, Repetition
@@ -23,9 +24,9 @@ def repeat_command(run: FinishedRunArgument, workers: WorkersOption = 1) -> None
     Example: modsim3d repeat runs/first
     """
     from modsim3d.runs.repeat_run import repeat_run
-    from modsim3d.runs.stored_run import open_run
+    from modsim3d.runs.stored_run import read_finished
 
-    stored = open_run(run)
+    stored = read_finished(run)  # damage to the tables is for the comparison to tell
     bar = progress(stored.scene.name, stored.scene.steps)
     with TemporaryDirectory(prefix="modsim3d_repeat_") as folder, bar as advance:
         repetition = repeat_run(stored, Path(folder) / "again", workers=workers, progress=advance)
@@ -35,9 +36,7 @@ def repeat_command(run: FinishedRunArgument, workers: WorkersOption = 1) -> None
 
 
 def _print_repetition(repetition: Repetition) -> None:
-    from rich.console import Console
-
-    console = Console()
+    console = open_console()
     print_rows(console, "files", [(file.name, _said(file, repetition.listed)) for file in repetition.files])
     versions = [(item.name, f"then {item.then or 'none'}", f"now {item.now or 'none'}") for item in repetition.versions]
     print_rows(console, "made with other versions", versions)

@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from modsim3d.errors import OutputError
+from modsim3d.outputs.placing import make_folder
 
 LOCK_FILE = ".modsim3d.lock"
 """The lock of a folder, inside it."""
@@ -25,8 +26,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
         OutputError: Another process, which the message names, writes to the folder.
         OSError: The folder or the lock in it cannot be made.
     """
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
+    made = make_folder(folder)
     try:
         with _locked(folder / LOCK_FILE, folder):
             yield
@@ -45,7 +45,7 @@ def locked_file(path: Path) -> Iterator[None]:
         OSError: The folder or the lock in it cannot be made.
     """
     real = path.resolve()
-    real.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(real.parent)
     with _locked(real.with_name(f".{real.name}.lock"), path):
         yield
 

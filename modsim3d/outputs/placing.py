@@ -33,7 +33,7 @@ def write_files(contents: Mapping[Path, bytes | str]) -> None:
     with ExitStack() as places:
         for path, content in contents.items():
             with _told_of(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+                make_folder(path.parent)
             partial = places.enter_context(put_in_place(path))
             with _told_of(path):
                 partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
@@ -118,6 +118,16 @@ def sync_file(path: Path) -> None:
     """Wait until a file's content is on the disk."""
     with path.open("rb+") as written:
         os.fsync(written.fileno())
+
+
+def make_folder(folder: Path) -> list[Path]:
+    """Make a folder, and wait until its name is on the disk; the folders that were not there, from the inside out."""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in made:
+        with suppress(PermissionError):  # its parent may not be listed
+            sync_folder(path.parent)
+    return made
 
 
 def sync_folder(folder: Path) -> None:

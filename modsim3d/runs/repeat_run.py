@@ -9,12 +9,12 @@ from typing import Any
 
 import orjson
 
-from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.differences import difference, settings_difference
 from modsim3d.runs.files.file_list import FileList, file_list
-from modsim3d.runs.files.run_directory import POSES_FILE, RUN_FILE, SCENE_FOLDER
+from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import StoredRun
+from modsim3d.runs.stored_run import FinishedRun
+from modsim3d.scene.scene import Scene
 
 VERSION_KEYS = ("versions", "truth_versions", "plugins", "backend")
 """What `run.json` says of the programs that made a run."""
@@ -68,41 +68,43 @@ class Repetition:
 
 
 def repeat_run(
-    run: StoredRun, folder: Path, *, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
+    run: FinishedRun, again: Path, *, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Repetition:
-    """Run the scene of a finished run again into a new folder, and compare.
+    """Run the scene of a finished run, from `read_finished`, into a new folder, and compare.
 
     Raises:
-        ModsimError: The run was interrupted, or cannot be run here.
+        ModsimError: The scene cannot be run here.
     """
-    if not run.finished:
-        raise RunDirectoryError(f"{run.folder} holds an interrupted run: {run.how_to_finish}")
-    run_scene(run.scene, folder, workers=workers, progress=progress)
-    again = orjson.loads((folder / RUN_FILE).read_bytes())
-    listed: FileList = run.settings.get("files", {})
-    names = sorted({name for name in {**listed, **again["files"]} if not _is_input(name)})
-    files = [_compared(run.folder, folder, name, listed, again["files"]) for name in names]
-    files += [RepeatedFile(name, _damage(run.folder, name, listed), is_input=True) for name in _inputs(run, listed)]
-    settings = settings_difference((run.folder / RUN_FILE).read_bytes(), (folder / RUN_FILE).read_bytes(), _ours(run))
-    versions = tuple(_versions(run.settings, again))
-    return Repetition((*files, RepeatedFile(RUN_FILE, repeated=settings)), versions, bool(listed))
+    folder, content, _, scene = run
+    run_scene(scene, again, workers=workers, progress=progress)
+    made = orjson.loads((again / RUN_FILE).read_bytes())
+    listed: FileList = content.get("files") or {}
+    names = sorted({name for name in {**listed, **made["files"]} if not _is_input(name)})
+    files = [_compared(folder, again, name, listed, made["files"]) for name in names]
+    files += [
+        RepeatedFile(name, _damage(folder, name, listed), is_input=True) for name in _inputs(folder, scene, listed)
+    ]
+    settings = settings_difference((folder / RUN_FILE).read_bytes(), (again / RUN_FILE).read_bytes(), _ours(content))
+    return Repetition(
+        (*files, RepeatedFile(RUN_FILE, repeated=settings)), tuple(_versions(content, made)), bool(listed)
+    )
 
 
 def _is_input(name: str) -> bool:
     return name == POSES_FILE or name.startswith(f"{SCENE_FOLDER}/")
 
 
-def _inputs(run: StoredRun, listed: FileList) -> list[str]:
+def _inputs(folder: Path, scene: Scene, listed: FileList) -> list[str]:
     """Files that the run is repeated from."""
     if listed:
         return sorted(filter(_is_input, listed))
-    poses = [POSES_FILE] if (run.folder / POSES_FILE).is_file() else []
-    return sorted([*(f"{SCENE_FOLDER}/{name}" for name in run.scene.copy.names), *poses])
+    poses = [POSES_FILE] if (folder / POSES_FILE).is_file() else []
+    return sorted([*(f"{SCENE_FOLDER}/{name}" for name in scene.copy.names), *poses])
 
 
-def _ours(run: StoredRun) -> frozenset[str]:
+def _ours(settings: dict[str, Any]) -> frozenset[str]:
     """Entries of `run.json` that need not be the same."""
-    return _NOT_REPEATED | _OF_LIVE_RUNS if "poses_sha256" in run.settings else _NOT_REPEATED
+    return _NOT_REPEATED | _OF_LIVE_RUNS if "poses_sha256" in settings else _NOT_REPEATED
 
 
 def _compared(stored: Path, again: Path, name: str, listed: FileList, made: FileList) -> RepeatedFile:

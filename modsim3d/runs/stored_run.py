@@ -6,16 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.runs.blocks import Block, Frame, frames_of
-from modsim3d.runs.files.block_files import TABLES, finished_truth
+from modsim3d.runs.files.block_files import SETTINGS_FILE, TABLES, finished_truth
 from modsim3d.runs.files.reading import detections_of, truth_of
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
-from modsim3d.runs.files.run_directory import SETTINGS_FILE
 from modsim3d.runs.files.run_file import (
     RunFile,
     Settings,
@@ -169,17 +168,42 @@ def open_run(folder: Path) -> StoredRun:
 
 
 def _finished_run(folder: Path) -> StoredRun:
-    source = folder / RUN_FILE
-    content, run = read_settings(source, RunFile)
+    finished = read_finished(folder)
+    run, scene = finished.run, finished.scene
     check_files(folder, run)
-    check_scene_copy(folder / SCENE_FOLDER, run, source)
     if run.poses_sha256 is not None:
         check_content(folder / POSES_FILE, run.poses_sha256, RUN_FILE)
-    scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
-    check_same_scene(run, scene, source)
     stored = StoredTables(folder, scene, run.files)
     stored.check_counts(run.counts)
-    return StoredRun(folder, content, scene, scene.steps, stored)
+    return StoredRun(folder, finished.settings, scene, scene.steps, stored)
+
+
+class FinishedRun(NamedTuple):
+    """A finished run before its tables are looked at: the content of `run.json`, as it is and validated; its scene."""
+
+    folder: Path
+    settings: dict[str, Any]
+    run: RunFile
+    scene: Scene
+
+
+def read_finished(folder: Path) -> FinishedRun:
+    """Read a finished run's `run.json` and its scene.
+
+    Raises:
+        RunDirectoryError: There is no finished run, or one of these is not what a run has written.
+        InputError: The scene cannot be read.
+    """
+    source = folder / RUN_FILE
+    if not source.is_file():
+        interrupted = (folder / UNFINISHED / SETTINGS_FILE).is_file()
+        what = "holds an interrupted run: finish it first" if interrupted else "holds no run: it has no run.json"
+        raise RunDirectoryError(f"{folder} {what}")
+    content, run = read_settings(source, RunFile)
+    check_scene_copy(folder / SCENE_FOLDER, run, source)
+    scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
+    check_same_scene(run, scene, source)
+    return FinishedRun(folder, content, run, scene)
 
 
 def _interrupted_run(folder: Path) -> StoredRun:

@@ -63,3 +63,12 @@ def test_run_is_not_overwritten_unasked(monkeypatch, tmp_path, capsys):
     assert call(monkeypatch, *arguments) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert call(monkeypatch, *arguments, "--overwrite") == 0
+
+
+def test_ctrl_c_before_a_command_begins_is_one_message(monkeypatch, capsys):
+    def press_ctrl_c() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "app", press_ctrl_c)
+    assert call(monkeypatch, "run", "simulation_1") == 130
+    assert capsys.readouterr().err == "modsim3d: interrupted\n"

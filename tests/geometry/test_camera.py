@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -6,6 +8,7 @@ from hypothesis import strategies as st
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore, poses_on_board
 from modsim3d.geometry.clipping import clip_triangles, guard_planes, near_plane
+from modsim3d.geometry.lens import Distortion
 from modsim3d.geometry.rotations import camera_R_parent
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
@@ -51,6 +54,26 @@ def test_project_is_the_matrix_k():
     np.testing.assert_allclose(SKEWED.project(point), homogeneous[:2] / homogeneous[2])
 
 
+def test_focal_lengths_of_pixels_that_are_not_square_are_in_their_own_sides():
+    # By hand: 0.05 m / 10 µm = 5000 and 0.05 m / 20 µm = 2500.
+    assert Intrinsics.from_lens(0.05, (1e-5, 2e-5), (0, 0), (8, 6)).focal_px == pytest.approx((5000, 2500))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64])
+def test_numbers_of_any_kind_are_computed_with_in_double_precision(kind):
+    given = np.array([[412, 305], [3, 7]]).astype(kind)
+    depth, points = np.array([3, 7]).astype(kind), np.array([[1, 2, 3], [4, 5, 7]]).astype(kind)
+    lens = replace(SKEWED, distortion=Distortion(k1=-0.1))
+    for camera in (SKEWED, lens):
+        for found, exact in (
+            (camera.project(points), camera.project(points.astype(np.float64))),
+            (camera.unproject(given, depth), camera.unproject(given.astype(np.float64), depth.astype(np.float64))),
+            (camera.through_lens(given), camera.through_lens(given.astype(np.float64))),
+        ):
+            assert found.dtype == np.float64
+            np.testing.assert_array_equal(found, exact)
+
+
 def test_points_behind_the_camera_or_before_the_near_plane_have_no_image():
     points = [[0.1, 0.1, -5.0], [0.1, 0.1, 0.0], [0.1, 0.1, 0.0999], [0.1, 0.1, 0.1]]
     assert np.isnan(LEGACY.project(points)).all(axis=1).tolist() == [True, True, True, False]
@@ -74,6 +97,18 @@ def test_horizon_of_a_level_camera_is_its_principal_row_whatever_the_skew():
 
 def test_camera_that_looks_straight_down_sees_only_sea():
     np.testing.assert_allclose(LEGACY.sea_half_plane(camera_R_parent(0, np.pi / 2, 0)), [0, 0, 1], atol=1e-9)
+    exactly = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
+    np.testing.assert_array_equal(LEGACY.sea_half_plane(exactly), [0, 0, 1])
+
+
+def test_camera_that_looks_straight_up_sees_no_sea():
+    np.testing.assert_allclose(LEGACY.sea_half_plane(camera_R_parent(0, -np.pi / 2, 0)), [0, 0, -1], atol=1e-9)
+
+
+def test_half_planes_of_many_steps_are_those_of_each():
+    angles = np.linspace(-1.0, 1.0, 5)
+    turns = camera_R_parent(angles, angles / 2, 3 * angles)
+    np.testing.assert_array_equal(SKEWED.sea_half_plane(turns), [SKEWED.sea_half_plane(turn) for turn in turns])
 
 
 def test_mounted_camera_moves_and_turns_with_its_vessel():
@@ -98,7 +133,40 @@ def test_clipping_leaves_what_is_inside_and_drops_what_is_outside():
     assert clip_triangles(-inside, near_plane(LEGACY)).shape == (0, 3, 3)
 
 
+@pytest.mark.parametrize("depths", [(2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)])
+def test_triangle_that_touches_the_plane_is_left_as_it_is(depths):
+    triangle = np.array([[[0.0, 0.0, depths[0]], [0.1, 0.1, depths[1]], [0.0, 0.1, depths[2]]]])
+    np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY)), triangle)
+
+
+def area_vectors(triangles):
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
+
+
+def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
+    rng = np.random.default_rng(4)
+    for triangle in rng.normal(size=(200, 1, 3, 3)):
+        normal, whole = rng.normal(size=3), area_vectors(triangle)[0]
+        plane = np.array([[*normal, normal @ triangle[0].mean(axis=0) + rng.normal(scale=0.3)]])
+        parts = [clip_triangles(triangle, side) for side in (plane, -plane)]
+        for side, part in zip((plane[0], -plane[0]), parts, strict=True):
+            assert (part @ side[:3] - side[3] > -1e-12).all()
+            assert (area_vectors(part) @ whole > -1e-12).all()
+        np.testing.assert_allclose(sum(area_vectors(part).sum(axis=0) for part in parts), whole, atol=1e-12)
+
+
+def test_parts_of_triangles_are_in_the_order_of_the_triangles():
+    rng = np.random.default_rng(5)
+    triangles = rng.normal(size=(30, 3, 3)) + 100 * np.arange(30)[:, None, None] * [1.0, 0.0, 0.0]
+    parts = clip_triangles(triangles, np.array([[0.0, 0.3, 1.0, 0.1]]))
+    assert (np.diff(np.rint(parts[..., 0].mean(axis=1) / 100)) >= 0).all()
+
+
 def test_guard_planes_cut_at_the_guard_band():
+    everything = np.array([[[-500.0, -300.0, 5.0], [600.0, -300.0, 5.0], [0.0, 700.0, 5.0]]])
+    shown = SKEWED.project(clip_triangles(everything, guard_planes(SKEWED, 100.0)))
+    np.testing.assert_allclose(shown.min(axis=(0, 1)), [-100, -100], atol=1e-6)
+    np.testing.assert_allclose(shown.max(axis=(0, 1)), [900, 700], atol=1e-6)
     triangle = np.array([[[-50.0, -3.0, 5.0], [60.0, 2.0, 5.0], [0.0, 70.0, 5.0]]])
     planes = np.concatenate([near_plane(SKEWED), guard_planes(SKEWED, 100.0)])
     pixels = SKEWED.project(clip_triangles(triangle, planes))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from modsim3d import cli
-from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, shift_px
+from modsim3d.geometry.curved_sea import RADIUS_M, drop_m, lowered, shift_px
 from modsim3d.runs import pipeline as simulate
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.runs.run import run_scene
@@ -40,6 +40,26 @@ def test_two_metres_of_drop_at_five_kilometres():
     # The exact sphere, R − √(R² − d²), is the same to a hundredth of a millimetre.
     exact = RADIUS_M - np.sqrt(RADIUS_M**2 - 5000.0**2)
     assert drop_m(place, camera) == pytest.approx(exact, abs=1e-5)
+
+
+def test_drop_depends_on_the_distance_alone_wherever_the_camera_is():
+    place, camera = np.array([3000.0, 4000.0, 7.0]), np.array([0.0, 0.0, 20.0])
+    for shift in ([900.0, -700.0, 0.0], [0.0, 0.0, 30.0]):
+        assert drop_m(place + shift, camera + shift) == pytest.approx(drop_m(place, camera), rel=1e-12)
+    assert drop_m(camera, camera) == 0
+
+
+def test_only_heights_are_lowered_and_whole_numbers_are_places_too():
+    places, camera = np.array([[3000, 4000, 7], [0, 100, 0]]), np.array([0, 0, 20])
+    found = lowered(places, camera)
+    np.testing.assert_array_equal(found[:, :2], places[:, :2])
+    np.testing.assert_array_equal(found[:, 2], places[:, 2] - drop_m(places, camera))
+
+
+def test_shift_counts_by_the_larger_focal_length():
+    # By hand: 6000 · 12 742 / (2 · 6 371 000) = 6.
+    assert shift_px(np.array([12_742.0]), (6000.0, 900.0)) == pytest.approx([6.0])
+    assert shift_px(np.array([12_742.0]), (900.0, 6000.0)) == pytest.approx([6.0])
 
 
 def test_the_50_mm_lens_of_simulation_1_sees_the_curvature_beyond_2548_m():

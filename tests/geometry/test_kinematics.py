@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.geometry.kinematics import first_derivative, second_derivative, slopes, velocities
+from modsim3d.geometry.kinematics import first_derivative, second_derivative, slopes, turning, velocities
+from modsim3d.geometry.rotations import rotation
 
 TIMES = st.lists(st.floats(0.05, 2.0), min_size=2, max_size=12).map(lambda gaps: np.cumsum([3.0, *gaps]))
 NUMBERS = st.floats(-10, 10)
@@ -41,3 +42,12 @@ def test_velocities_of_vessels_that_come_and_go_ignore_where_they_are_not():
     np.testing.assert_allclose(found[1:4, 1], 3)
     np.testing.assert_array_equal(found[~present], 0)
     np.testing.assert_array_equal(found[:, 2], 0)  # there at one step only
+
+
+@given(TIMES, st.integers(0, 2), st.floats(-1.0, 1.0))
+def test_steady_turn_has_its_own_rate_in_body_axes_for_one_body_and_for_many(times, axis, rate):
+    attitudes = rotation(1, 0.4) @ rotation(axis, rate * times)
+    expected = rate * np.tile(np.eye(3)[axis], (len(times) - 1, 1))
+    np.testing.assert_allclose(turning(times, attitudes), expected, atol=1e-9)
+    both = np.stack([attitudes, np.swapaxes(rotation(axis, rate * times), -1, -2)], axis=1)
+    np.testing.assert_allclose(turning(times, both), np.stack([expected, -expected], axis=1), atol=1e-9)

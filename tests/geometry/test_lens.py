@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.lens import Distortion
+from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
@@ -51,6 +52,56 @@ def test_undistort_undoes_distort_where_the_lens_is_one_to_one(coefficients, poi
     np.testing.assert_allclose(lens.undistort(lens.distort(ideal)), ideal, atol=1e-9)
 
 
+GRID = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 7)] * 2), axis=-1)
+"""Points of the ideal plane in all four quadrants and on the axes, shape (7, 7, 2)."""
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_newtons_method_needs_few_steps(lens, monkeypatch):
+    monkeypatch.setattr("modsim3d.geometry.lens.MOST_ITERATIONS", 6)
+    np.testing.assert_allclose(lens.undistort(lens.distort(GRID)), GRID, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_each_point_is_undistorted_and_has_its_derivatives_as_if_it_were_alone(lens):
+    distorted = lens.distort(GRID)
+    for place in np.ndindex(7, 7):
+        alone = lens.undistort(distorted[place])
+        np.testing.assert_allclose(alone, GRID[place], rtol=0, atol=1e-13)
+        np.testing.assert_array_equal(lens.jacobian(GRID)[place], lens.jacobian(GRID[place]))
+    assert lens.undistort(np.empty((0, 2))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_only_points_that_no_direction_is_seen_at_have_none(axis, sign):
+    # On the axis, x + 1.5 x² is at least −1/6.
+    lens = Distortion(**{("p2", "p1")[axis]: 0.5 * sign})
+    along = np.roll(np.eye(2), axis, axis=0)
+    places = sign * np.array([[0.2, 0.1], [-0.3, 0.0], [-0.1, 0.05], [-0.2, 0.0], [0.0, 0.0]]) @ along
+    missing = np.isnan(lens.undistort(places))
+    assert missing.all(axis=1).tolist() == missing.any(axis=1).tolist() == [False, True, False, True, False]
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8), (-0.8, 0.6), (np.sqrt(0.5), np.sqrt(0.5))])
+def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond(direction):
+    lens = Distortion(k1=-1.0)  # r − r³ rises up to r = 1 / √3 = 0.5774
+    inside, outside = np.outer([0.3, 0.577], direction), np.outer([0.3, 0.580], direction)
+    assert lens.one_to_one(inside)
+    assert not lens.one_to_one(outside)
+    assert not lens.one_to_one(outside[::-1])
+    # Beyond r = 1 it mirrors both axes, and the one place of 257 before that is the axis itself.
+    assert not lens.one_to_one(np.outer([300.0], direction))
+    assert not lens.one_to_one(np.concatenate([inside, [[np.nan, 0.1]]]))
+
+
+def test_fold_between_the_axis_and_the_points_is_found():
+    lens = Distortion(k1=-0.9, k2=0.35)  # its radius falls from r = 0.79 to 0.96, and rises again
+    assert lens.one_to_one(np.array([[0.78, 0.0]]))
+    assert (np.linalg.det(lens.jacobian(np.array([[1.1, 0.0]]))) > 0).all()
+    assert not lens.one_to_one(np.array([[1.1, 0.0]]))
+
+
 def test_jacobian_is_the_derivative():
     rng = np.random.default_rng(0)
     points, step = rng.uniform(-0.7, 0.7, (50, 2)), 1e-6
@@ -69,6 +120,57 @@ def test_pinhole_window_holds_all_that_the_lens_shows():
         assert (straight >= 0).all() and (straight <= camera.pinhole.image_size_px).all()
         np.testing.assert_allclose(camera.through_lens(straight), pixels, atol=1e-6)
         assert camera.lens_problem() is None
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+@pytest.mark.parametrize("principal_point", [(300.0, 200.0), (500.0, 400.0)])
+def test_pinhole_window_leaves_one_to_two_pixels_around_what_the_lens_shows(lens, principal_point):
+    camera = Intrinsics((1000.0, 1300.0), principal_point, (800, 600), skew=12.0, distortion=lens)
+    along = np.linspace(0, 1, 4001)[:, None]
+    corners = np.array([[0, 0], [800, 0], [800, 600], [0, 600]])
+    border = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    straight = camera.pinhole.project(camera.unproject(border, np.ones(len(border))))
+    spare = [straight.min(axis=0), camera.pinhole.image_size_px - straight.max(axis=0)]
+    assert np.min(spare) > 0.99  # the window is measured at 256 points of the border
+    assert np.max(spare) < 2.01
+
+
+def worst_bend(camera, chord):
+    """Greatest distance in pixels between a chord at the border of the pinhole image and what the lens makes of it."""
+    border, angle = camera.pinhole.image_border()[:, None], np.linspace(0, np.pi, 36, endpoint=False)
+    half = chord / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    middle = (camera.through_lens(border + half) + camera.through_lens(border - half)) / 2
+    return np.linalg.norm(middle - camera.through_lens(border), axis=-1).max()
+
+
+@pytest.mark.parametrize("lens", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+@pytest.mark.parametrize("principal_point", [(300.0, 200.0), (500.0, 200.0), (300.0, 400.0), (500.0, 400.0)])
+@pytest.mark.parametrize("focal", [(1000.0, 1000.0), (900.0, 1300.0), (1300.0, 900.0)])
+def test_longest_chord_is_bent_by_a_step_of_the_pixel_grid(lens, principal_point, focal):
+    camera = Intrinsics(focal, principal_point, (800, 600), distortion=lens)
+    # Four directions are measured; between two of them the bend may be a tenth larger.
+    assert 0.98 < worst_bend(camera, camera.chord_px) * SUBPIXELS < 1.1
+
+
+def test_longest_chord_is_between_one_pixel_and_256_and_has_no_bound_without_a_lens():
+    assert INTRINSICS.chord_px == np.inf
+    assert replace(INTRINSICS, distortion=Distortion()).chord_px == 256
+    strong = Intrinsics((10.0, 10.0), (16.0, 12.0), (32, 24), distortion=Distortion(k1=0.3))
+    assert strong.lens_problem() is None
+    assert strong.chord_px == 1
+    assert worst_bend(strong, 1.0) > 1 / SUBPIXELS
+
+
+def test_pixels_of_a_camera_without_a_lens_are_those_of_its_pinhole():
+    pixels = np.arange(12.0).reshape(2, 3, 2)
+    np.testing.assert_array_equal(INTRINSICS.through_lens(pixels), pixels)
+
+
+def test_lens_maps_an_array_of_pixels_as_it_maps_each():
+    camera = replace(INTRINSICS, distortion=BARREL)
+    pixels = np.random.default_rng(2).uniform(0, 600, (2, 3, 2))
+    each = [[camera.through_lens(pixel) for pixel in row] for row in pixels]
+    np.testing.assert_array_equal(camera.through_lens(pixels), each)
 
 
 def through(seed, lens):
@@ -182,8 +284,22 @@ def test_scene_runs_through_a_lens_from_every_source(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "coefficients", [{"k1": -3.0}, {"k1": -1.0, "k2": -2.0}, {"k1": -0.9, "k2": 0.27}, {"p1": 5.0}]
+    ("coefficients", "problem"),
+    [
+        ({"k1": -3.0}, "the lens reaches only a part of the image: reduce the coefficients or the image size"),
+        ({"k1": -1.0, "k2": -2.0}, "the lens reaches only a part"),
+        ({"k1": -0.9, "k2": 0.27}, "the lens reaches only a part"),
+        ({"p1": 5.0}, "the lens reaches only a part"),
+        # One to one in the image, but a fold lies between: r (1 − 0.9 r² + 0.35 r⁴) falls from r = 0.79 to 0.96.
+        ({"k1": -0.9, "k2": 0.35}, "folds the image over itself: some pixels show two directions"),
+    ],
 )
-def test_lens_that_folds_the_image_is_refused(tmp_path, coefficients):
-    with pytest.raises(InputError, match=r"cameras\.C0\.distortion: (folds the image|the lens reaches only a part)"):
+def test_lens_that_folds_the_image_is_refused(tmp_path, coefficients, problem):
+    with pytest.raises(InputError, match=rf"cameras\.C0\.distortion: {problem}"):
         load_scene(lens_scene(tmp_path, **coefficients))
+
+
+@pytest.mark.parametrize("size", [(2400, 200), (200, 2400)])
+def test_lens_of_a_long_narrow_image_is_accepted(size):
+    camera = Intrinsics((3000.0, 3000.0), (size[0] / 2, size[1] / 2), size, distortion=Distortion(k1=-0.1))
+    assert camera.lens_problem() is None

@@ -1,8 +1,18 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from modsim3d.geometry.rotations import BASE_R_WORLD, attitude, camera_R_parent, heading_of, rotation, world_R_vehicle
+from modsim3d.geometry.rotations import (
+    BASE_R_WORLD,
+    attitude,
+    camera_R_parent,
+    heading_of,
+    rotation,
+    rotation_vector,
+    vehicle_R_nominal,
+    world_R_vehicle,
+)
 
 angles = st.floats(-10, 10)
 
@@ -42,3 +52,24 @@ def test_attitude_broadcasts_over_steps():
     assert stacked.shape == (7, 3, 3)
     for i, a in enumerate(angle):
         np.testing.assert_allclose(stacked[i], rotation(2, a) @ rotation(0, 2 * a) @ rotation(1, 3 * a), atol=1e-15)
+
+
+def test_angles_of_single_precision_are_turned_by_in_double_precision():
+    angle = np.array([0.1, 0.7, -0.3], dtype=np.float32)
+    for turn in (lambda a: rotation(2, a), vehicle_R_nominal, lambda a: rotation_vector(rotation(1, a))):
+        assert turn(angle).dtype == np.float64
+        np.testing.assert_array_equal(turn(angle), turn(angle.astype(np.float64)))
+    east = np.array([0.3, 0.1], dtype=np.float32)
+    assert heading_of(east) == heading_of(east.astype(np.float64))
+    single = rotation(0, 0.4).astype(np.float32)
+    np.testing.assert_array_equal(rotation_vector(single), rotation_vector(single.astype(np.float64)))
+
+
+def test_rotation_vectors_of_many_turns_up_to_half_a_turn_are_those_of_each():
+    rng = np.random.default_rng(6)
+    axes = rng.normal(size=(60, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    vectors = axes * np.concatenate([rng.uniform(0, 3.14, 30), np.pi - np.geomspace(1e-12, 0.5, 30)])[:, None]
+    turns = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(rotation_vector(turns), vectors, atol=1e-9)
+    np.testing.assert_array_equal(rotation_vector(turns), [rotation_vector(turn) for turn in turns])

@@ -17,7 +17,7 @@ from modsim3d.runs.detect_run import detect_run
 from modsim3d.runs.files.differences import difference
 from modsim3d.runs.repeat_run import repeat_run
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
+from modsim3d.runs.stored_run import open_run, read_finished
 from modsim3d.scene.reading import data_folder, load_scene
 from tests.commands.bad_input.builders import Call
 from tests.commands.bad_input.conftest import call
@@ -73,27 +73,31 @@ def test_a_run_repeats(call: Call, run: Path, workers: int) -> None:
 
 def test_a_run_of_the_detector_alone_repeats(stored: Path, tmp_path: Path) -> None:
     detect_run(open_run(stored), tmp_path / "other", seed=9)
-    assert repeat_run(open_run(tmp_path / "other"), tmp_path / "again").same
+    assert repeat_run(read_finished(tmp_path / "other"), tmp_path / "again").same
 
 
 def test_a_live_run_repeats_from_the_poses_that_came(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO("".join(lines()).encode())))
     run_scene(live_scene(tmp_path), tmp_path / "live")
-    found = repeat_run(open_run(tmp_path / "live"), tmp_path / "again")
+    found = repeat_run(read_finished(tmp_path / "live"), tmp_path / "again")
     assert found.same, found
     assert "poses.jsonl" in {file.name for file in found.files if file.is_input}
 
 
-@pytest.mark.parametrize("name", ["truth.parquet", "annotations_C0.json", "scene/detector.yaml"])
+@pytest.mark.parametrize("name", ["truth.parquet", "annotations_C0.json"])
 def test_one_changed_bit_is_noticed_and_named(call: Call, run: Path, name: str) -> None:
-    if name.startswith("scene/"):
-        (run / name).write_text((run / name).read_text() + "\n")
-    else:
-        flipped(run / name)
+    flipped(run / name)
     status, said = call("repeat", run)
     assert status == 1, said
     rows = [line for line in said.splitlines() if "stored:" in line]
     assert [row.split()[0] for row in rows] == [name]
+
+
+def test_a_changed_scene_cannot_be_repeated(call: Call, run: Path) -> None:
+    (run / "scene/detector.yaml").write_text((run / "scene/detector.yaml").read_text() + "\n")
+    status, said = call("repeat", run)
+    assert status == 2
+    assert "is not the scene that the run was made of" in said
 
 
 def test_a_missing_file_is_named(call: Call, run: Path) -> None:
@@ -106,12 +110,12 @@ def test_a_missing_file_is_named(call: Call, run: Path) -> None:
 def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Call, run: Path) -> None:
     with_a_box_moved(run, 17)
     counts = json.loads((run / "run.json").read_text())["counts"]
-    edited(run, files={}, versions={"numpy": "0.1"}, counts={**counts, "missed": -1})
+    edited(run, files={}, versions={"numpy": "0.1"}, counts={**counts, "missed": 12345})
     status, said = call("repeat", run)
     said = " ".join(said.split())
     assert status == 1, said
     assert f"1 of {len(pq.read_table(run / 'detections.parquet'))} rows differ: x_px in 1 by 0.5 at most" in said
-    assert "counts.missed -1 against" in said
+    assert "counts.missed 12345 against" in said
     assert "2 of " in said
     assert "an older version wrote" in said
     assert "numpy then 0.1 now" in said

@@ -52,6 +52,15 @@ def test_frames_read_back_are_those_of_the_simulation(scene, finished):
     assert_same_frames(open_run(finished).frames(), simulate_frames(scene))
 
 
+def test_a_run_that_is_replaced_while_it_is_read_is_no_mixture(finished, tmp_path):
+    folder = shutil.copytree(finished, tmp_path / "run")
+    frames = open_run(folder).frames()
+    next(frames)
+    run_scene(load_scene("simulation_3", mode=2, seed=6, steps=STEPS), folder, overwrite=True)
+    with pytest.raises(RunDirectoryError, match="was replaced by another run while it was read: open it again"):
+        list(frames)
+
+
 def test_some_steps_read_back_are_those_steps(finished):
     run = open_run(finished)
     everything = list(run.frames())

@@ -8,9 +8,11 @@ import shapely
 from scipy.optimize import linprog
 
 from modsim3d.geometry.rotations import rotation, world_R_vehicle
-from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth import occlusion_order
+from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes
 from modsim3d.truth.full_frame import pixel_masks
 from modsim3d.truth.occlusion_order import order_of
+from modsim3d.truth.outlines import Part
 from modsim3d.truth.rectangle_rule import rectangle_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import compare_with_analytic
@@ -138,6 +140,21 @@ def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_the
     np.testing.assert_array_equal(truth.intersections, [[7, 3, 1, 2]])
 
 
+def test_what_two_intersecting_boxes_both_hide_counts_for_the_nearer_in_every_raft():
+    boat = vessel("boat", 10, 4, 10)
+    rafts = [[(boat, (100, side), 0), (boat, (101, side + 3), 0), (boat, (200, 2 * side + 3), 0)] for side in (-20, 15)]
+    outlines = outlines_of([place for raft in rafts for place in raft])
+    seen, silhouettes = analytic_occlusion(outlines, INTRINSICS), image_silhouettes(outlines, INTRINSICS)
+    np.testing.assert_array_equal(seen.intersecting, [[0, 1], [3, 4]])
+    for nearer, farther, behind in ((0, 1, 2), (3, 4, 5)):
+        by_nearer = silhouettes[behind].intersection(silhouettes[nearer])
+        by_either = silhouettes[behind].intersection(silhouettes[farther])
+        by_farther = by_either.difference(silhouettes[nearer])
+        assert min(by_farther.area, by_either.intersection(by_nearer).area) > 20
+        expected = {nearer: pytest.approx(by_nearer.area), farther: pytest.approx(by_farther.area)}
+        assert dict(seen.occluders[behind]) == expected
+
+
 def tumbled_pairs(rng, count):
     """Outlines of pairs of boxes turned any way, near enough to each other to touch about as often as not."""
     extents = np.exp(rng.uniform(np.log(1), np.log(30), (2 * count, 3)))
@@ -171,6 +188,28 @@ def margin_of_separation(a, b):
     found = linprog([0, 0, 0, 0, -1], A_ub=np.concatenate(rows), b_ub=np.zeros(len(a) + len(b)), bounds=limits)
     assert found.success
     return -found.fun
+
+
+def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_at_together(monkeypatch):
+    outlines, _ = tumbled_pairs(np.random.default_rng(11), 60)
+    (part,) = outlines.parts
+    whole, group = order_of(outlines), np.random.default_rng(12).integers(0, 3, len(outlines))
+    groups = [np.flatnonzero(group == number) for number in range(3)]
+    parts = tuple(
+        Part(replace(part.solid), rows, part.vertices_camera[rows], part.vertices_px[rows]) for rows in groups
+    )
+    monkeypatch.setattr(occlusion_order, "MOST_COORDINATES", 2_000)
+    for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):
+        np.testing.assert_array_equal(getattr(order_of(replace(outlines, parts=parts)), name), getattr(whole, name))
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_order_is_the_same_for_a_model_of_the_scene(scale):
+    outlines, _ = tumbled_pairs(np.random.default_rng(13), 100)
+    (part,) = outlines.parts
+    model = replace(outlines, parts=(replace(part, vertices_camera=scale * part.vertices_camera),))
+    for name in ("first_can_hide", "second_can_hide", "intersecting"):
+        np.testing.assert_array_equal(getattr(order_of(model), name), getattr(order_of(outlines), name))
 
 
 def test_separating_planes_are_found_exactly_where_linear_programming_finds_one():

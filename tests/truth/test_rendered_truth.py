@@ -74,6 +74,18 @@ def test_vessel_across_the_near_plane_is_cut_there_and_not_mirrored(renderer):
     assert seen.visible_px[0] == seen.silhouette_px[0] == 300 * 600
 
 
+@pytest.mark.parametrize("factor", [1, 3])
+def test_vessel_of_one_pixel_has_the_box_of_that_pixel(renderer, factor):
+    """10 cm wide and high at 100 m, around the centre of the pixel in column 399 and row 399; a third of that at 3."""
+    size = 0.1 / factor
+    outlines = outlines_of([(vessel("dot", 1e-3, size, size), (100, size / 2), 0)])
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer, factor)
+    assert seen.silhouette_px[0] == seen.visible_px[0] == pytest.approx(1 / factor**2)
+    expected = [400 - 1 / factor, 400 - 1 / factor, 400, 400]
+    np.testing.assert_allclose(seen.full_boxes_px, [expected])
+    np.testing.assert_allclose(seen.visible_boxes_px, [expected])
+
+
 def test_vessel_larger_than_the_image_fills_it(renderer):
     outlines, seen = truth_of(renderer, [(vessel("wall", 2, 500, 200), (20, 0), 0)])
     np.testing.assert_array_equal(seen.full_boxes_px[0], [0, 0, 800, 600])

@@ -26,6 +26,8 @@ TABLES = {
 }
 DIGEST_BYTES = hashlib.sha256().digest_size
 OWN_SHIP = "ownship"
+SETTINGS_FILE = "settings.json"
+"""The settings of a run, beside its kept blocks."""
 JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
 
 
@@ -62,18 +64,22 @@ class BlockFiles:
 
 
 def kept_truth_path(folder: Path, first: int, stop: int) -> Path:
-    """The file with the truth of a block: NumPy's `.npz`, and after it the SHA-256 of that."""
+    """The file with the truth of a block: NumPy's `.npz`, and after it a digest."""
     return folder / f"truth_{first:09d}_{stop:09d}.npz"
 
 
 def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth | None:
-    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged."""
+    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged.
+
+    A file of another run or with other steps is damaged too.
+    """
+    path = kept_truth_path(folder, first, stop)
     try:
-        content = kept_truth_path(folder, first, stop).read_bytes()
+        content = path.read_bytes()
     except FileNotFoundError:
         return None
     packed, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
-    if hashlib.sha256(packed).digest() != digest:
+    if _digest(path, packed) != digest:
         return None
     try:
         with np.load(io.BytesIO(packed)) as columns:
@@ -84,8 +90,15 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
 
 def keep_truth(folder: Path, truth: Truth, first: int, stop: int) -> None:
     """Keep the truth of a block on the disk, so that an interrupted run can be resumed."""
-    packed = io.BytesIO()
+    path, packed = kept_truth_path(folder, first, stop), io.BytesIO()
     np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
-    with written_whole(kept_truth_path(folder, first, stop)) as partial, partial.open("wb") as out:
+    with written_whole(path) as partial, partial.open("wb") as out:
         out.write(packed.getbuffer())
-        out.write(hashlib.sha256(packed.getbuffer()).digest())
+        out.write(_digest(path, packed.getbuffer()))
+
+
+def _digest(path: Path, packed: bytes | memoryview) -> bytes:
+    """The SHA-256 of a block with its run and its steps: of the run's settings, the file's name and what is in it."""
+    digest = hashlib.sha256(path.with_name(SETTINGS_FILE).read_bytes() + path.name.encode())
+    digest.update(packed)
+    return digest.digest()

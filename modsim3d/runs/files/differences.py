@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import orjson
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from modsim3d.arrays import Mask
 from modsim3d.errors import RunDirectoryError
-from modsim3d.runs.files.columns import numbers, read_rows
+from modsim3d.runs.files.columns import numbers
+from modsim3d.runs.files.stored_tables import damage_named
 
 _MOST_COLUMNS = 6
 SAME_ROWS = "the same rows, stored in other bytes"
@@ -53,7 +55,7 @@ def _shown(values: dict[str, object], key: str) -> str:
 
 def _of_tables(one: Path, other: Path) -> str:
     try:
-        first, second = read_rows(one), read_rows(other)
+        first, second = _rows(one), _rows(other)
     except RunDirectoryError as error:
         return str(error)
     if first.schema != second.schema:
@@ -67,6 +69,11 @@ def _of_tables(one: Path, other: Path) -> str:
     rows = np.logical_or.reduce(list(differs.values())).sum()
     said = [f"{name} in {mask.sum()}{found[name][1]}" for name, mask in differs.items()]
     return f"{rows} of {len(first)} rows differ: {_listed(said[:_MOST_COLUMNS], len(said))}"
+
+
+def _rows(path: Path) -> pa.Table:
+    with damage_named(path):
+        return pq.read_table(path)
 
 
 def _column(first: pa.Table, second: pa.Table, name: str) -> tuple[Mask, str]:

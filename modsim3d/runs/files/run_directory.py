@@ -6,7 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import IO, Any
@@ -17,7 +17,7 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.outputs.locks import LOCK_FILE, locked_folder
 from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
 from modsim3d.runs.files import tables, thesis_json
-from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, BlockFiles, schemas_of
+from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, SETTINGS_FILE, BlockFiles, schemas_of
 from modsim3d.runs.files.file_list import file_list
 from modsim3d.runs.files.own_ships_table import own_ship_table
 from modsim3d.runs.files.replacing import (
@@ -37,8 +37,8 @@ from modsim3d.runs.files.replacing import (
 from modsim3d.runs.files.thesis_json import pose_lines
 from modsim3d.scene.scene import Scene
 
-SETTINGS_FILE, REPLACES_FILE = "settings.json", "replaces.json"
-"""In the folder of a run that goes on: its settings, and the paths of the files of earlier runs that it replaces."""
+REPLACES_FILE = "replaces.json"
+"""In the folder of a run that goes on: the paths of the files of earlier runs that it replaces."""
 
 
 @contextmanager
@@ -263,6 +263,8 @@ class RunDirectory:
         (self.work / RUN_FILE).replace(self.folder / RUN_FILE)
         sync_folder(self.folder)
         shutil.rmtree(self.work)
+        with suppress(OSError):  # the run is there already
+            sync_folder(self.folder)
 
     def _file_names(self) -> list[str]:
         """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""

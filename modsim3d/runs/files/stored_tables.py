@@ -41,7 +41,7 @@ class StoredTable:
             RunDirectoryError: The file is not the table that a run of the scene has written.
         """
         self.path = folder / f"{name}.parquet"
-        self._name, self._scene = name, scene
+        self._name, self._scene, self._run = name, scene, _identity(folder / RUN_FILE)
         with damage_named(self.path):
             self._metadata = pq.read_metadata(self.path)
             _check_schema(self.path, self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name])
@@ -75,7 +75,7 @@ class StoredTable:
 
     def _checked(self, begin: int, end: int, first: int, stop: int) -> Rows:
         """The checked rows of steps first to stop − 1 in row groups begin to end − 1."""
-        with damage_named(self.path), pq.ParquetFile(self.path, metadata=self._metadata) as file:
+        with self._of_one_run(), damage_named(self.path), pq.ParquetFile(self.path, metadata=self._metadata) as file:
             table = file.read_row_groups(range(begin, end)).combine_chunks()
             table.validate()
         whole = Rows(self.path, int(self._first_row[begin]), table, first, stop)
@@ -85,6 +85,16 @@ class StoredTable:
         rows = Rows(self.path, whole.first_row + low, table.slice(low, high - low), first, stop)
         CHECKS[self._name](rows, self._scene)
         return rows
+
+    @contextmanager
+    def _of_one_run(self) -> Iterator[None]:
+        """Tell a run that is replaced while it is read from one that is damaged."""
+        try:
+            yield
+        finally:
+            if _identity(self.path.with_name(RUN_FILE)) != self._run:
+                folder = self.path.parent
+                raise RunDirectoryError(f"{folder} was replaced by another run while it was read: open it again")
 
     def _steps_of_groups(self) -> Indices:
         """The least and the greatest step of each row group, shape (groups, 2)."""
@@ -185,6 +195,15 @@ class StoredTables:
         for table in self.by_name.values():
             if entry := self._listed.get(table.path.name):
                 check_content(table.path, entry.sha256, RUN_FILE)
+
+
+def _identity(run_file: Path) -> tuple[int, int] | None:
+    """What tells a `run.json` from another: it is the first file to go and the last to come when a run is replaced."""
+    try:
+        found = run_file.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:

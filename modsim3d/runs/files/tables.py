@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -177,22 +178,47 @@ class TableWriter:
         self._writer = pq.ParquetWriter(path, schema, compression="zstd")
         self._waiting: list[pa.Table] = []
         self._rows = 0
+        self._failed = False
 
     def write(self, table: pa.Table) -> None:
-        """Add rows."""
+        """Add rows.
+
+        Raises:
+            OSError: They cannot be written; the file is of no use then.
+        """
         self._waiting.append(table)
         self._rows += len(table)
         if len(self._waiting) == MOST_WAITING:
             self._waiting = [pa.concat_tables(self._waiting).combine_chunks()]
         while self._rows > ROW_GROUP_ROWS:  # at least one row is left for close()
             joined = pa.concat_tables(self._waiting)
-            self._writer.write_table(joined.slice(0, ROW_GROUP_ROWS).combine_chunks())
+            self._write_group(joined.slice(0, ROW_GROUP_ROWS))
             self._waiting = [joined.slice(ROW_GROUP_ROWS)]
             self._rows -= ROW_GROUP_ROWS
 
     def close(self) -> None:
-        """Write the remaining rows and the footer."""
-        if self._waiting:
-            self._writer.write_table(pa.concat_tables(self._waiting).combine_chunks())
-            self._waiting = []
-        self._writer.close()
+        """Write the remaining rows and the footer, unless rows before them could not be written.
+
+        Raises:
+            OSError: They cannot be written; the file is of no use then.
+        """
+        if self._failed:
+            return
+        waiting, self._waiting = self._waiting, []
+        if waiting:
+            self._write_group(pa.concat_tables(waiting))
+        with self._once():
+            self._writer.close()
+
+    def _write_group(self, rows: pa.Table) -> None:
+        with self._once():
+            self._writer.write_table(rows.combine_chunks())
+
+    @contextmanager
+    def _once(self) -> Iterator[None]:
+        """Write nothing more after an error, also not when the writer is disposed of: it would be another error."""
+        try:
+            yield
+        except BaseException:
+            self._failed, self._writer.is_open = True, False
+            raise

@@ -1,0 +1,185 @@
+"""A sample of the faults of `script/campaign faults`: calls that fail, files that cannot grow, power cuts.
+
+Damaged blocks, two writers and kills are tried in test_damaged_blocks.py, test_one_writer.py and test_overwriting.py.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from modsim3d.errors import ModsimError
+from modsim3d.outputs.placing import write_files
+from modsim3d.runs.files.run_directory import RunDirectory
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+
+STEPS = 300  # two blocks
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("simulation_1", source="analytic", steps=STEPS)
+
+
+@pytest.fixture(scope="module")
+def whole(scene, tmp_path_factory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    run_scene(scene, folder)
+    return content(folder)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+class Counted:
+    """Stands for a function of `os`; calls what it is told to before each call of the function."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, before: Callable[[int, Any], None]) -> None:
+        self.calls = 0
+        self._function, self._before = getattr(os, name), before
+        monkeypatch.setattr(os, name, self)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        self.calls += 1
+        self._before(self.calls, arguments[0])
+        return self._function(*arguments, **named)
+
+
+@pytest.mark.parametrize("name", ["fsync", "replace"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.95])
+def test_a_run_goes_on_after_a_call_that_failed(name, share, scene, whole, tmp_path, monkeypatch):
+    with monkeypatch.context() as counting:
+        counted = Counted(counting, name, lambda call, _: None)
+        run_scene(scene, tmp_path / "counted")
+    failing = 1 + int(share * counted.calls)
+
+    def fail(call: int, _: object) -> None:
+        if call == failing:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as broken, pytest.raises(ModsimError, match="Input/output error"):
+        Counted(broken, name, fail)
+        run_scene(scene, tmp_path / "run")
+    run_scene(scene, tmp_path / "run", resume=True)
+    assert content(tmp_path / "run") == whole
+
+
+@contextmanager
+def no_file_above(size: int) -> Iterator[None]:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("rows", [10, ROW_GROUP_ROWS + 10])
+def test_a_table_that_could_not_be_written_is_closed_without_another_error(rows, tmp_path):
+    table = pa.table({"step": np.arange(rows)})
+    writer = TableWriter(tmp_path / "table.parquet", table.schema)
+    with pytest.raises(OSError, match="File too large"), no_file_above(20):
+        writer.write(table)
+        writer.close()
+    writer.close()
+
+
+@pytest.mark.parametrize("size", [2, 5_000, 20_000])
+def test_a_run_goes_on_after_files_could_not_grow(size, scene, whole, tmp_path):
+    assert max(map(len, whole.values())) > 20_000
+    with pytest.raises(ModsimError, match="File too large"), no_file_above(size):
+        run_scene(scene, tmp_path / "run")
+    run_scene(scene, tmp_path / "run", resume=True)
+    assert content(tmp_path / "run") == whole
+
+
+class PowerCutError(Exception):
+    """The machine lost power."""
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99])
+def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
+    share, scene, whole, tmp_path, monkeypatch
+):
+    """The worst that a file system may do: every rename has reached the disk, but of files only what was fsynced."""
+    on_disk: dict[int, bytes] = {}  # by inode
+    seen = []
+
+    def keep(call: int, descriptor: int) -> None:
+        cut(call, descriptor)
+        path = Path(f"/proc/self/fd/{descriptor}")
+        if path.is_file():
+            on_disk[os.fstat(descriptor).st_ino] = path.read_bytes()
+
+    def cut(call: int, _: object) -> None:
+        seen.append(call)
+        if len(seen) == stop:
+            raise PowerCutError
+
+    stop = 0
+    with monkeypatch.context() as watched:
+        for name, before in (("fsync", keep), ("replace", cut)):
+            Counted(watched, name, before)
+        run_scene(scene, tmp_path / "counted")
+        stop, seen = int(share * len(seen)), []
+        with pytest.raises(PowerCutError):
+            run_scene(scene, tmp_path / "run")
+    for path in [path for path in (tmp_path / "run").rglob("*") if path.is_file()]:
+        path.write_bytes(on_disk.get(path.stat().st_ino, b""))
+    if (tmp_path / "run" / "run.json").exists():
+        shutil.rmtree(tmp_path / "run" / "unfinished", ignore_errors=True)
+    else:
+        run_scene(scene, tmp_path / "run", resume=True)
+    assert content(tmp_path / "run") == whole
+
+
+def interrupted(scene, folder: Path) -> list[Path]:
+    """The blocks that a run keeps which is interrupted after its last."""
+    with pytest.raises(PowerCutError), pytest.MonkeyPatch.context() as broken:
+        broken.setattr(RunDirectory, "finish", lambda *_: raise_power_cut())
+        run_scene(scene, folder)
+    return sorted((folder / "unfinished").glob("truth_*.npz"))
+
+
+def raise_power_cut() -> None:
+    raise PowerCutError
+
+
+def test_a_kept_block_of_another_run_is_made_anew(scene, whole, tmp_path):
+    mine = interrupted(scene, tmp_path / "run")
+    for block, other in zip(mine, interrupted(replace(scene, seed=1), tmp_path / "other"), strict=True):
+        shutil.copy(other, block)
+    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == len(mine)
+    assert content(tmp_path / "run") == whole
+
+
+def test_a_kept_block_of_other_steps_is_made_anew(scene, whole, tmp_path):
+    first, second = interrupted(scene, tmp_path / "run")
+    shutil.copy(first, second)
+    assert run_scene(scene, tmp_path / "run", resume=True).damaged_blocks == 1
+    assert content(tmp_path / "run") == whole
+
+
+def test_the_names_of_folders_that_are_made_are_on_the_disk_too(scene, tmp_path, monkeypatch):
+    synced = set()
+    with monkeypatch.context() as watched:
+        Counted(watched, "fsync", lambda _, descriptor: synced.add(os.fstat(descriptor).st_ino))
+        run_scene(scene, tmp_path / "runs" / "first")
+        write_files({tmp_path / "files" / "first" / "file": "text"})
+    for folder in ("", "runs", "runs/first", "runs/first/scene", "files", "files/first"):
+        assert (tmp_path / folder).stat().st_ino in synced

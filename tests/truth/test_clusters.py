@@ -1,0 +1,129 @@
+"""Groups of overlapping boxes against a search that asks of every pair, and their places in buffers."""
+
+import numpy as np
+import pytest
+
+from modsim3d.render.id_pass import Region
+from modsim3d.truth.clusters import ATLAS_PX, SMALL_PX, Cluster, batches_of, clusters_of
+from modsim3d.truth.outlines import Outlines
+from modsim3d.truth.overlaps import overlapping_pairs
+
+
+def random_outlines(rng: np.random.Generator, count: int) -> Outlines:
+    """Whole pixel boxes in three frames; a fifth are obstacles, a fifth are cut by the image edge."""
+    corner, size = rng.integers(0, 400, (count, 2)), rng.integers(1, 60, (count, 2))
+    numbers, nothing = np.arange(count), np.empty(count)
+    return Outlines(
+        frame=np.sort(rng.integers(0, 3, count)),
+        occluder=numbers,
+        boxed=rng.random(count) < 0.8,
+        boxes_px=np.concatenate([corner, corner + size], axis=1).astype(np.float64),
+        areas_px=nothing,
+        in_frame_fraction=np.where(rng.random(count) < 0.8, 1.0, rng.choice([0.7, np.nan], count)),
+        depth_m=nothing,
+        crosses_near=np.zeros(count, dtype=bool),
+        parts=(),
+    )
+
+
+def overlap(outlines: Outlines, a: int, b: int) -> bool:
+    one, other = outlines.boxes_px[a], outlines.boxes_px[b]
+    apart = (one[:2] >= other[2:]).any() or (other[:2] >= one[2:]).any()
+    return bool(outlines.frame[a] == outlines.frame[b] and not apart)
+
+
+def expected_clusters(outlines: Outlines) -> set[tuple]:
+    """Rows, box, shared region and uncut of each cluster, grown from one vessel at a time."""
+    every, found, seen = range(len(outlines)), set(), set()
+    for first in np.flatnonzero(outlines.boxed).tolist():
+        if first in seen:
+            continue
+        vessels = {first}
+        while more := {b for a in vessels for b in every if outlines.boxed[b] and overlap(outlines, a, b)} - vessels:
+            vessels |= more
+        seen |= vessels
+        pairs = [(a, b) for a in vessels for b in every if a != b and overlap(outlines, a, b)]
+        if pairs:
+            rows = sorted(vessels | {b for _, b in pairs})
+            boxes = outlines.boxes_px
+            common = [
+                [*np.maximum(boxes[a, :2], boxes[b, :2]), *np.minimum(boxes[a, 2:], boxes[b, 2:])] for a, b in pairs
+            ]
+            uncut = all(outlines.boxed[row] and outlines.in_frame_fraction[row] == 1 for row in rows)
+            found.add((tuple(rows), around(boxes[rows]), around(np.array(common)), uncut))
+    return found
+
+
+def around(boxes: np.ndarray) -> Region:
+    low, high = boxes[:, :2].min(axis=0).astype(int), boxes[:, 2:].max(axis=0).astype(int)
+    return Region(*low.tolist(), *(high - low).tolist())
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_clusters_are_those_that_a_search_of_all_pairs_finds(seed):
+    outlines = random_outlines(np.random.default_rng(seed), (0, 1, 5, 40, 90, 120)[seed % 6])
+    clusters = clusters_of(outlines, outlines.boxes_px)
+    told = [(tuple(each.rows.tolist()), each.box, each.shared, each.uncut) for each in clusters]
+    assert len(told) == len(set(told))
+    assert set(told) == expected_clusters(outlines)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_overlapping_pairs_are_those_that_a_search_of_all_pairs_finds(seed):
+    outlines = random_outlines(np.random.default_rng(50 + seed), 60)
+    every = [(a, b) for a in range(60) for b in range(a + 1, 60) if overlap(outlines, a, b)]
+    with_vessel = [(a, b) for a, b in every if outlines.boxed[[a, b]].any()]
+    for asked, expected in ((None, every), (outlines.boxed, with_vessel)):
+        pairs = overlapping_pairs(outlines.frame, outlines.boxes_px, asked)
+        assert list(zip(*(rows.tolist() for rows in pairs), strict=True)) == expected
+
+
+def random_clusters(rng: np.random.Generator, count: int, most: int) -> list[Cluster]:
+    sizes = rng.integers(1, most, (count, 2)).tolist()
+    return [
+        Cluster(
+            np.array([row]), Region(7 * row, 3, w, h), Region(7 * row, 4, w, max(1, h // 2)), bool(rng.random() < 0.9)
+        )
+        for row, (w, h) in enumerate(sizes)
+    ]
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 200), (40, 80), (150, 256), (30, 600), (3, 257), (0, 9)])
+def test_every_cluster_has_a_place_of_its_own_in_one_buffer(count, most):
+    clusters = random_clusters(np.random.default_rng(count), count, most)
+    batches = batches_of(clusters)
+    assert sorted(each.rows[0] for batch in batches for each in batch.clusters) == list(range(count))
+    for batch in batches:
+        assert len(batch.clusters) == len(batch.regions) == len(batch.places)
+        taken = np.zeros(batch.size[::-1], dtype=int)
+        for region, (x, y) in zip(batch.regions, batch.places.tolist(), strict=True):
+            assert x + region.width <= batch.size[0]
+            assert y + region.height <= batch.size[1]
+            taken[y : y + region.height, x : x + region.width] += 1
+        assert taken.max() == 1
+        assert taken.any(axis=1).all()  # no shelf is higher than what stands on it
+
+
+@pytest.mark.parametrize(("count", "most"), [(40, 80), (150, 256), (30, 600)])
+def test_small_whole_clusters_share_buffers_and_of_others_only_what_overlaps_is_drawn(count, most):
+    clusters = random_clusters(np.random.default_rng(count), count, most)
+    shared = 0
+    for batch in batches_of(clusters):
+        small = [max(each.box.width, each.box.height) <= SMALL_PX and each.uncut for each in batch.clusters]
+        assert all(small) or len(small) == 1
+        shared += len(small) > 1
+        assert batch.regions == [each.box if small[0] else each.shared for each in batch.clusters]
+        if small[0]:
+            assert batch.size[0] <= ATLAS_PX[0]
+            assert batch.size[1] <= ATLAS_PX[1]
+        else:
+            assert batch.size == (batch.clusters[0].shared.width, batch.clusters[0].shared.height)
+    assert shared > 0
+
+
+def test_cluster_of_256_px_is_small_and_one_of_257_is_not():
+    box = Region(0, 0, 256, 256)
+    two = [Cluster(np.array([row]), box, box, True) for row in range(2)]
+    assert len(batches_of(two)) == 1
+    wider = [Cluster(np.array([2]), Region(0, 0, 257, 9), box, True), Cluster(np.array([3]), box, box, False)]
+    assert len(batches_of([*two, *wider])) == 3
