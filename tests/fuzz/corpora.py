@@ -20,7 +20,7 @@ Files = dict[str, bytes | None]
 """What lies in a folder: content by path; None is a folder."""
 
 AIS_SAMPLES = Path(__file__).resolve().parents[1] / "data" / "ais"
-AIS_ROWS = 60
+AIS_ROWS = 30
 FORM: dict[str, Any] = json.loads((Path(__file__).parent / "scene_parts.json").read_text(encoding="utf-8"))
 
 

@@ -180,7 +180,7 @@ def _ais_reader(name: str, sample: str) -> Reader:
     return Reader(name, 5000, partial(corpora.ais, sample), _read_ais, ("AIS files",))
 
 
-_LABELS = ("labels of ",)
+_LABELS = ("labels of ", f"labels and conditions of {CONDITION}")
 READERS = {
     reader.name: reader
     for reader in (

@@ -27,7 +27,7 @@ from tests.fuzz.runs import write_files
 MOST_CPU_S = 2.0
 MOST_BYTES = 10**9
 """Most processor time and most memory above the warm process that a case may take."""
-KILLED_CPU_S, KILLED_WALL_S = 10.0, 100.0
+KILLED_CPU_S, KILLED_WALL_S = 10.0, 300.0
 """A case that takes more is a hang: its process is ended."""
 _BATCH = 100
 _CLOCK = struct.Struct("<qdd")

@@ -244,7 +244,7 @@ def labelled_set(
     broken = [name for name in (*labels, *conditions) if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
     if broken:
         problems = [f"{shown(name)} holds half a character, which no file can hold" for name in broken]
-        raise InputError("labels and conditions", problems)
+        raise InputError(f"labels and conditions of {condition}", problems)
     number_of = {name: number for number, name in enumerate(conditions)}
     columns = Images(
         tuple(images.names),

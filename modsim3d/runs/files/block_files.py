@@ -76,7 +76,7 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
     path = kept_truth_path(folder, first, stop)
     try:
         content = path.read_bytes()
-    except FileNotFoundError:
+    except OSError:
         return None
     packed, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
     if _digest(path, packed) != digest:

@@ -18,7 +18,8 @@ from modsim3d.scene.scene import Scene
 
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
-FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$")]
+LONGEST_NAME = 255
+FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$", max_length=LONGEST_NAME)]
 Estimate = Number | None
 """A number, null where too few boxes tell it."""
 Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
@@ -93,8 +94,8 @@ class RunFile(Settings):
     def _lie_in_the_folder(cls, files: dict[str, FileEntry] | None) -> dict[str, FileEntry] | None:
         for name in files or {}:
             path = PurePosixPath(name)
-            if not name or path.is_absolute() or ".." in path.parts or "\0" in name:
-                raise ValueError(f"'{name}' is no path in a run directory")
+            if not name or len(name) > LONGEST_NAME or path.is_absolute() or ".." in path.parts or "\0" in name:
+                raise ValueError(f"{shown(name)} is no path in a run directory")
         return files
 
 
@@ -130,7 +131,7 @@ def check_scene_copy(folder: Path, settings: Settings, source: Path) -> None:
         RunDirectoryError: It is missing, or was changed; see `SceneCopy.sha256`.
     """
     scene_file = folder / f"{settings.scene}.json"
-    if not scene_file.is_file():
+    if not _is_file(scene_file):
         raise RunDirectoryError(f"{scene_file} is missing: {source} names it as the copy of the run's scene")
     try:
         digest = hashlib.sha256(_sha256(scene_file))
@@ -146,6 +147,14 @@ def check_scene_copy(folder: Path, settings: Settings, source: Path) -> None:
             f"{folder} is not the scene that the run was made of: its files have the checksum {digest.hexdigest()}, "
             f"{source.name} has scene_sha256 {settings.scene_sha256}; was a file in it changed, added or lost?"
         )
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a path is a file; one that is too long to be a path is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def _sha256(path: Path) -> bytes:
@@ -185,7 +194,7 @@ def check_files(folder: Path, run: RunFile) -> None:
     """
     for name, entry in (run.files or {}).items():
         path = folder / name
-        if not path.is_file():
+        if not _is_file(path):
             raise RunDirectoryError(f"{path} is missing: run.json lists it")
         if (size := path.stat().st_size) != entry.bytes:
             raise RunDirectoryError(f"{path} has {size} bytes, and had {entry.bytes} when the run was finished")
