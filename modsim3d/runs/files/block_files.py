@@ -74,10 +74,9 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
     A file of another run or with other steps is damaged too.
     """
     path = kept_truth_path(folder, first, stop)
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
+    if not path.is_file():
         return None
+    content = path.read_bytes()
     packed, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
     if _digest(path, packed) != digest:
         return None
