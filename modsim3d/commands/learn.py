@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -81,7 +82,7 @@ def learn_command(
     from modsim3d.runs.files.replacing import read_of_run
 
     page = out.with_suffix(".html") if page is None else page
-    if page == out:
+    if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
     options = _read_options(labels, image_size, skip_bad, frame_rate, category_offset)
     labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)

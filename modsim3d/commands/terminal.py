@@ -72,12 +72,16 @@ def prepare_output() -> None:
 
 
 def check_arguments(arguments: Iterable[str]) -> None:
-    """Refuse control characters in arguments, which messages about wrong arguments would repeat.
+    """Refuse control characters in arguments, which messages about wrong arguments would repeat, and other than UTF-8.
+
+    Names of files stand in JSON and tables, which are UTF-8.
 
     Raises:
-        ModsimError: An argument has some.
+        ModsimError: An argument has one.
     """
     for argument in arguments:
         if _BREAKS.search(argument):
             shown = _BREAKS.sub(_escaped, argument)[:200]
             raise ModsimError(f"the argument '{shown}' has control characters: rename the file, or write it without")
+        if any("\ud800" <= character <= "\udfff" for character in argument):
+            raise ModsimError(f"the argument '{argument[:200]}' is not UTF-8: rename the file")

@@ -38,15 +38,17 @@ def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
     """Check that a file may be written; see `claimed`.
 
     Raises:
-        OutputError: It is a folder or a device, is an input, or exists and is not to be overwritten.
+        OutputError: It is a folder, a device or a link to itself, is an input, or exists and is not to be overwritten.
     """
+    real = Path(os.path.realpath(path))
+    if real.is_symlink():
+        raise OutputError(f"{path} is a link that leads to itself: choose another name")
     if not path.exists():
         return
     if path.is_dir():
         raise OutputError(f"{path} is a folder: choose another name")
     if not path.is_file():
         raise OutputError(f"{path} is not a regular file, and only such files are written: choose another name")
-    real = Path(os.path.realpath(path))
     for read in map(os.path.realpath, inputs):
         if real == Path(read) or (Path(read).is_dir() and real.is_relative_to(read)):
             raise OutputError(f"{path} is read by this command, so it is not written over: choose another name")

@@ -38,7 +38,7 @@ def locked_file(path: Path) -> Iterator[None]:
         OutputError: Another process, which the message names, writes the file.
         OSError: The folder or the lock in it cannot be made.
     """
-    real = path.resolve()
+    real = Path(os.path.realpath(path))  # unlike `resolve`, also of a link to itself
     with _made_for_it(real.parent), _locked(real.with_name(f".{real.name}.lock"), path):
         yield
 

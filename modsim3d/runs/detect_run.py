@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -38,7 +39,7 @@ def detect_run(
         ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
     """
     run.finished_tables.check_checksums()
-    if folder.resolve().is_relative_to(run.folder.resolve()):
+    if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(run.folder)):
         raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
     scene = with_detector(run, detector, seed)
     settings = settings_of(scene, run.settings["backend"])

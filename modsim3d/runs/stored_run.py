@@ -200,7 +200,7 @@ def read_finished(folder: Path) -> FinishedRun:
         what = "holds an interrupted run: finish it first" if interrupted else "holds no run: it has no run.json"
         raise RunDirectoryError(f"{folder} {what}")
     content, run = read_settings(source, RunFile)
-    check_scene_copy(folder / SCENE_FOLDER, run, source)
+    check_scene_copy(folder / SCENE_FOLDER, run, source, run.files)
     scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
     check_same_scene(run, scene, source)
     return FinishedRun(folder, content, run, scene)
@@ -209,7 +209,7 @@ def read_finished(folder: Path) -> FinishedRun:
 def _interrupted_run(folder: Path) -> StoredRun:
     work = folder / UNFINISHED
     content, settings = read_settings(work / SETTINGS_FILE, Settings)
-    check_scene_copy(work / SCENE_FOLDER, settings, work / SETTINGS_FILE)
+    check_scene_copy(work / SCENE_FOLDER, settings, work / SETTINGS_FILE, None)
     scene = load_scene(work / SCENE_FOLDER / f"{settings.scene}.json")
     if (work / POSES_FILE).is_file():  # the copy of a live scene has the steps that came in
         settings = settings.model_copy(update={"steps": scene.steps})

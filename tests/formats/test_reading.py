@@ -203,6 +203,12 @@ def test_an_empty_column_of_mot_does_not_shift_the_others(tmp_path):
         mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
 
 
+def test_mot_with_a_byte_order_mark_and_windows_line_ends(tmp_path):
+    labelled = mot(tmp_path, truth="\ufeff1,3,10,20,30,40,1,1,0.5\r\n", detections="\ufeff1,-1,12,20,30,40,0.9\r\n")
+    assert labelled.annotations.visible_fraction.tolist() == [0.5]
+    assert labelled.results.image.tolist() == [0]
+
+
 def test_mot_frames_that_are_times_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"gt.txt line 1: frame must be a whole number from 1 to"):
         mot(tmp_path, truth="1700000000000,3,10,20,30,40,1,1,0.5\n")

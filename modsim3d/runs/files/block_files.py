@@ -74,6 +74,8 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
     A file of another run or with other steps is damaged too.
     """
     path = kept_truth_path(folder, first, stop)
+    if not path.is_file():
+        return None
     try:
         content = path.read_bytes()
     except OSError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -9,6 +10,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import orjson
+
+from modsim3d.outputs.locks import LOCK_FILE
 
 RUN_FILE, LOG_FILE = "run.json", "run.log"
 UNFINISHED = "unfinished"
@@ -27,6 +30,8 @@ MADE_OF_A_RUN = frozenset(
 _FILMS = "detections|scene|ids|corners|map|all"
 _PICTURE = re.compile(rf"(?:{_FILMS})(?:_\d+\.(?:png|svg|pdf)|\.(?:mp4|gif))")
 _FRAME = re.compile(r"frame_\d+\.png")
+LONGEST_NAME = 255
+"""Bytes that a file system allows."""
 _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parquet", POSES_FILE)
 
 
@@ -48,7 +53,8 @@ def _names_without_list(folder: Path, run: dict[str, Any]) -> Iterator[str]:
     cameras = run.get("cameras")
     for camera in cameras if isinstance(cameras, list) else ():
         yield from (f"annotations_{camera}.json", f"detections_{camera}.json")
-    for pattern in ("*", "meshes/*"):
+    yield f"{SCENE_FOLDER}/{run.get('scene')}.json"
+    for pattern in ("detector", "detector.*", "poses*", "meshes/*"):
         yield from (path.relative_to(folder).as_posix() for path in (folder / SCENE_FOLDER).glob(pattern))
 
 
@@ -70,11 +76,11 @@ def read_of_run(folder: Path) -> list[Path]:
 
 def remove_files(folder: Path, names: Iterable[str]) -> None:
     """Remove files of a folder, and the folders in it that are empty then; what is not there is passed over."""
-    inside, parents = folder.resolve(), set()
+    inside, parents = os.path.realpath(folder), set()
     for name in safe_names(names):
         path = folder / name
         # Never through a link out of the folder.
-        if path.parent.resolve().is_relative_to(inside) and (path.is_file() or path.is_symlink()):
+        if Path(os.path.realpath(path.parent)).is_relative_to(inside) and (path.is_file() or path.is_symlink()):
             path.unlink()
             parents |= {parent for parent in path.parents if parent.is_relative_to(folder) and parent != folder}
     for parent in sorted(parents, key=lambda path: len(path.parts), reverse=True):
@@ -94,9 +100,15 @@ def foreign(folder: Path, names: Iterable[str], own: set[str]) -> str | None:
 
 
 def safe_names(names: Iterable[Any]) -> set[str]:
-    """Those of some names, read from a file, that are paths inside a folder."""
-    texts = (name for name in names if isinstance(name, str) and name)
-    return {text for text in texts if not PurePosixPath(text).is_absolute() and ".." not in PurePosixPath(text).parts}
+    """Those of some names, read from a file, that are paths inside a run directory and can be of a finished run."""
+    return {name for name in names if isinstance(name, str) and _is_safe(name)}
+
+
+def _is_safe(name: str) -> bool:
+    path = PurePosixPath(name)
+    if path.is_absolute() or not path.parts or path.parts[0] in (UNFINISHED, LOCK_FILE):
+        return False
+    return not any(part == ".." or "\0" in part or len(part.encode()) > LONGEST_NAME for part in path.parts)
 
 
 def is_of_a_run(content: Any) -> bool:
@@ -107,6 +119,6 @@ def is_of_a_run(content: Any) -> bool:
 def read_json(path: Path) -> Any:
     """The content of a JSON file; None if it cannot be read."""
     try:
-        return orjson.loads(path.read_bytes())
+        return orjson.loads(path.read_bytes()) if path.is_file() else None  # a pipe would be waited for
     except (OSError, ValueError):
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Collection
 from dataclasses import asdict, fields
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
@@ -119,13 +120,15 @@ def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model
     raise RunDirectoryError(f"{path} is not what a run has written: {'; '.join([*problems[:MOST_PROBLEMS], *more])}")
 
 
-def check_scene_copy(folder: Path, settings: Settings, source: Path) -> None:
+def check_scene_copy(folder: Path, settings: Settings, source: Path, listed: Collection[str] | None) -> None:
     """Check that the copy of the scene is the one that the run has made.
 
     Args:
         folder: The folder of the copy.
         settings: The content of the run's `source`.
         source: `run.json` or `settings.json`.
+        listed: Paths inside the run directory of the run's files; other files in the folder are the user's. None if
+            the run has no such list: then all files in the folder are the copy.
 
     Raises:
         RunDirectoryError: It is missing, or was changed; see `SceneCopy.sha256`.
@@ -136,6 +139,8 @@ def check_scene_copy(folder: Path, settings: Settings, source: Path) -> None:
     try:
         digest = hashlib.sha256(_sha256(scene_file))
         paths = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+        if listed:
+            paths = {name: path for name, path in paths.items() if f"{folder.name}/{name}" in listed}
         for name, path in sorted(paths.items()):
             if path != scene_file:
                 digest.update(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest())

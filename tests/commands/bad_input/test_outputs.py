@@ -240,3 +240,20 @@ def test_a_run_is_refused_with_exit_status_two_while_its_folder_is_written(input
     assert status == 2
     assert "is being written by" in said
     assert not (tmp_path / "run").exists()
+
+
+def test_an_output_that_is_a_link_in_a_circle_is_no_traceback(run, call: Call, tmp_path) -> None:
+    (tmp_path / "link").symlink_to("link")
+    for line in (("report", run, "--out", tmp_path / "link"), ("export", run, "--coco", tmp_path / "link")):
+        status, said = call(*line)
+        assert "Traceback" not in said
+        assert status == 2
+        assert str(tmp_path / "link") in said
+
+
+def test_a_page_that_is_the_detector_file_by_another_path_is_refused_as_such(run, call: Call, tmp_path) -> None:
+    (tmp_path / "link.html").symlink_to("d.yaml")
+    status, said = call("learn", "--run", run, "--out", tmp_path / "d.yaml", "--page", tmp_path / "link.html")
+    assert status == 2
+    assert "the page would be written over the detector file" in said
+    assert content(tmp_path) == {}

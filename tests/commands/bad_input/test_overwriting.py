@@ -1,7 +1,10 @@
 """A run replaces files of runs and what was made of them, and nothing else; and never what it reads."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -194,3 +197,47 @@ def test_no_file_outside_a_folder_is_removed_whatever_a_list_names(tmp_path):
     ]
     remove_files(tmp_path / "in", names)
     assert content(tmp_path).keys() == {"outside.json", "elsewhere/linked.json"}
+
+
+@pytest.mark.parametrize("name", ["a\0b/c", "unfinished/truth.parquet", "a" * 300])
+def test_a_list_of_files_that_no_run_has_written_does_not_hinder_the_new_run(inputs, tmp_path, name):
+    out, scene = tmp_path / "run", inputs.write()
+    run_scene(load_scene(scene), out)
+    before = content(out)
+    run = json.loads((out / "run.json").read_text())
+    run["files"][name] = {"bytes": 0, "sha256": "0" * 64}
+    (out / "run.json").write_text(json.dumps(run))
+    run_scene(load_scene(scene), out, overwrite=True)
+    assert content(out) == before
+
+
+def test_a_run_whose_scene_folder_also_holds_other_files_is_opened_and_replaced(inputs, tmp_path, call):
+    out, scene = tmp_path / "run", inputs.write()
+    assert call("run", scene, "--out", out)[0] == 0
+    notes = write(out, {"scene/notes.txt": "mine", "scene/.DS_Store": "the system's"})
+    for arguments in (("repeat", out), ("run", scene, "--out", out, "--overwrite"), ("report", out)):
+        status, said = call(*arguments)
+        assert status == 0, said
+    assert notes.items() <= content(out).items()
+
+
+def test_of_a_run_without_a_list_the_files_beside_the_copy_of_its_scene_stay(inputs, tmp_path):
+    out, scene = tmp_path / "run", inputs.write()
+    run_scene(load_scene(scene), out)
+    run = json.loads((out / "run.json").read_text())
+    del run["files"]
+    (out / "run.json").write_text(json.dumps(run))
+    notes = write(out, {"scene/vessels.json": "mine", "scene/notes.txt": "mine"})
+    run_scene(load_scene(scene), out, overwrite=True)
+    assert notes.items() <= content(out).items()
+
+
+@pytest.mark.parametrize("name", ["run.json", "unfinished/settings.json"])
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, tmp_path, name):
+    out, scene = tmp_path / "run", inputs.write()
+    (out / name).parent.mkdir(parents=True)
+    os.mkfifo(out / name)
+    command = (sys.executable, "-m", "modsim3d.cli", "run", scene, "--out", out, "--overwrite")
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "is not a run directory" in done.stderr

@@ -43,6 +43,15 @@ def test_control_characters_of_arguments_are_not_obeyed(call: Call) -> None:
         assert not CONTROL.search(said)
 
 
+def test_an_argument_that_is_not_utf_8_is_refused(call: Call, tmp_path: Path) -> None:
+    name = os.fsdecode(b"x\xff")
+    for line in (("check", tmp_path / f"{name}.yaml"), ("run", "harbour", "--steps", 2, "--out", tmp_path / name)):
+        status, said = call(*line)
+        assert status == 2
+        assert r"x\udcff" in said and "is not UTF-8" in said
+    assert not list(tmp_path.iterdir())
+
+
 def test_lines_and_tables_show_text_as_it_is() -> None:
     file = io.StringIO()
     console = terminal.open_console(file=file, width=200, force_terminal=False)
