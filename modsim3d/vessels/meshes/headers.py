@@ -21,6 +21,8 @@ from modsim3d.vessels.meshes.limits import (
 
 CHUNK_BYTES = 2**20
 MAX_PARTS = 1000
+MOST_DIGITS = 18
+"""Of a number in a header; Python reads no number of thousands of digits."""
 MAX_LINE_BYTES = 2**16
 """Greatest length of a header, and of a line with many corners."""
 
@@ -80,9 +82,10 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
     for line in header[:end].decode("latin-1").splitlines():
         words = line.split()
         if words[:1] == ["element"]:
-            if len(words) != 3 or not words[2].isdecimal() or words[1] in counts:
+            number = words[2] if len(words) == 3 else ""
+            if not (number.isdecimal() and len(number) <= MOST_DIGITS) or words[1] in counts:
                 raise Refused(f"has the line {line[:80]!r} in its header; 'element NAME COUNT' is needed, each once")
-            counts[words[1]] = int(words[2])
+            counts[words[1]] = int(number)
         elif words[:2] == ["comment", "TextureFile"]:
             check_reference(" ".join(words[2:]), "texture")
     check_faces(counts.get("face", 0))
