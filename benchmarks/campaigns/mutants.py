@@ -25,10 +25,10 @@ from typing import Any
 
 import yaml
 
-from benchmarks.mutant_reach import SLOW_S, Reach, map_tests
-from benchmarks.mutant_runs import Trial, outcomes, run_trials
-from benchmarks.mutations import Mutant, mutants_of, mutated
-from benchmarks.processes_of_mutants import KILLED, SURVIVED, TIMED_OUT, preload
+from benchmarks.mutants.mutations import Mutant, mutants_of, mutated
+from benchmarks.mutants.processes import KILLED, SURVIVED, TIMED_OUT, preload
+from benchmarks.mutants.reach import SLOW_S, Reach, map_tests
+from benchmarks.mutants.trials import Trial, outcomes, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutant_reach import Reach
-from benchmarks.mutations import mutants_of, mutated
-from benchmarks.processes_of_mutants import KILLED, SURVIVED, TIMED_OUT, in_a_process
+from benchmarks.mutants.mutations import mutants_of, mutated
+from benchmarks.mutants.processes import KILLED, SURVIVED, TIMED_OUT, in_a_process
+from benchmarks.mutants.reach import Reach
 
 SOURCE = '''
 """A module."""

@@ -15,7 +15,7 @@ from typing import Any
 import coverage
 import pytest
 
-from benchmarks.processes_of_mutants import SURVIVED, caches_of_all, clear, in_a_process
+from benchmarks.mutants.processes import SURVIVED, caches_of_all, clear, in_a_process
 
 SLOW_S = 4.0
 QUIET = ("-q", "--assert=plain", "-s", "--tb=no", "--no-header", "--no-summary", "-p", "no:cacheprovider")

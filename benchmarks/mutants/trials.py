@@ -26,8 +26,8 @@ from typing import Any
 import pytest
 from hypothesis import Phase, settings
 
-from benchmarks.mutant_reach import QUIET
-from benchmarks.processes_of_mutants import SURVIVED, caches_of_all, clear, in_a_process
+from benchmarks.mutants.processes import SURVIVED, caches_of_all, clear, in_a_process
+from benchmarks.mutants.reach import QUIET
 
 
 @dataclass(frozen=True)
