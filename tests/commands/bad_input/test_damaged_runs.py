@@ -257,7 +257,7 @@ def test_a_run_file_that_no_run_has_written_is_refused(call, run, tmp_path, cont
 @pytest.mark.parametrize("name", ["9" * 5000, "é" * 200, "truth/" * 50])
 def test_a_listed_name_that_no_file_can_have_is_refused(call, run, tmp_path, name):
     content = json.loads((run / "run.json").read_text())
-    content["files"] = {name: {"bytes": 1, "sha256": "0" * 64}}
+    content["files"][name] = {"bytes": 1, "sha256": "0" * 64}
     (run / "run.json").write_text(json.dumps(content))
     said = assert_refused(call, run, "verify", tmp_path / "out")
     assert ("no path in a run directory" in said or "is missing" in said) and len(said) < 2000
