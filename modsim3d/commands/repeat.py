@@ -52,7 +52,7 @@ def _said(file: RepeatedFile, listed: bool) -> str:
     same = "the bytes that were written" if file.stored else "the same bytes"
     made = "" if file.is_input else f"repeated: {file.repeated or same}"
     if file.name == "run.json" and not file.repeated:
-        made = "repeated: the same but for versions"
+        made = "repeated: the same, versions aside"
     stored = f"stored: {file.stored}" if file.stored else "as written" if file.is_input and listed else ""
     if file.is_input and not listed and not stored:
         stored = "not listed in run.json, which an older version wrote"
