@@ -57,7 +57,7 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
 def _ordinary_file(path: Path, source: str) -> io.BufferedReader:
     try:
         # Without O_NONBLOCK opening a pipe waits for somebody who writes into it.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except ValueError:  # it holds a null character or half a character
         raise InputError(source, ["is no valid file name"]) from None
     kind = stat.S_IFMT(os.fstat(descriptor).st_mode)
