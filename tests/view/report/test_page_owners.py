@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from modsim3d.view.pictures.window import Window
 from modsim3d.view.report.report import REPORT_FILE, write_report
 from tests.view.report.browser import Browser
 
+DATA = Path(__file__).parents[2] / "data"
 STEPS = 6
 EDGE_PX = 5
 """Pixels are compared in whose surroundings of this size there is one owner: smooth edges have mixed colours."""
@@ -31,7 +33,7 @@ EDGE_PX = 5
 def crowded_strait(tmp_path_factory):
     """The strait, with a bay around one vessel, a gate before another, and a lens that bends."""
     folder = tmp_path_factory.mktemp("strait")
-    scene = yaml.safe_load((data_folder("scenes") / "strait.yaml").read_text(encoding="utf-8"))
+    scene = yaml.safe_load((DATA / "crowded_strait.yaml").read_text(encoding="utf-8"))
     scene["steps"] = STEPS
     scene["poses"]["tracks"]["kayak"] = [[0, 100, -30], [150, 400, -30]]
     bay = [[60, -60], [140, -60], [140, -20], [125, -20], [125, -45], [75, -45], [75, -25], [60, -25]]
