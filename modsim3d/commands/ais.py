@@ -96,9 +96,8 @@ def ais_command(
 def _print_summary(traffic: Traffic, folder: Path) -> None:
 
     from modsim3d.ais.report import summary_rows
-    from modsim3d.ais.scene_folder import SCENE
 
     console = open_console()
     for title, rows in summary_rows(traffic):
         print_rows(console, title, rows)
-    print_line(console, f"\nscene folder  {folder}\nrun it with   modsim3d run {folder / SCENE}")
+    print_line(console, f"\nscene folder  {folder}\nrun it with   modsim3d run {folder}")

@@ -79,7 +79,7 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
     if isinstance(document.get("annotation"), dict):
         document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
-    return SceneCopy(parts.path.stem, _ordered(document, SceneKeys), files)
+    return SceneCopy(parts.scene_name, _ordered(document, SceneKeys), files)
 
 
 def _pose_file(number: int, file: str) -> str:

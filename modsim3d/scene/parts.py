@@ -26,6 +26,8 @@ from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
 
 T = TypeVar("T")
 
+SCENE_FILE = "scene.yaml"
+"""A scene in a file of this name is called as its folder is."""
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
@@ -78,6 +80,11 @@ class SceneParts:
         self.wave_level = self._wave_level()
         self.obstacles = self._obstacles()
         self.vessels = None if boxes is None else tuple(self._with_mesh(vessel) for vessel in boxes)
+
+    @property
+    def scene_name(self) -> str:
+        """The name of the file, or that of its folder if the file is `scene.yaml`."""
+        return (self.path.absolute().parent.name if self.path.name == SCENE_FILE else "") or self.path.stem
 
     @property
     def name(self) -> str:

@@ -22,7 +22,7 @@ from modsim3d.motion.waves.levels import Axes
 from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
-from modsim3d.scene.parts import SceneParts
+from modsim3d.scene.parts import SCENE_FILE, SceneParts
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.vessel import Vessel
@@ -34,7 +34,7 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def find_scene(scene: str | Path) -> Path:
-    """The scene file that a path or the name of a shipped scene stands for.
+    """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for.
 
     Raises:
         InputError: There is no such file and no such scene.
@@ -45,7 +45,7 @@ def find_scene(scene: str | Path) -> Path:
     except OSError as error:
         raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {error.strerror}"]) from None
     if exists and not (folder and str(scene) in shipped):
-        return path
+        return path / SCENE_FILE if folder and (path / SCENE_FILE).is_file() else path
     if str(scene) in shipped:
         return shipped[str(scene)]
     problem = f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"
@@ -117,7 +117,7 @@ def _assembled(parts: SceneParts) -> Scene:
         raise InputError(parts.name, parts.problems)
     copy, level, live = copy_scene(parts, keys), parts.wave_level, isinstance(poses, LivePoses)
     scene = Scene(
-        name=parts.path.stem,
+        name=parts.scene_name,
         path=parts.path,
         sha256=copy.sha256(),
         seed=keys.seed,

@@ -87,13 +87,10 @@ def scene_with(folder, poses=None, waves=None, steps=5):
 DRIFT = {"drift": {"current_m_s": [0.5, 0.1], "gap_m": 30}}
 
 
-def test_readme_and_document_quote_the_package_that_is_tested():
+def test_the_document_quotes_the_package_that_is_tested():
     project, module = ((EXAMPLE / name).read_text(encoding="utf-8") for name in ("pyproject.toml", "modsim3d_drift.py"))
     assert blocks("toml") == [project]
     assert blocks("python") == [module]
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert f"```python\n{module}```" in readme
-    assert f"```toml\n{project[project.index('[project.entry-points]') :]}```" in readme
 
 
 def test_each_part_of_the_example_is_ten_lines_or_fewer():

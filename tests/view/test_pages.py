@@ -11,7 +11,7 @@ from modsim3d.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")] + sorted((ROOT / "docs").glob("*.md"))
-COMMAND = re.compile(r"^    (?:\w+ \| )?modsim3d (.*)$", flags=re.MULTILINE)
+COMMAND = re.compile(r"^(?:\w+ \| )?modsim3d (?!:)(.*)$", flags=re.MULTILINE)
 
 
 def anchors(page):

@@ -1,0 +1,60 @@
+"""The commands and the Python of README and the pages of docs run as printed, in order, each page in an empty folder."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^(?P<lead>[^\n]*)\n\n?```(?P<language>\w*)\n(?P<text>.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+SAVED = re.compile(r"[Ss]ave this as `([^`]+)`")
+LONGEST_S = 240
+
+
+def blocks(page):
+    """Language, text and, where the line above says so, the file in which a reader saves it."""
+    for found in FENCE.finditer(page.read_text(encoding="utf-8")):
+        saved = SAVED.search(found["lead"])
+        yield found["language"], found["text"], Path(saved[1]) if saved else None
+
+
+def run_shell(text, folder):
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    finished = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", text],
+        cwd=folder,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+    )
+    assert finished.returncode == 0, f"{text}\n{finished.stdout}\n{finished.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_runs_as_printed(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "__main__"}
+    for language, text, file in blocks(page):
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+        elif language == "bash":
+            run_shell(text, tmp_path)
+        elif language == "python":
+            exec(compile(text, str(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_no_command_of_a_page_is_left_out(page):
+    """Commands stand in bash fences; sh is for the scripts of the repository and for installing."""
+    prose = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    assert not re.findall(r"^(?: {4}|\t)(?:\S+ \| )?(?:modsim3d|pip|python) .*", prose, flags=re.MULTILINE)
+    for language, text, file in blocks(page):
+        assert language or file, f"a fence without a language: {text[:60]}"
+        if language == "sh":
+            assert all(re.match(r"(script/|pip install |\s*#|$)", line) for line in text.splitlines()), text
