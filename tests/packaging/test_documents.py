@@ -1,4 +1,4 @@
-"""The commands and the Python of README and the pages of docs run as printed, in order, each page in an empty folder."""
+"""Commands and Python of README and the pages of docs run as printed, in order, each page in an empty folder."""
 
 import os
 import re

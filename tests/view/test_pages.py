@@ -11,6 +11,7 @@ from modsim3d.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md")] + sorted((ROOT / "docs").glob("*.md"))
+FENCE = re.compile(r"^```\w+\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?:\w+ \| )?modsim3d (?!:)(.*)$", flags=re.MULTILINE)
 
 
@@ -21,8 +22,9 @@ def anchors(page):
 
 
 def commands(page):
-    for found in COMMAND.findall(page.read_text(encoding="utf-8").replace("\\\n", " ")):
-        yield shlex.split(found, comments=True)
+    for fence in FENCE.findall(page.read_text(encoding="utf-8")):
+        for found in COMMAND.findall(fence.replace("\\\n", " ")):
+            yield shlex.split(found, comments=True)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
