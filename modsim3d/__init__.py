@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from modsim3d.detector.file.reading import load_detector
     from modsim3d.errors import ModsimError
-    from modsim3d.learn.learn_detector import learn_detector
+    from modsim3d.learn.learning import learn_detector
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.pipeline import simulate_frames
     from modsim3d.runs.run import run_scene
@@ -45,7 +45,7 @@ _HOMES = {
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene.scene",
     "detect_run": "modsim3d.runs.detect_run",
-    "learn_detector": "modsim3d.learn.learn_detector",
+    "learn_detector": "modsim3d.learn.learning",
     "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",
     "open_run": "modsim3d.runs.stored_run",

@@ -27,6 +27,8 @@ def as_path(value: object, name: str, needed: str = "a path") -> Path:
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str):  # a path of bytes is no path here
         raise TypeError(f"{name}: {needed} is needed (got {type(value).__name__})")
+    if not text:
+        raise ModsimError(f"{name}: {needed} is needed (got an empty text)")
     if "\0" in text:
         raise ModsimError(f"{name}: a path cannot hold the character NUL (got {text!r:.60})")
     return Path(text)

@@ -217,8 +217,8 @@ def open_run(folder: StrPath) -> StoredRun:
         run = modsim3d.open_run("runs/first")
         run.table("detections").to_pandas()
 
-    Checked are `run.json`, the copy of the scene, the size of each file, and columns, types, steps and number of rows of
-    each table. Rows are checked as they are read.
+    Checked are `run.json`, the copy of the scene, the size of each file, and columns, types, steps and number of rows
+    of each table. Rows are checked as they are read.
 
     Raises:
         RunDirectoryError: There is no run in it, or it is not what a run has written.
