@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -218,8 +219,8 @@ def _pairs(truth: Paths | None, detections: Paths | None, conditions: Sequence[s
 def _paths(given: Paths | None, name: str) -> list[Path]:
     if given is None:
         return []
-    several = isinstance(given, Iterable) and not isinstance(given, str | bytes)
-    return [as_path(each, name, "a path or a list of paths") for each in (given if several else [given])]
+    each = [given] if isinstance(given, str | bytes | os.PathLike) or not isinstance(given, Iterable) else given
+    return [as_path(path, name, "a path or a list of paths") for path in each]
 
 
 def _read(pairs: Iterable[tuple[str, Path, Path]], given: _Choices) -> LabelledSet:

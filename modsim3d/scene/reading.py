@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -45,16 +46,17 @@ def find_scene(scene: StrPath) -> Path:
         TypeError: It is neither text nor a path.
     """
     path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
+    name = os.fspath(scene)
     try:
         exists, folder = path.exists(), path.is_dir()
     except OSError as error:
-        raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {error.strerror}"]) from None
-    if exists and not (folder and str(scene) in shipped):
+        raise InputError(f"scene {shown(name)}", [f"cannot be read: {error.strerror}"]) from None
+    if exists and not (folder and name in shipped):
         return path
-    if str(scene) in shipped:
-        return shipped[str(scene)]
-    problem = f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"
-    raise InputError(f"scene {scene}", [problem])
+    if name in shipped:
+        return shipped[name]
+    problem = f"no such file, and no shipped scene has this name ({nearest(name, shipped)})"
+    raise InputError(f"scene {name}", [problem])
 
 
 def load_scene(

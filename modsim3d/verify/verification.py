@@ -87,10 +87,11 @@ class VerifiedRun:
         return f"<VerifiedRun {self.run.folder}: {conclusion(self.verification)}>"
 
     def _repr_html_(self) -> str:
-        """The outcome, and a table of the verdicts."""
+        """The outcome, and a table of what was tested, with what fails first."""
         from modsim3d.verify.report import HEADER, conclusion, row_of
 
-        return column_table(conclusion(self.verification), HEADER, map(row_of, self.verdicts))
+        tested = [verdict for verdict in self.verdicts if verdict.measured is not None and not verdict.fails]
+        return column_table(conclusion(self.verification), HEADER, map(row_of, (*self.failed, *tested)))
 
     @property
     def obeys(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from modsim3d.errors import InputError
@@ -27,11 +28,11 @@ def find_detector(detector: StrPath) -> Path:
         TypeError: It is neither text nor a path.
     """
     path = as_path(detector, "detector", "a path or the name of a shipped detector")
-    name, shipped = path.as_posix(), shipped_detectors()
+    name, shipped = os.fspath(detector), shipped_detectors()
     try:
         exists = path.exists() and not (path.is_dir() and name in shipped)
     except OSError as error:
-        raise InputError(f"detector {shown(str(path))}", [f"cannot be read: {error.strerror}"]) from None
+        raise InputError(f"detector {shown(name)}", [f"cannot be read: {error.strerror}"]) from None
     if exists or path.suffix or path.is_absolute():
         return path
     if name not in shipped:
