@@ -1,4 +1,4 @@
-"""A run that the tests of this folder share."""
+"""Runs that the tests of this folder share; no test writes into them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ def scene() -> modsim3d.Scene:
 
 @pytest.fixture(scope="session")
 def folder(scene, tmp_path_factory) -> Path:
-    """A run directory; no test writes into it."""
+    """Several cameras, one of them on a vessel and one that does not take a frame at each step."""
     folder = tmp_path_factory.mktemp("api") / "run"
     modsim3d.run_scene(scene, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def thesis_folder(tmp_path_factory) -> Path:
+    """One camera, and the thesis's detector."""
+    folder = tmp_path_factory.mktemp("api") / "thesis"
+    modsim3d.run_scene(modsim3d.load_scene("simulation_1", mode=2, steps=100, source="analytic"), folder)
     return folder

@@ -39,19 +39,19 @@ def kind(request):
     return request.param
 
 
-def test_every_kind_of_path_is_taken(kind, folder, tmp_path):
+def test_every_kind_of_path_is_taken(kind, thesis_folder, tmp_path):
     assert modsim3d.load_detector(kind(DETECTORS / "thesis.yaml")).labels == ("Vessel",)
     scene = modsim3d.load_scene(kind("simulation_1"), steps=2, source="analytic", detector=kind("thesis"))
     result = modsim3d.run_scene(scene, kind(tmp_path / "a"))
     assert result.folder == tmp_path / "a" and (tmp_path / "a/run.json").is_file()
     assert modsim3d.open_run(kind(tmp_path / "a")).steps == 2
     modsim3d.detect_run(kind(tmp_path / "a"), kind(tmp_path / "b"), detector=kind(DETECTORS / "thesis.yaml"), seed=7)
-    verified = modsim3d.verify_run(kind(folder), detector=kind("thesis"))
+    verified = modsim3d.verify_run(kind(thesis_folder), detector=kind("thesis"))
     assert verified.write(kind(tmp_path / "checked")) == (
         tmp_path / "checked/verify.json",
         tmp_path / "checked/verify.html",
     )
-    learned = modsim3d.learn_detector(run=kind(folder), replicates=20)
+    learned = modsim3d.learn_detector(run=kind(thesis_folder), replicates=20)
     assert learned.write(kind(tmp_path / "learned.yaml"))[0].is_file()
     assert scene.copy.write(kind(tmp_path / "copy")).is_file()
 

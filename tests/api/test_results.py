@@ -78,9 +78,13 @@ class Page(HTMLParser):
 
 def test_a_scene_is_three_lines(scene):
     first, second, third = repr(scene).splitlines()
-    assert first.startswith("<Scene strait: 8 vessels (own, ferry,") and first.endswith("2 cameras (bow, quay)")
-    assert second.strip() == "30 steps in 14.5 s, seed 3, truth analytic, mode 2"
-    assert third.strip() == "detector: 4 states (excellent, good, bad, terrible), 1 label (Vessel)>"
+    assert first.startswith(f"<Scene strait: {len(scene.vessels)} vessels (own, ferry,")
+    assert first.endswith("2 cameras (bow, quay)")
+    last_s = scene.times_s(29, 30)[0]
+    assert second.strip() == f"30 steps in {last_s:g} s, seed 3, truth analytic, mode 2"
+    states, labels = [state.name for state in scene.detector.states], scene.detector.labels
+    assert third.startswith(f"  detector: {len(states)} state") and third.endswith(")>")
+    assert all(name in third for name in (*states, *labels))
     assert all(len(line) < 140 for line in (first, second, third))
 
 
@@ -143,11 +147,11 @@ def test_a_verified_run_tells_and_writes_its_verdicts(verified, folder, tmp_path
     verified.write(tmp_path / "checked", overwrite=True)
 
 
-def test_a_run_that_does_not_obey_names_what_differs(folder, tmp_path):
+def test_a_run_that_does_not_obey_names_what_differs(thesis_folder, tmp_path):
     path = tmp_path / "never_false.yaml"
     text = (data_folder("scenes") / "detectors/thesis.yaml").read_text()
     path.write_text(re.sub(r"false_discovery_rate: [0-9.]+", "false_discovery_rate: 0.9", text))
-    verified = modsim3d.verify_run(folder, detector=path)
+    verified = modsim3d.verify_run(thesis_folder, detector=path)
     assert not verified.obeys and "does NOT obey" in repr(verified)
     first = Page(verified._repr_html_()).text.split("verdict", 1)[1]
     assert first.index("DIFFERS") < first.index("obeys")
@@ -190,11 +194,13 @@ def test_the_command_learns_the_same_file(folder, learned, tmp_path, monkeypatch
     assert learned.write(tmp_path / "python.yaml")[0].read_bytes() == out.read_bytes()
 
 
-def test_states_are_made_of_conditions(folder):
-    given = {"fair": ["excellent", "good"], "foul": "bad"}
-    learned = modsim3d.learn_detector(run=folder, states=given, replicates=20)
+def test_states_are_made_of_conditions(thesis_folder):
+    seen = set(modsim3d.open_run(thesis_folder).table("frames")["state"].to_pylist())
+    assert seen < {"excellent", "good", "bad"}
+    given = {"fair": ["excellent", "good", "bad"], "foul": "terrible"}
+    learned = modsim3d.learn_detector(run=thesis_folder, states=given, replicates=20)
     assert [state.name for state in learned.detector.states] == ["fair"]  # no frame of the run is in the other
-    assert len(modsim3d.learn_detector(run=folder, states=1, replicates=20).detector.states) == 1
+    assert len(modsim3d.learn_detector(run=thesis_folder, states=1, replicates=20).detector.states) == 1
 
 
 @pytest.mark.parametrize(
