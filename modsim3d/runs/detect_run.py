@@ -27,7 +27,7 @@ def detect_run(
 ) -> RunResult:
     """Run a detector alone: write the run directory that another detector or seed would have given, without rendering.
 
-        modsim3d.detect_run("runs/first", "runs/fog", detector="conditions/foggy_cloudy", seed=7)
+        modsim3d.detect_run("runs/first", "runs/second", detector="my/detector.yaml", seed=7)
 
     Args:
         run: A finished run, or its directory.
