@@ -1,12 +1,11 @@
 """modsim3d: simulates cameras and their vessel detector in front of a multi-object tracker.
 
-    import modsim3d
+    >>> import modsim3d
+    >>> scene = modsim3d.load_scene("strait", steps=2)
+    >>> for frame in modsim3d.simulate_frames(scene):
+    ...     truth, detections = frame.truth.boxes_px, frame.detections.boxes_px
 
-    scene = modsim3d.load_scene("simulation_1", mode=2)
-    for frame in modsim3d.simulate_frames(scene):
-        frame.truth.boxes_px, frame.detections.boxes_px
-
-`import modsim3d` loads no OpenGL, plotting or tracking library; each name below is imported when it is first used.
+`import modsim3d` loads no OpenGL, plotting or table library; each name below is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -16,30 +15,58 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from modsim3d.detector.file.reading import load_detector
     from modsim3d.errors import ModsimError
+    from modsim3d.learn.learning import learn_detector
+    from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.pipeline import simulate_frames
     from modsim3d.runs.run import run_scene
+    from modsim3d.runs.stored_run import open_run
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.scene import Scene
+    from modsim3d.verify.verification import verify_run
 
-__all__ = ["ModsimError", "Scene", "load_scene", "run_scene", "simulate_frames"]
+    __version__: str
+
+__all__ = [
+    "ModsimError",
+    "Scene",
+    "detect_run",
+    "learn_detector",
+    "load_detector",
+    "load_scene",
+    "open_run",
+    "run_scene",
+    "simulate_frames",
+    "verify_run",
+]
 
 _HOMES = {
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene.scene",
+    "detect_run": "modsim3d.runs.detect_run",
+    "learn_detector": "modsim3d.learn.learning",
+    "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",
+    "open_run": "modsim3d.runs.stored_run",
     "run_scene": "modsim3d.runs.run",
     "simulate_frames": "modsim3d.runs.pipeline",
+    "verify_run": "modsim3d.verify.verification",
 }
 
 __path__.append(str(Path(__file__).with_name("old_paths")))  # where documented modules are found that have moved
 
+if not TYPE_CHECKING:  # a type checker takes the imports above, and so finds a misspelt name
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from importlib.metadata import version
 
-        return version("modsim3d")
-    if name not in _HOMES:
-        raise AttributeError(f"module 'modsim3d' has no attribute '{name}'")
-    return getattr(import_module(_HOMES[name]), name)
+            return version("modsim3d")
+        if name not in _HOMES:
+            raise AttributeError(f"module 'modsim3d' has no attribute '{name}'")
+        return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -14,6 +14,7 @@ from modsim3d.detector.gates import Gates
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.performance import Performance
 from modsim3d.detector.persistence import Persistence
+from modsim3d.display import column_table, counted, listed
 
 ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
 """Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height."""
@@ -21,15 +22,18 @@ ERROR_PAIRS = tuple(itertools.combinations(range(len(ERROR_COMPONENTS)), 2))
 """Pairs of components, in the order in which files and tables list their correlations."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PerformanceState:
     """How the detector behaves under one kind of conditions.
 
     Attributes:
+        name: Its name in the file.
         confusion: Pr(detected as i | label j), rows labels then background, shape (k + 1, k), columns sum
             to one (Jessen & Mohr (2023), eq. 5.25).
         false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
         false_discovery_rate: False positives over all detections, in [0, 1).
+        box_error: Law of the box errors.
+        confidence: Laws of the confidence of true and of false detections.
         false_positives_per_image: Rate for the model of false positives that has such a one.
     """
 
@@ -41,13 +45,19 @@ class PerformanceState:
     confidence: StateConfidence
     false_positives_per_image: float = 0.0
 
+    def __repr__(self) -> str:
+        """Its name and its share of false detections."""
+        return f"<PerformanceState {self.name}: false discovery rate {self.false_discovery_rate:.1%}>"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class DetectorModel:
-    """Everything that a detector file says.
+    """Everything that a detector file says: what `load_detector` returns, and what a scene has as `detector`.
 
     Attributes:
+        labels: Names of the classes; arrays give a class as an index into them.
         confidence_threshold: Least confidence of a detection.
+        states: The performance states.
         initial_state: Index of the state at the first step.
         transition_matrix: Pr(next is i | now is j), shape (states, states), columns sum to one (Jessen & Mohr (2023),
             eq. 6.1).
@@ -66,6 +76,24 @@ class DetectorModel:
     clutter: ClutterOptions = field(default_factory=ClutterOptions)
     merges_and_splits: MergesAndSplits = field(default_factory=MergesAndSplits)
     performance: Performance = field(default_factory=Performance)
+
+    def __repr__(self) -> str:
+        """States and labels in a line."""
+        return f"<DetectorModel: {self.in_words()}>"
+
+    def _repr_html_(self) -> str:
+        """A notebook's table: for each state, how often each label is missed, and the share of false detections."""
+        rows = [
+            [state.name, *(f"{miss:.1%}" for miss in state.confusion[-1]), f"{state.false_discovery_rate:.1%}"]
+            for state in self.states
+        ]
+        header = ["state", *(f"{label}: missed" for label in self.labels), "false discovery rate"]
+        return column_table(f"Detector: {self.in_words()}", header, rows)
+
+    def in_words(self) -> str:
+        """Its states and labels, such as `2 states (day, night), 1 label (Vessel)`."""
+        states = f"{counted(len(self.states), 'state')} ({listed([state.name for state in self.states])})"
+        return f"{states}, {counted(len(self.labels), 'label')} ({listed(self.labels)})"
 
     @property
     def needs_census(self) -> bool:

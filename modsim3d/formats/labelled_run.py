@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from modsim3d.arrays import Indices
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
+from modsim3d.paths import StrPath
 from modsim3d.runs.files.columns import NOBODY, indices, numbers, positions
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.runs.stored_run import StoredRun, opened_run
 
 
-def labelled_run(folder: Path) -> tuple[LabelledSet, StoredRun]:
+def labelled_run(run: StoredRun | StrPath) -> tuple[LabelledSet, StoredRun]:
     """Read a run as a labelled set, with an image for each frame and a condition for each performance state."""
-    run = open_run(folder)
+    run = opened_run(run)
     rows, detector = RunRows.of(run), run.scene.detector
     cameras = len(run.scene.cameras)
     frames = rows.frames[np.lexsort((rows.frames // cameras, rows.frames % cameras))]  # in order of camera and step

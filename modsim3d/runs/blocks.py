@@ -11,11 +11,24 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector.records import KINDS, Detections
+from modsim3d.runs.frame_views import (
+    detections_html,
+    detections_in_words,
+    frame_html,
+    frame_in_words,
+    frame_png,
+    supervision_detections,
+    supervision_truth,
+    truth_html,
+    truth_in_words,
+)
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 from modsim3d.truth.truth_record import Truth
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+    import supervision
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -77,13 +90,14 @@ class Block:
         return self.first + len(self.timestamps)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrameTruth:
     """What one camera sees at one step: n vessels as arrays. Boxes are x_min, y_min, x_max, y_max in pixels.
 
     Attributes:
         vessels: IDs of the vessels.
         labels: True classes of the vessels.
+        class_id: Their indices in the detector's labels, `scene.detector.labels`, shape (n,).
         full_boxes_px: Boxes of the whole silhouettes, cut at the image edge, shape (n, 4).
         visible_boxes_px: Boxes of the visible pixels; NaN if there are none, shape (n, 4).
         boxes_px: The boxes that the annotation mode takes: the full or the visible ones, shape (n, 4).
@@ -99,6 +113,7 @@ class FrameTruth:
 
     vessels: tuple[str, ...]
     labels: tuple[str, ...]
+    class_id: Indices
     full_boxes_px: Array
     visible_boxes_px: Array
     boxes_px: Array
@@ -115,13 +130,22 @@ class FrameTruth:
         """Number of vessels."""
         return len(self.vessels)
 
+    def __repr__(self) -> str:
+        """The vessels, and how many are annotated and detected."""
+        return f"<FrameTruth: {truth_in_words(self)}>"
 
-@dataclass(frozen=True, eq=False)
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return truth_html(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class FrameDetections:
     """The detector's output for one frame: m detections as arrays, in shuffled order.
 
     Attributes:
         labels: Detected classes.
+        class_id: Their indices in the detector's labels, `scene.detector.labels`, shape (m,).
         confidence: In [0, 1], shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
         kinds: Origin of each detection: one of `modsim3d.detector.KINDS`.
@@ -130,6 +154,7 @@ class FrameDetections:
     """
 
     labels: tuple[str, ...]
+    class_id: Indices
     confidence: Array
     boxes_px: Array
     kinds: tuple[str, ...]
@@ -140,16 +165,29 @@ class FrameDetections:
         """Number of detections."""
         return len(self.labels)
 
+    def __repr__(self) -> str:
+        """How many there are, and of what kinds."""
+        return f"<FrameDetections: {detections_in_words(self)}>"
 
-@dataclass(frozen=True, eq=False)
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return detections_html(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Frame:
-    """One camera at one step.
+    """One camera at one step, from `simulate_frames` or `StoredRun.frames`.
+
+        frame.time_s, frame.truth.boxes_px, frame.detections.confidence
 
     Attributes:
         camera: Name of the camera.
         step: Step, counted from zero.
-        timestamp: The text of the step's time.
+        timestamp: The text of the step's time, as files have it.
+        time_s: Time since the scene's first step, in seconds.
         state: Name of the detector's performance state.
+        truth: What the camera sees.
+        detections: What the detector makes of it.
         image_size_px: Width and height.
         sea_half_plane: (a, b, c) with a·x + b·y + c >= 0 on the sea's side of the horizon, shape (3,).
         scene_vessels: IDs of all vessels of the scene, seen or not; their order gives the colours of pictures.
@@ -158,12 +196,53 @@ class Frame:
     camera: str
     step: int
     timestamp: str
+    time_s: float
     state: str
     truth: FrameTruth
     detections: FrameDetections
     image_size_px: tuple[int, int]
     sea_half_plane: Array
     scene_vessels: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        """Camera, step, time and how much is in it."""
+        return f"<Frame: {frame_in_words(self)}>"
+
+    def _repr_html_(self) -> str | None:
+        """A notebook's tables, where it cannot draw the picture."""
+        return frame_html(self)
+
+    def _repr_png_(self) -> bytes | None:
+        """A notebook's picture; None without matplotlib."""
+        return frame_png(self)
+
+    def table(self, name: str) -> pa.Table:
+        """Its rows of a run's table: `frames`, `truth` or `detections`, with the columns of `StoredRun.table`.
+
+        Raises:
+            ModsimError: There is no such table.
+        """
+        from modsim3d.runs.files.frame_rows import rows_of_frame  # no pyarrow where none is needed
+
+        return rows_of_frame(self, name)
+
+    def to_supervision(self) -> supervision.Detections:
+        """The detections as `supervision.Detections`: `xyxy`, `confidence`, `class_id` and `data["class_name"]`.
+
+        Raises:
+            ModsimError: supervision is not installed.
+        """
+        return supervision_detections(self)
+
+    def truth_to_supervision(self) -> supervision.Detections:
+        """The annotated vessels as `supervision.Detections`, with the boxes that the annotation mode takes.
+
+        `tracker_id` is the place of each vessel in `scene_vessels`; `data["vessel"]` is its ID. There is no confidence.
+
+        Raises:
+            ModsimError: supervision is not installed.
+        """
+        return supervision_truth(self)
 
     def plot(self, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
         """Draw sea, sky, truth and detections with matplotlib; a notebook shows the figure that is returned.
@@ -201,6 +280,7 @@ def _frame(block: Block, part: CameraBlock, scene: Scene, index: int) -> Frame:
         camera=camera.name,
         step=step,
         timestamp=block.timestamps[step - block.first],
+        time_s=float(scene.times_s(step, step + 1)[0]),
         state=scene.detector.states[part.detections.states[index]].name,
         truth=_frame_truth(part, scene, step),
         detections=_frame_detections(part, scene, index),
@@ -217,6 +297,7 @@ def _frame_truth(part: CameraBlock, scene: Scene, step: int) -> FrameTruth:
     return FrameTruth(
         vessels=tuple(vessel.name for vessel in vessels),
         labels=tuple(vessel.label for vessel in vessels),
+        class_id=np.array([scene.detector.labels.index(vessel.label) for vessel in vessels], dtype=np.int64),
         full_boxes_px=truth.full_boxes_px[rows],
         visible_boxes_px=truth.visible_boxes_px[rows],
         boxes_px=annotation_boxes(truth, scene.annotation.mode)[rows],
@@ -239,6 +320,7 @@ def _frame_detections(part: CameraBlock, scene: Scene, index: int) -> FrameDetec
     vessels = scene.vessel_names
     return FrameDetections(
         labels=tuple(labels[label] for label in detections.label[rows]),
+        class_id=detections.label[rows],
         confidence=detections.confidence[rows],
         boxes_px=detections.boxes_px[rows],
         kinds=tuple(KINDS[kind] for kind in detections.kind[rows]),

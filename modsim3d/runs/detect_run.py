@@ -7,29 +7,32 @@ from collections.abc import Callable
 from pathlib import Path
 
 from modsim3d.errors import RunDirectoryError
+from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.run import RunResult, settings_of, write_run
-from modsim3d.runs.stored_run import StoredRun
+from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.runs.workers import open_block_workers
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
 
 def detect_run(
-    run: StoredRun,
-    folder: Path,
+    run: StoredRun | StrPath,
+    folder: StrPath,
     *,
-    detector: Path | None = None,
+    detector: StrPath | None = None,
     seed: int | None = None,
     overwrite: bool = False,
     workers: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
-    """Write the run directory that another detector or seed would have given, without rendering.
+    """Run a detector alone: write the run directory that another detector or seed would have given, without rendering.
+
+        modsim3d.detect_run("runs/first", "runs/second", detector="my/detector.yaml", seed=7)
 
     Args:
-        run: A finished run.
+        run: A finished run, or its directory.
         folder: The new run directory.
-        detector: A detector file, in place of the run's.
+        detector: A detector file or the name of a shipped detector, in place of the run's.
         seed: Seed of the detector, in place of the run's.
         overwrite: Replace a run that is there.
         workers: Number of processes; the bytes of the files do not depend on it.
@@ -37,7 +40,9 @@ def detect_run(
 
     Raises:
         ModsimError: The run was interrupted, the detector does not suit it, or the folder cannot be used.
+        TypeError: The run, the folder or the detector is neither text nor a path.
     """
+    run, folder = opened_run(run), as_path(folder, "folder")
     run.finished_tables.check_checksums()
     if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(run.folder)):
         raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
@@ -49,7 +54,7 @@ def detect_run(
     return write_run(scene, folder, block_workers, lambda _: settings, overwrite=overwrite, progress=progress)
 
 
-def with_detector(run: StoredRun, detector: Path | None = None, seed: int | None = None) -> Scene:
+def with_detector(run: StoredRun, detector: StrPath | None = None, seed: int | None = None) -> Scene:
     """A run's scene with another detector file or another seed of the detector.
 
     The seed of the scene changes too, unless the truth depends on it.

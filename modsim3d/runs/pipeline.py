@@ -206,11 +206,33 @@ def step_ranges(scene: Scene) -> Iterator[Range]:
         yield step, step + 1
 
 
+def check_scene(scene: object) -> None:
+    """Refuse what is no scene, such as the path of one.
+
+    Raises:
+        TypeError: It is no scene.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: a Scene is needed, from modsim3d.load_scene (got {type(scene).__name__})")
+
+
 def simulate_frames(scene: Scene) -> Iterator[Frame]:
     """Simulate a scene in memory: the frames of all cameras, in order of step and camera.
 
+        for frame in modsim3d.simulate_frames(modsim3d.load_scene("strait", steps=2)):
+            frame.truth.boxes_px, frame.detections.boxes_px
+
     A live scene gives the frames of a step before it waits for the next step.
+
+    Raises:
+        ModsimError: The scene asks for what cannot be, at the first frame or while frames are made.
+        TypeError: The scene is none.
     """
+    check_scene(scene)
+    return _simulated(scene)
+
+
+def _simulated(scene: Scene) -> Iterator[Frame]:
     with open_renderer(scene) as renderer:
         blocks: Iterable[tuple[Truth, int, int]]
         blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene))

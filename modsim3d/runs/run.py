@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from modsim3d.detector.census import TargetCensus
+from modsim3d.display import key_table
 from modsim3d.errors import InputError, ModsimError
+from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.run_directory import RunDirectory, locked_run
-from modsim3d.runs.pipeline import Range, step_ranges
+from modsim3d.runs.pipeline import Range, check_scene, step_ranges
 from modsim3d.runs.workers import BlockMaker, BlockWorkers, Tally, backend_of, open_block_workers
 from modsim3d.scene.scene import Scene
 
@@ -24,11 +26,14 @@ FORMAT = 1
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult:
-    """A finished run.
+    """A finished run, from `run_scene` or `detect_run`; `modsim3d.open_run(result.folder)` reads what it has written.
 
     Attributes:
+        folder: The run directory.
+        counts: What happened, summed over cameras and steps.
+        steps: Number of steps.
         seconds: Wall-clock time.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
         damaged_blocks: Number of blocks whose truth an interrupted run had kept in a damaged file; it was made anew.
@@ -46,10 +51,29 @@ class RunResult:
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
 
+    def __repr__(self) -> str:
+        """Where it is, and its counts, in a line."""
+        return f"<RunResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
+
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return key_table(f"Run {self.folder}", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        counts = self.counts
+        return {
+            "steps": f"{self.steps:,}",
+            "frames": f"{counts.frames:,}",
+            "annotated vessels": f"{counts.annotated:,}",
+            "detected": f"{counts.detected:,}",
+            "false detections": f"{counts.false_positives:,}",
+            "time": f"{self.seconds:.1f} s",
+        }
+
 
 def run_scene(
     scene: Scene,
-    folder: Path,
+    folder: StrPath,
     *,
     overwrite: bool = False,
     resume: bool = False,
@@ -58,9 +82,12 @@ def run_scene(
 ) -> RunResult:
     """Run a scene and write its run directory.
 
+        result = modsim3d.run_scene(modsim3d.load_scene("strait"), "runs/first")
+        result.counts.detected
+
     Args:
         scene: From `load_scene`.
-        folder: The run directory.
+        folder: The run directory; folders that are missing are made.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
         workers: Number of processes; the bytes of the files do not depend on it.
@@ -68,7 +95,9 @@ def run_scene(
 
     Raises:
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
+        TypeError: The scene is none, or the folder is neither text nor a path.
     """
+    check_scene(scene)
     if scene.live and workers > 1:
         raise ModsimError(
             f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
@@ -76,7 +105,7 @@ def run_scene(
         )
     return write_run(
         scene,
-        folder,
+        as_path(folder, "folder"),
         open_block_workers(scene, workers),
         lambda opened: settings_of(scene, backend_of(opened)),
         overwrite=overwrite,

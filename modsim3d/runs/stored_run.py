@@ -10,9 +10,12 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from modsim3d.display import key_table, listed
 from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.inputs.validation import nearest
+from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.blocks import Block, Frame, frames_of
-from modsim3d.runs.files.block_files import SETTINGS_FILE, TABLES, finished_truth
+from modsim3d.runs.files.block_files import OWN_SHIP, SETTINGS_FILE, TABLES, finished_truth
 from modsim3d.runs.files.reading import detections_of, truth_of
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UNFINISHED
 from modsim3d.runs.files.run_file import (
@@ -31,9 +34,12 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import Truth
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StoredRun:
-    """A finished or an interrupted run.
+    """A finished or an interrupted run, from `open_run`.
+
+        run = modsim3d.open_run("runs/first")
+        run.table("truth"), run.scene, next(run.frames()).plot()
 
     An interrupted run has kept its truth, and its detections are made from that truth again: the same that it would
     have written. They may differ only if the detector needs a census of the scene, since the truth of the later steps
@@ -52,6 +58,24 @@ class StoredRun:
     scene: Scene
     steps: int
     stored: StoredTables | None
+
+    def __repr__(self) -> str:
+        """Where it is, and what is in it, in a line."""
+        return f"<StoredRun {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
+
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return key_table(f"Run {self.folder}", self._rows())
+
+    def _rows(self) -> dict[str, str]:
+        scene = self.scene
+        return {
+            "scene": f"{scene.name}",
+            "steps": f"{self.steps:,}" + ("" if self.finished else f" of {scene.steps:,}, interrupted"),
+            "cameras": listed([camera.name for camera in scene.cameras]),
+            "seed": f"{scene.seed}",
+            "detector": scene.detector.in_words(),
+        }
 
     @property
     def finished(self) -> bool:
@@ -77,7 +101,11 @@ class StoredRun:
         return "finish it with `modsim3d run SCENE --resume` first"
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """The frames of steps first to stop − 1, in order of step and camera."""
+        """The frames of steps first to stop − 1, all from `first` on if stop is None, in order of step and camera.
+
+        Raises:
+            RunDirectoryError: A row of a table is not what a run has written.
+        """
         stop = self.steps if stop is None else min(stop, self.steps)
         for start, end in self._ranges():
             wanted = range(max(start, first), min(end, stop))
@@ -85,8 +113,37 @@ class StoredRun:
                 yield from frames_of(self._block(start, end, wanted), self.scene, wanted)
 
     def frame(self, camera: str, step: int) -> Frame:
-        """The frame that a camera took at a step."""
-        return next(frame for frame in self.frames(step, step + 1) if frame.camera == camera)
+        """The frame that a camera took at a step.
+
+        Raises:
+            ModsimError: There is no such camera or no such step, or the camera took no frame then.
+        """
+        cameras = [each.name for each in self.scene.cameras]
+        if camera not in cameras:
+            raise ModsimError(f"{self.folder}: there is no camera '{camera}' ({nearest(camera, cameras)})")
+        if not 0 <= step < self.steps:
+            raise ModsimError(f"{self.folder}: there is no step {step}; it has steps 0 to {self.steps - 1}")
+        for frame in self.frames(step, step + 1):
+            if frame.camera == camera:
+                return frame
+        raise ModsimError(f"{self.folder}: camera '{camera}' took no frame at step {step}")
+
+    def table(self, name: str) -> pa.Table:
+        """All rows of one table: `frames`, `truth`, `detections`, or `ownship` where a vessel carries a camera.
+
+        `run.table("truth").to_pandas()` makes a pandas frame of it, `polars.from_arrow(run.table("truth"))` a Polars
+        one. The schema has each column's type, and its meaning as far as the table's file has it.
+
+        Raises:
+            RunDirectoryError: It is not what a run has written, or the run was interrupted and does not have it.
+            ModsimError: There is no such table.
+        """
+        names = [*TABLES, *([OWN_SHIP] if self.scene.own_ships else [])]
+        if name not in names:
+            raise ModsimError(f"{self.folder}: there is no table '{name}' ({nearest(name, names)})")
+        if name == OWN_SHIP:
+            return self.finished_tables.own_ship()
+        return self.tables()[name] if self.stored is None else self.stored.rows_of(name)
 
     def tables(self) -> dict[str, pa.Table]:
         """All rows of `frames`, `truth` and `detections`: much faster than `frames()`, but all in memory.
@@ -144,16 +201,31 @@ class StoredRun:
         return truth
 
 
-def open_run(folder: Path) -> StoredRun:
+def opened_run(run: StoredRun | StrPath) -> StoredRun:
+    """A run that was opened, or that is opened now from its directory.
+
+    Raises:
+        RunDirectoryError: See `open_run`.
+        TypeError: It is neither a run, nor text, nor a path.
+    """
+    return run if isinstance(run, StoredRun) else open_run(as_path(run, "run", "a run directory or a StoredRun"))
+
+
+def open_run(folder: StrPath) -> StoredRun:
     """Open a run directory, and check all of it that can be checked without reading it whole.
 
-    These are `run.json`, the copy of the scene, the size of each file, and columns, types, steps and number of rows of
-    each table. Rows are checked as they are read.
+        run = modsim3d.open_run("runs/first")
+        run.table("detections").to_pandas()
+
+    Checked are `run.json`, the copy of the scene, the size of each file, and columns, types, steps and number of rows
+    of each table. Rows are checked as they are read.
 
     Raises:
         RunDirectoryError: There is no run in it, or it is not what a run has written.
         InputError: The scene in it cannot be read.
+        TypeError: The folder is neither text nor a path.
     """
+    folder = as_path(folder, "folder", "a run directory")
     if (folder / RUN_FILE).is_file():
         return _finished_run(folder)
     if (folder / UNFINISHED / SETTINGS_FILE).is_file():

@@ -13,6 +13,7 @@ import orjson
 from pydantic import BaseModel
 
 from modsim3d.motion.poses import LivePoses
+from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts
 
@@ -36,8 +37,9 @@ class SceneCopy:
         """Paths of all files in the copy, the scene file first."""
         return (f"{self.name}.json", *self.files)
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: StrPath) -> Path:
         """Write the copy into a folder, and return its scene file, which `load_scene` reads."""
+        folder = as_path(folder, "folder")
         folder.mkdir(parents=True, exist_ok=True)
         for name, source in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from modsim3d.detector.file.finding import find_detector
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
@@ -19,6 +23,7 @@ from modsim3d.motion.poses import LivePoses
 from modsim3d.motion.vessel_motion import Waves
 from modsim3d.motion.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 from modsim3d.motion.waves.levels import Axes
+from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
@@ -33,27 +38,29 @@ def shipped_scenes() -> dict[str, Path]:
     return {path.stem: path for path in sorted(data_folder("scenes").glob("*.yaml"))}
 
 
-def find_scene(scene: str | Path) -> Path:
+def find_scene(scene: StrPath) -> Path:
     """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for.
 
     Raises:
         InputError: There is no such file and no such scene.
+        TypeError: It is neither text nor a path.
     """
-    path, shipped = Path(scene), shipped_scenes()
+    path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
+    name = os.fspath(scene)
     try:
         exists, folder = path.exists(), path.is_dir()
     except OSError as error:
-        raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {error.strerror}"]) from None
-    if exists and not (folder and str(scene) in shipped):
+        raise InputError(f"scene {shown(name)}", [f"cannot be read: {error.strerror}"]) from None
+    if exists and not (folder and name in shipped):
         return path / SCENE_FILE if folder and (path / SCENE_FILE).is_file() else path
-    if str(scene) in shipped:
-        return shipped[str(scene)]
-    problem = f"no such file, and no shipped scene has this name ({nearest(str(scene), shipped)})"
-    raise InputError(f"scene {scene}", [problem])
+    if name in shipped:
+        return shipped[name]
+    problem = f"no such file, and no shipped scene has this name ({nearest(name, shipped)})"
+    raise InputError(f"scene {name}", [problem])
 
 
 def load_scene(
-    scene: str | Path,
+    scene: StrPath,
     *,
     seed: int | None = None,
     steps: int | None = None,
@@ -61,10 +68,13 @@ def load_scene(
     source: str | None = None,
     supersample: int | None = None,
     render: str | None = None,
-    detector: Path | None = None,
+    detector: StrPath | None = None,
     detector_seed: int | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
+
+        scene = modsim3d.load_scene("strait", steps=60, seed=7)
+        scene = modsim3d.load_scene("my/scene.yaml", detector="my/detector.yaml")
 
     Args:
         scene: A scene file, or the name of a shipped scene. Each of the following replaces what stands in the file.
@@ -74,11 +84,12 @@ def load_scene(
         source: Annotation source: `rendered`, `analytic` or `rectangles`.
         supersample: Buffer pixels for each pixel of the image and axis.
         render: What the rendered source draws: `regions` or `full`.
-        detector: A detector file, relative to the working directory.
+        detector: A detector file, relative to the working directory, or the name of a shipped detector.
         detector_seed: Seed of the detector.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
+        TypeError: The scene or the detector is neither text nor a path.
     """
     path = find_scene(scene)
     data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
@@ -92,12 +103,14 @@ def load_scene(
         ("annotation", "source"): source,
         ("annotation", "supersample"): supersample,
         ("annotation", "render"): render,
-        ("detector",): None if detector is None else str(detector.resolve()),  # a scene's paths are relative to it
+        ("detector",): None
+        if detector is None
+        else str(find_detector(detector).resolve()),  # not relative to the scene
         ("detector_seed",): detector_seed,
     }
     for keys, value in overrides.items():
         if value is not None:
-            _override(data, keys, value)
+            _override(data, keys, value.item() if isinstance(value, np.generic) else value)
     return _assembled(SceneParts(path, data))
 
 

@@ -20,17 +20,22 @@ from modsim3d.scene.copy import SceneCopy
 from modsim3d.scene.frame_timing import takes_frame
 from modsim3d.scene.sight import Sight, line_of_sight
 from modsim3d.scene.snapshot import Snapshot
+from modsim3d.scene.summary import scene_lines, scene_table
 from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.obstacles import PREFIX, Obstacle
 from modsim3d.vessels.vessel import Vessel
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
-    """A validated scene.
+    """A validated scene, from `load_scene`: what to simulate, and where everything is at each step.
+
+        scene = modsim3d.load_scene("strait")
+        scene.vessel_names, scene.steps, scene.at(0).to_trimesh()
 
     Attributes:
         name: File name without its ending.
+        path: The scene file.
         sha256: Checksum of `copy`.
         seed: Seed of all random numbers but the detector's.
         detector_seed: Seed of the detector; the same unless the scene file says otherwise.
@@ -39,6 +44,7 @@ class Scene:
         vessels: Vessels in the order of the vessels file.
         poses: Source of the vessels' poses.
         cameras: Cameras in the order of the scene file.
+        annotation: Annotation mode, and where the truth comes from.
         detector: Parameters of the statistical detector.
         copy: The files that the scene was read from.
         waves: The waves; None for calm water.
@@ -66,6 +72,14 @@ class Scene:
     obstacles: tuple[Obstacle, ...] = ()
     imu: Imu = PERFECT_IMU
     plugins: tuple[Plugin, ...] = ()
+
+    def __repr__(self) -> str:
+        """Three lines: vessels and cameras; steps, seed and truth; the detector."""
+        return scene_lines(self)
+
+    def _repr_html_(self) -> str:
+        """A notebook's table."""
+        return scene_table(self)
 
     @property
     def vessel_names(self) -> tuple[str, ...]:

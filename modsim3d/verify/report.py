@@ -16,6 +16,7 @@ from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS, DetectorModel
 from modsim3d.detector.records import TRUE
 from modsim3d.outputs.placing import write_files
+from modsim3d.paths import StrPath, as_path
 from modsim3d.verify.class_checks import miss_probabilities
 from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
@@ -148,10 +149,11 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def write_report(verified: VerifiedRun, folder: Path) -> None:
+def write_report(verified: VerifiedRun, folder: StrPath) -> None:
     """Write `verify.json` and `verify.html` into a folder."""
+    target = as_path(folder, "folder")
     data = orjson.dumps(report_data(verified), option=orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY) + b"\n"
-    write_files(dict(zip((folder / name for name in FILES), (data, _page(verified)), strict=True)))
+    write_files(dict(zip((target / name for name in FILES), (data, _page(verified)), strict=True)))
 
 
 def _page(verified: VerifiedRun) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from modsim3d.detector.clutter import ClutterOptions, FixedSize, LognormalSize, 
 from modsim3d.detector.confidence import NormalScores, PrecisionRecall, QuantileScores, Scores, StateConfidence
 from modsim3d.detector.dropout import Dropout, Effect, Slope, Table
 from modsim3d.detector.file.agreement import agreement_problems
+from modsim3d.detector.file.finding import find_detector
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (
     ConfidenceKeys,
@@ -33,15 +33,24 @@ from modsim3d.detector.placement import Placement
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import describe, kind_of
+from modsim3d.paths import StrPath
 
 
-def load_detector(path: Path | str) -> DetectorModel:
-    """The detector that a YAML file describes.
+def load_detector(path: StrPath) -> DetectorModel:
+    """Read and validate a detector file.
+
+        detector = modsim3d.load_detector("my/detector.yaml")
+        detector = modsim3d.load_detector("conditions/foggy_cloudy")
+
+    Args:
+        path: A detector file, or the name of a shipped detector.
 
     Raises:
-        InputError: The file cannot be read, or something in it is wrong.
+        InputError: The file cannot be read, or something in it is wrong; every problem has its own line.
+        TypeError: It is neither text nor a path.
     """
-    return parse_detector(load_yaml(Path(path), "detector"), f"detector {path}")
+    path = find_detector(path)
+    return parse_detector(load_yaml(path, "detector"), f"detector {path}")
 
 
 def parse_detector(data: Any, source: str = "detector") -> DetectorModel:

@@ -6,18 +6,20 @@ from pathlib import Path
 
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
 from modsim3d.formats.reading.yolo import read_yolo
+from modsim3d.paths import StrPath, as_path
 
 
-def read_pair(condition: str, truth: Path, detections: Path, options: ReadOptions) -> LabelledSet:
+def read_pair(condition: str, truth: StrPath, detections: StrPath, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
     """Read one condition: folders are YOLO's, `.txt` and `.csv` are MOT's, anything else is COCO's.
 
     Raises:
         InputError: The files are wrong, or of two kinds.
     """
+    truth, detections = as_path(truth, "truth"), as_path(detections, "detections")
     missing = [(what, path) for what, path in (("truth", truth), ("detections", detections)) if not path.exists()]
     if missing:
         raise InputError(f"condition {condition}", [f"{what} {path}: no such file or folder" for what, path in missing])

@@ -145,10 +145,10 @@ class StoredTables:
         """
         self._scene, self._listed = scene, listed or {}
         self.by_name = {name: StoredTable(folder, name, scene) for name in CHECKS}
+        self._own_ship = folder / f"{OWN_SHIP}.parquet"
         if OWN_SHIP in schemas_of(scene):
-            path = folder / f"{OWN_SHIP}.parquet"
-            with damage_named(path):
-                _check_schema(path, pq.read_schema(path), schemas_of(scene)[OWN_SHIP])
+            with damage_named(self._own_ship):
+                _check_schema(self._own_ship, pq.read_schema(self._own_ship), schemas_of(scene)[OWN_SHIP])
 
     def check_counts(self, counts: dict[str, float]) -> None:
         """Check the number of rows of each table against the counts of `run.json`.
@@ -173,6 +173,26 @@ class StoredTables:
         """
         return self.by_name["truth"].rows(first, stop).table
 
+    def rows_of(self, name: str) -> pa.Table:
+        """All rows of one table.
+
+        Raises:
+            RunDirectoryError: A row is not what a run has written, or the table is not the one that the run has listed.
+        """
+        self._check_checksum(self.by_name[name].path)
+        return self.by_name[name].rows(0, self._scene.steps).table
+
+    def own_ship(self) -> pa.Table:
+        """All rows of the table of the vessels that carry a camera.
+
+        Raises:
+            RunDirectoryError: It is not the table that the run has listed.
+        """
+        path = self._own_ship
+        self._check_checksum(path)
+        with damage_named(path):
+            return pq.read_table(path)
+
     def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
         """The rows of steps first to stop − 1 by the table's name.
 
@@ -193,8 +213,11 @@ class StoredTables:
             RunDirectoryError: A table was changed.
         """
         for table in self.by_name.values():
-            if entry := self._listed.get(table.path.name):
-                check_content(table.path, entry.sha256, RUN_FILE)
+            self._check_checksum(table.path)
+
+    def _check_checksum(self, path: Path) -> None:
+        if entry := self._listed.get(path.name):
+            check_content(path, entry.sha256, RUN_FILE)
 
 
 def _identity(run_file: Path) -> tuple[int, int] | None:

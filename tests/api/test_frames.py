@@ -1,0 +1,171 @@
+"""Frames: their time, classes and tables, and what `supervision` takes of them."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+import types
+import warnings
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import modsim3d
+from modsim3d.detector.file.finding import shipped_detectors
+from modsim3d.errors import ModsimError
+
+ZERO_ATTITUDE = {"roll_rad": 0, "pitch_rad": 0, "yaw_rad": 0}
+
+
+@dataclass
+class Detections:
+    """The fields of `supervision.Detections`, version 0.31, and what it checks of them."""
+
+    xyxy: Any
+    mask: Any = None
+    confidence: Any = None
+    class_id: Any = None
+    tracker_id: Any = None
+    data: Any = None
+
+    def __post_init__(self) -> None:
+        n = len(self.xyxy)
+        assert self.xyxy.shape == (n, 4)
+        for values in (self.confidence, self.class_id, self.tracker_id, *self.data.values()):
+            assert values is None or (isinstance(values, np.ndarray) and values.shape == (n,))
+
+
+@pytest.fixture
+def supervision(monkeypatch):
+    """The library where it is installed (it is large), else a stand-in with the same fields."""
+    if importlib.util.find_spec("supervision"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it says that OpenCV is missing
+            import supervision
+
+        return supervision
+    module = types.ModuleType("supervision")
+    module.Detections = Detections
+    monkeypatch.setitem(sys.modules, "supervision", module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def frames(scene):
+    return list(modsim3d.simulate_frames(scene))
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory):
+    """Frames of a scene with a vessel of each of three labels, whose detector confuses them."""
+    path = tmp_path_factory.mktemp("labelled") / "scene.json"
+    labels = modsim3d.load_detector("three_labels").labels
+    vessels = {f"v{i}": {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": labels[i]} for i in range(3)}
+    lens = {"focal_length_m": 0.006, "pixel_size_m": [5e-6, 5e-6], "principal_point_px": [960, 540]}
+    camera = {**lens, "image_size_px": [1920, 1080], "pose": {"position_m": [0, 0, 9], **ZERO_ATTITUDE}}
+    tracks = {f"v{i}": [[0, 100, 40 * (i - 1)], [50, 120, 40 * (i - 1)]] for i in range(3)}
+    content = {"steps": 100, "time_step_s": 0.5, "vessels": vessels, "poses": {"tracks": tracks}}
+    content |= {"cameras": {"quay": camera}, "detector": str(shipped_detectors()["three_labels"])}
+    path.write_text(json.dumps({**content, "annotation": {"source": "analytic"}}))
+    scene = modsim3d.load_scene(path)
+    return scene, list(modsim3d.simulate_frames(scene))
+
+
+def test_time_is_counted_in_seconds_from_the_first_step(scene, frames):
+    assert frames[0].time_s == 0
+    for frame in frames:
+        assert frame.time_s == pytest.approx(float(frame.timestamp) - float(frames[0].timestamp))
+        assert frame.time_s == scene.times_s(frame.step, frame.step + 1)[0]
+        assert frame.camera in ("bow", "quay")
+
+
+def test_a_frame_read_back_has_the_same_time_and_classes(frames, folder):
+    for made, read in zip(frames, modsim3d.open_run(folder).frames(), strict=True):
+        assert made.time_s == read.time_s
+        np.testing.assert_array_equal(made.truth.class_id, read.truth.class_id)
+        np.testing.assert_array_equal(made.detections.class_id, read.detections.class_id)
+
+
+def test_class_id_is_the_place_of_the_label_in_the_detectors(labelled):
+    scene, frames = labelled
+    assert {tuple(frame.truth.class_id) for frame in frames} == {(0, 1, 2)}
+    assert {i for frame in frames for i in frame.detections.class_id} == {0, 1, 2}
+    for frame in frames:
+        for part in (frame.truth, frame.detections):
+            assert part.class_id.shape == (len(part),) and part.class_id.dtype == np.int64
+            assert tuple(scene.detector.labels[i] for i in part.class_id) == part.labels
+
+
+@pytest.mark.parametrize("name", ["frames", "truth", "detections"])
+def test_the_tables_of_all_frames_are_the_table_of_the_run(name, frames, folder):
+    table = modsim3d.open_run(folder).table(name)
+    assert isinstance(table, pa.Table) and len(table) > len(frames) - 1
+    assert pa.concat_tables([frame.table(name) for frame in frames]).equals(table)
+
+
+def test_a_table_that_is_not_there_is_named(frames, folder):
+    run = modsim3d.open_run(folder)
+    for part in (frames[0], run):
+        with pytest.raises(ModsimError, match=r"there is no table 'truths'.* \(did you mean 'truth'\?\)"):
+            part.table("truths")
+    assert len(run.table("ownship")) == 30
+
+
+def test_a_frame_that_is_not_there_is_named(folder):
+    run = modsim3d.open_run(folder)
+    for camera, step, said in (
+        ("bough", 3, "there is no camera 'bough'"),
+        ("bow", 30, "there is no step 30; it has steps 0 to 29"),
+        ("bow", -1, "there is no step -1"),
+        ("quay", 0, "camera 'quay' took no frame at step 0"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            run.frame(camera, step)
+    assert (run.frame("quay", 1).camera, run.frame("quay", 1).step) == ("quay", 1)
+
+
+def without_rows(detections):
+    """The same with no detection at all."""
+    return replace(detections, **{field.name: getattr(detections, field.name)[:0] for field in fields(detections)})
+
+
+def test_detections_for_supervision(frames, supervision):
+    assert any(len(frame.detections) > 2 for frame in frames)
+    empty = replace(frames[0], detections=without_rows(frames[0].detections))
+    for frame in (*frames, empty):
+        found = frame.to_supervision()
+        assert isinstance(found, supervision.Detections)
+        np.testing.assert_array_equal(found.xyxy, frame.detections.boxes_px)
+        np.testing.assert_array_equal(found.confidence, frame.detections.confidence)
+        np.testing.assert_array_equal(found.class_id, frame.detections.class_id)
+        assert tuple(found.data["class_name"]) == frame.detections.labels
+        assert found.tracker_id is None and "vessel" not in found.data  # a tracker must not read it
+
+
+def test_changing_what_supervision_got_leaves_the_frame(frames, supervision):
+    frame = next(frame for frame in frames if len(frame.detections))
+    before = frame.detections.boxes_px.copy()
+    frame.to_supervision().xyxy[:] = 0
+    np.testing.assert_array_equal(frame.detections.boxes_px, before)
+
+
+def test_truth_for_supervision_is_what_is_annotated(frames, supervision):
+    for frame in frames:
+        truth, found = frame.truth, frame.truth_to_supervision()
+        assert isinstance(found, supervision.Detections)
+        np.testing.assert_array_equal(found.xyxy, truth.boxes_px[truth.annotated])
+        assert np.isfinite(found.xyxy).all()
+        vessels = [name for name, kept in zip(truth.vessels, truth.annotated, strict=True) if kept]
+        assert [frame.scene_vessels[i] for i in found.tracker_id] == vessels == list(found.data["vessel"])
+        assert found.confidence is None and len(found.class_id) == len(vessels)
+
+
+def test_without_supervision_one_is_told_what_to_install(frames, monkeypatch):
+    monkeypatch.setitem(sys.modules, "supervision", None)
+    for call in (frames[0].to_supervision, frames[0].truth_to_supervision):
+        with pytest.raises(ModsimError, match=r"pip install 'modsim3d\[supervision\]'"):
+            call()

@@ -1,0 +1,132 @@
+"""`import modsim3d`: which names it has, and that it loads nothing heavy for them."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import inspect
+import pkgutil
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+import modsim3d
+
+NAMES = {
+    "ModsimError",
+    "Scene",
+    "detect_run",
+    "learn_detector",
+    "load_detector",
+    "load_scene",
+    "open_run",
+    "run_scene",
+    "simulate_frames",
+    "verify_run",
+}
+HEAVY = ("OpenGL", "matplotlib", "PIL", "pyarrow", "trimesh", "typer", "rich", "supervision")
+
+
+def python(*lines: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+
+
+def test_dir_lists_the_names_and_each_is_there() -> None:
+    assert set(modsim3d.__all__) >= NAMES
+    assert set(modsim3d.__all__) | {"__version__"} == set(dir(modsim3d))
+    for name in dir(modsim3d):
+        assert getattr(modsim3d, name) is not None
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'modsim3d' has no attribute 'load_scen'"):
+        modsim3d.load_scen  # noqa: B018
+
+
+def test_no_name_is_a_modules() -> None:
+    """Importing a module of the same name would put it in the place of the function."""
+    modules = {module.name for module in pkgutil.iter_modules(modsim3d.__path__)}
+    assert {"learn", "verify", "poses"} <= modules
+    assert set(modsim3d.__all__) & modules == set()
+
+
+def test_import_loads_nothing_heavy() -> None:
+    done = python("import sys, modsim3d", "dir(modsim3d)", f"print([m for m in {HEAVY} if m in sys.modules])")
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_simulation_in_memory_needs_neither_tables_nor_pictures_nor_opengl() -> None:
+    done = python(
+        "import sys, modsim3d",
+        'scene = modsim3d.load_scene("simulation_1", steps=3, source="analytic")',
+        "frames = list(modsim3d.simulate_frames(scene))",
+        "repr(frames), repr(scene), scene._repr_html_()",
+        "print([m for m in ('OpenGL', 'matplotlib', 'pyarrow', 'supervision') if m in sys.modules], len(frames))",
+    )
+    assert done.stdout.strip() == "[] 3", done.stderr
+
+
+def test_the_example_of_the_package_runs() -> None:
+    failed, tried = doctest.testmod(modsim3d)
+    assert (failed, tried) == (0, 3)
+
+
+def public_parts() -> dict[str, object]:
+    """All that is reached from the top level: the names, the classes of their results, and the methods of these."""
+    results = {
+        "modsim3d.detector.model": ("DetectorModel", "PerformanceState"),
+        "modsim3d.learn.learning": ("LearnResult",),
+        "modsim3d.runs.blocks": ("Frame", "FrameDetections", "FrameTruth"),
+        "modsim3d.runs.run": ("RunResult",),
+        "modsim3d.runs.stored_run": ("StoredRun",),
+        "modsim3d.scene.copy": ("SceneCopy",),
+        "modsim3d.scene.snapshot": ("Snapshot",),
+        "modsim3d.verify.verification": ("VerifiedRun",),
+    }
+    parts: dict[str, object] = {name: getattr(modsim3d, name) for name in modsim3d.__all__}
+    parts |= {name: getattr(import_module(module), name) for module, names in results.items() for name in names}
+    for name, part in list(parts.items()):
+        if inspect.isclass(part):
+            methods = {key: member for key, member in vars(part).items() if not key.startswith("_")}
+            parts |= {f"{name}.{key}": member for key, member in methods.items() if callable(member)}
+    return parts
+
+
+PARTS = public_parts()
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_what_is_reached_from_the_top_has_a_docstring(name: str) -> None:
+    assert len(inspect.getdoc(PARTS[name]) or "") > 20
+
+
+@pytest.mark.parametrize("name", [name for name, part in PARTS.items() if inspect.isfunction(part)])
+def test_a_path_is_taken_as_text_or_as_any_path_object(name: str) -> None:
+    """No parameter is a `Path` alone."""
+    kinds = {key: str(value.annotation) for key, value in inspect.signature(PARTS[name]).parameters.items()}
+    assert {
+        key: kind for key, kind in kinds.items() if "Path" in kind.replace("StrPath", "").replace("Paths", "")
+    } == {}
+
+
+@pytest.mark.parametrize("name", [name for name in modsim3d.__all__ if name not in ("ModsimError", "Scene")])
+def test_a_functions_docstring_has_an_example_and_says_what_it_raises(name: str) -> None:
+    text = inspect.getdoc(getattr(modsim3d, name)) or ""
+    assert "\nRaises:\n" in text and "TypeError:" in text
+    example = dedent("\n".join(line for line in text.split("\n\n")[1].splitlines()))
+    used = {
+        node.attr for node in ast.walk(ast.parse(example)) if isinstance(node, ast.Attribute) and _is_modsim3d(node)
+    }
+    assert name in used and used <= NAMES
+
+
+def _is_modsim3d(node: ast.Attribute) -> bool:
+    return isinstance(node.value, ast.Name) and node.value.id == "modsim3d"
+
+
+def test_the_package_says_that_it_has_types() -> None:
+    assert (Path(modsim3d.__file__).parent / "py.typed").is_file()

@@ -1,0 +1,146 @@
+"""Paths are text or path objects everywhere, and what is neither is refused by name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import modsim3d
+from modsim3d.detector.file.finding import shipped_detectors
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.inputs.shipped import data_folder
+
+DETECTORS = data_folder("scenes") / "detectors"
+
+
+class Plain(os.PathLike[str]):
+    """A path object that is no `Path`."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def __fspath__(self) -> str:
+        return self.text
+
+
+KINDS: dict[str, Callable[[object], object]] = {
+    "text": str,
+    "Path": lambda path: Path(str(path)),
+    "other": lambda path: Plain(str(path)),
+}
+
+
+@pytest.fixture(params=KINDS.values(), ids=KINDS)
+def kind(request):
+    return request.param
+
+
+def test_every_kind_of_path_is_taken(kind, thesis_folder, tmp_path):
+    assert modsim3d.load_detector(kind(DETECTORS / "thesis.yaml")).labels == ("Vessel",)
+    scene = modsim3d.load_scene(kind("simulation_1"), steps=2, source="analytic", detector=kind("thesis"))
+    result = modsim3d.run_scene(scene, kind(tmp_path / "a"))
+    assert result.folder == tmp_path / "a" and (tmp_path / "a/run.json").is_file()
+    assert modsim3d.open_run(kind(tmp_path / "a")).steps == 2
+    modsim3d.detect_run(kind(tmp_path / "a"), kind(tmp_path / "b"), detector=kind(DETECTORS / "thesis.yaml"), seed=7)
+    verified = modsim3d.verify_run(kind(thesis_folder), detector=kind("thesis"))
+    assert verified.write(kind(tmp_path / "checked")) == (
+        tmp_path / "checked/verify.json",
+        tmp_path / "checked/verify.html",
+    )
+    learned = modsim3d.learn_detector(run=kind(thesis_folder), replicates=20)
+    assert learned.write(kind(tmp_path / "learned.yaml"))[0].is_file()
+    assert scene.copy.write(kind(tmp_path / "copy")).is_file()
+
+
+def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
+    """Calls with one wrong argument, and what the message must name."""
+    scene = modsim3d.load_scene("simulation_1", steps=2, source="analytic")
+    return {
+        "load_scene": (modsim3d.load_scene, "scene: a path or the name of a shipped scene"),
+        "load_scene, detector": (
+            lambda wrong: modsim3d.load_scene("strait", detector=wrong),
+            "detector: a path or the name of a shipped detector",
+        ),
+        "load_detector": (modsim3d.load_detector, "detector: a path or the name of a shipped detector"),
+        "run_scene": (lambda wrong: modsim3d.run_scene(scene, wrong), "folder: a path"),
+        "open_run": (modsim3d.open_run, "folder: a run directory"),
+        "detect_run": (lambda wrong: modsim3d.detect_run(wrong, "b"), "run: a run directory or a StoredRun"),
+        "verify_run": (modsim3d.verify_run, "run: a run directory or a StoredRun"),
+        "learn_detector": (
+            lambda wrong: modsim3d.learn_detector(truth=wrong, detections="dt.json"),
+            "truth: a path or a list of paths",
+        ),
+        "learn_detector, a list": (
+            lambda wrong: modsim3d.learn_detector(truth="gt.json", detections=[wrong]),
+            "detections: a path or a list of paths",
+        ),
+    }
+
+
+WRONG = wrong_calls()
+
+
+@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("wrong", [3, b"runs/a", 2.5, object()], ids=["int", "bytes", "float", "object"])
+def test_what_is_no_path_is_refused_by_the_name_of_the_argument(name, wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call, said = WRONG[name]
+    with pytest.raises(TypeError) as raised:
+        call(wrong)
+    assert str(raised.value) == f"{said} is needed (got {type(wrong).__name__})"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("wrong", ["", "a\0b"], ids=["empty", "NUL"])
+def test_what_can_be_no_files_name_is_refused_by_the_name_of_the_argument(name, wrong, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call, said = WRONG[name]
+    with pytest.raises(ModsimError) as raised:
+        call(wrong)
+    assert str(raised.value).startswith(said.split(":")[0] + ": ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("call", [modsim3d.simulate_frames, lambda scene: modsim3d.run_scene(scene, "a")])
+def test_a_name_in_place_of_a_scene_is_refused_at_once(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TypeError, match=r"scene: a Scene is needed, from modsim3d\.load_scene \(got str\)"):
+        call("strait")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_shipped_detector_goes_by_its_name():
+    assert {"thesis", "rich", "conditions/foggy_cloudy"} <= set(shipped_detectors())
+    for name, path in shipped_detectors().items():
+        assert modsim3d.load_detector(name).labels == modsim3d.load_detector(path).labels
+    scene = modsim3d.load_scene("simulation_1", detector="conditions/foggy_cloudy")
+    assert [state.name for state in scene.detector.states] == ["foggy_cloudy"]
+
+
+def test_a_file_comes_before_the_shipped_detector_of_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (DETECTORS / "conditions/foggy_cloudy.yaml").read_text()
+    Path("thesis").write_text(text)
+    assert [state.name for state in modsim3d.load_detector("thesis").states] == ["foggy_cloudy"]
+    Path("thesis").unlink()
+    Path("thesis").mkdir()
+    assert len(modsim3d.load_detector("thesis").states) == 4
+
+
+def test_an_unknown_name_gets_the_nearest(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"no shipped detector has this name \(did you mean 'thesis'\?\)"):
+        modsim3d.load_detector("thesi")
+    with pytest.raises(InputError, match=r"detector my\.yaml:\n  no such file$"):
+        modsim3d.load_detector("my.yaml")
+
+
+def test_numbers_of_numpy_replace_those_of_a_scene():
+    scene = modsim3d.load_scene("simulation_1", seed=np.int64(4), steps=np.int32(5), mode=np.uint8(2))
+    assert (scene.seed, scene.steps, scene.annotation.mode) == (4, 5, 2)
+    assert scene.sha256 == modsim3d.load_scene("simulation_1", seed=4, steps=5, mode=2).sha256

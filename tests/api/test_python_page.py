@@ -1,0 +1,58 @@
+"""The Python of docs/python.md runs from top to bottom in an empty folder."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import modsim3d
+
+PAGE = Path(__file__).resolve().parents[2] / "docs/python.md"
+
+
+def blocks() -> list[tuple[int, str]]:
+    """The line at which each block begins, and its text."""
+    text = PAGE.read_text(encoding="utf-8")
+    return [
+        (text.count("\n", 0, found.start(1)), found[1]) for found in re.finditer(r"```python\n(.*?)```", text, re.S)
+    ]
+
+
+def printed() -> set[str]:
+    """The lines that the page shows as printed: from one that begins with `<` to one that ends with `>`."""
+    shown = re.findall(r"```text\n(<.*?>)\n```", PAGE.read_text(encoding="utf-8"), re.S)
+    return {line for text in shown for line in without_times(text)}
+
+
+def without_times(text: str) -> list[str]:
+    return re.sub(r"time [0-9.]+ s", "time", text).splitlines()
+
+
+def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:
+    lines: list[str] = []
+    for first, block in blocks():
+        lines += [""] * (first - len(lines)) + block.splitlines()  # a traceback then names the line of the page
+    script = tmp_path / "page.py"
+    script.write_text("\n".join(lines), encoding="utf-8")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-W", "error", script], cwd=empty, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in empty.iterdir()} == {"runs", "checked", "frame.png", "learned.yaml", "learned.html"}
+    assert printed() and printed() <= set(without_times(done.stdout))
+    assert "obeys its detector file" in done.stdout
+
+
+def test_the_page_begins_with_ten_lines() -> None:
+    _, first = blocks()[0]
+    assert sum(bool(line.strip()) for line in first.splitlines()) <= 10
+
+
+def test_the_page_names_every_function() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    functions = [name for name in modsim3d.__all__ if name[0].islower()]
+    assert len(functions) >= 8 and [name for name in functions if f"`{name}(" not in text] == []

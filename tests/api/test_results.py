@@ -1,0 +1,246 @@
+"""What a session at the prompt or in a notebook shows, and the results of verifying and of learning."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import modsim3d
+from modsim3d.errors import InputError, ModsimError, OutputError
+from modsim3d.formats.coco import write_coco
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.inputs.shipped import data_folder
+from modsim3d.motion.poses import LivePoses
+
+LONGEST_REPR = 300
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    return modsim3d.open_run(folder)
+
+
+@pytest.fixture(scope="module")
+def frame(run):
+    """With a false positive and a miss."""
+    return next(
+        f for f in run.frames() if None in f.detections.vessels and (f.truth.annotated & ~f.truth.detected).any()
+    )
+
+
+@pytest.fixture(scope="module")
+def result(scene, tmp_path_factory):
+    return modsim3d.run_scene(scene, tmp_path_factory.mktemp("result") / "run")
+
+
+@pytest.fixture(scope="module")
+def verified(folder):
+    return modsim3d.verify_run(folder)
+
+
+@pytest.fixture(scope="module")
+def learned(folder):
+    return modsim3d.learn_detector(run=folder, replicates=20)
+
+
+@pytest.fixture
+def shown(scene, run, frame, result, verified, learned):
+    """Every object that a user gets from the top level."""
+    return [scene, scene.detector, result, run, frame, frame.truth, frame.detections, verified, learned]
+
+
+class Page(HTMLParser):
+    """The tags of a page, and whether each is closed; its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        self.tags.add(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data + " "
+
+
+def test_a_scene_is_three_lines(scene):
+    first, second, third = repr(scene).splitlines()
+    assert first.startswith(f"<Scene strait: {len(scene.vessels)} vessels (own, ferry,")
+    assert first.endswith("2 cameras (bow, quay)")
+    last_s = scene.times_s(29, 30)[0]
+    assert second.strip() == f"30 steps in {last_s:g} s, seed 3, truth analytic, mode 2"
+    states, labels = [state.name for state in scene.detector.states], scene.detector.labels
+    assert third.startswith(f"  detector: {len(states)} state") and third.endswith(")>")
+    assert all(name in third for name in (*states, *labels))
+    assert all(len(line) < 140 for line in (first, second, third))
+
+
+def test_a_live_scene_is_shown_without_waiting_for_its_steps(scene):
+    def steps():
+        pytest.fail("a step was waited for")
+        yield
+
+    live = replace(scene, poses=LivePoses(steps(), len(scene.vessels), "stream"))
+    assert "steps as they arrive" in repr(live) and "steps as they arrive" in live._repr_html_()
+
+
+def test_everything_is_shown_in_a_few_words(shown):
+    for each in shown:
+        text = repr(each)
+        assert text.startswith(f"<{type(each).__name__}") and text.endswith(">")
+        assert len(text) < LONGEST_REPR + len(str(getattr(each, "folder", "")))
+        assert "array(" not in text
+
+
+def test_everything_has_a_table_in_a_notebook(shown, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for each in shown:
+        page = Page(each._repr_html_())
+        assert page.open == [] and "table" in page.tags
+    assert "<" not in Page(shown[0]._repr_html_()).text
+
+
+def test_a_frame_is_its_picture_where_it_can_be_drawn(frame, monkeypatch):
+    assert frame._repr_html_() is None
+    assert frame._repr_png_().startswith(b"\x89PNG")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert frame._repr_png_() is None
+    text = Page(frame._repr_html_()).text
+    for name in (*frame.truth.vessels, *frame.detections.labels, "false_positive", frame.camera):
+        assert name in text
+
+
+def test_names_are_escaped_in_a_table(scene):
+    hostile = replace(scene, name="<script>alert(1)</script>")
+    assert "<script" not in hostile._repr_html_()
+    assert "<script>" in Page(hostile._repr_html_()).text
+
+
+def test_the_counts_of_a_result_are_those_of_its_tables(result):
+    run = modsim3d.open_run(result.folder)
+    assert f"frames {len(run.table('frames'))}," in repr(result)
+    assert f"detected {np.count_nonzero(run.table('truth')['detected'])}," in repr(result)
+
+
+def test_a_verified_run_tells_and_writes_its_verdicts(verified, folder, tmp_path):
+    assert verified.obeys and verified.failed == ()
+    assert "obeys its detector file" in repr(verified)
+    json_path, page_path = verified.write(tmp_path / "checked")
+    report = json.loads(json_path.read_bytes())
+    assert report["obeys"] and len(report["parameters"]) == len(verified.verdicts)
+    assert page_path.name == "verify.html"
+    with pytest.raises(OutputError, match="exists"):
+        verified.write(tmp_path / "checked")
+    verified.write(tmp_path / "checked", overwrite=True)
+
+
+def test_a_run_that_does_not_obey_names_what_differs(thesis_folder, tmp_path):
+    path = tmp_path / "never_false.yaml"
+    text = (data_folder("scenes") / "detectors/thesis.yaml").read_text()
+    path.write_text(re.sub(r"false_discovery_rate: [0-9.]+", "false_discovery_rate: 0.9", text))
+    verified = modsim3d.verify_run(thesis_folder, detector=path)
+    assert not verified.obeys and "does NOT obey" in repr(verified)
+    first = Page(verified._repr_html_()).text.split("verdict", 1)[1]
+    assert first.index("DIFFERS") < first.index("obeys")
+    assert verified.failed[0].parameter.name in first
+
+
+def test_a_learned_detector_is_that_of_its_file(learned, scene, tmp_path):
+    path, page = learned.write(tmp_path / "learned.yaml")
+    assert page == tmp_path / "learned.html" and "<svg" in page.read_text()
+    read = modsim3d.load_detector(path)
+    assert read.labels == learned.detector.labels == scene.detector.labels
+    for one, other in zip(read.states, learned.detector.states, strict=True):
+        np.testing.assert_array_equal(one.confusion, other.confusion)
+        np.testing.assert_array_equal(one.box_error.covariance, other.box_error.covariance)
+    with pytest.raises(OutputError, match="exists"):
+        learned.write(path)
+    again = modsim3d.load_scene("strait", detector=path, steps=2, source="analytic")
+    assert len(list(modsim3d.simulate_frames(again))) == 3
+
+
+def test_learning_from_a_run_goes_by_provenance_and_from_its_files_by_iou(folder, learned, tmp_path):
+    assert "matched by provenance" in repr(learned)
+    truth, detections = write_coco(labelled_run(folder)[0], tmp_path)
+    by_iou = modsim3d.learn_detector(truth=truth, detections=[str(detections)], replicates=20)
+    assert "matched by IoU at least 0.5" in repr(by_iou)
+    with pytest.raises(OutputError, match="is read by this command"):
+        by_iou.write(truth, overwrite=True)
+    assert json.loads(truth.read_bytes())["images"]
+
+
+def test_the_command_learns_the_same_file(folder, learned, tmp_path, monkeypatch):
+    from modsim3d import cli
+
+    out = tmp_path / "command.yaml"
+    command = ["learn", "--run", folder, "--match", "provenance", "--replicates", 20, "--out", out]
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, command)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 0
+    assert learned.write(tmp_path / "python.yaml")[0].read_bytes() == out.read_bytes()
+
+
+def test_states_are_made_of_conditions(thesis_folder):
+    seen = set(modsim3d.open_run(thesis_folder).table("frames")["state"].to_pylist())
+    assert seen < {"excellent", "good", "bad"}
+    given = {"fair": ["excellent", "good", "bad"], "foul": "terrible"}
+    learned = modsim3d.learn_detector(run=thesis_folder, states=given, replicates=20)
+    assert [state.name for state in learned.detector.states] == ["fair"]  # no frame of the run is in the other
+    assert len(modsim3d.learn_detector(run=thesis_folder, states=1, replicates=20).detector.states) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"match": "iou"}, "match: Input should be 'confidence', 'optimal', 'centre' or 'provenance' (got 'iou')"),
+        ({"least_iou": 0}, "least_iou: Input should be greater than 0 (got 0)"),
+        ({"replicates": 2.5}, "replicates: "),
+        ({"seed": -1}, "seed: "),
+        ({"confidence": "high"}, "confidence: "),
+        ({"states": "good"}, "states: a number of states from 1, or a mapping from states to lists of conditions"),
+        ({"states": 0}, "states: a number of states"),
+        ({"states": {"good": [1]}}, "states: a number of states"),
+        ({"states": {"good": ["day"]}}, "unknown condition 'day'"),
+        ({"truth": "gt.json"}, "give truth and detections, or run: not both"),
+    ],
+)
+def test_a_wrong_argument_of_learning_is_named(folder, given, said):
+    with pytest.raises(ModsimError) as raised:
+        modsim3d.learn_detector(run=folder, **given)
+    assert said in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "nothing to learn from: give truth and detections, or run"),
+        ({"truth": "a.json"}, "truth names 1 and detections 0"),
+        ({"truth": ["a.json"], "detections": ["b.json"], "conditions": ["x", "y"]}, "conditions names 2 for 1 pairs"),
+        ({"truth": "a.json", "detections": "b.json"}, "truth a.json: no such file or folder"),
+    ],
+)
+def test_files_that_are_no_pairs_are_named(given, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModsimError) as raised:
+        modsim3d.learn_detector(**given)
+    assert said in str(raised.value)
+
+
+def test_the_page_is_not_written_over_the_detector(learned, tmp_path):
+    with pytest.raises(InputError, match="the page would be written over the detector file"):
+        learned.write(tmp_path / "learned.html")
+    assert list(tmp_path.iterdir()) == []
