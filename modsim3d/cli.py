@@ -17,7 +17,8 @@ from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
 from modsim3d.commands.shared import INTERRUPTED
-from modsim3d.commands.terminal import check_arguments, prepare_output, say, say_error
+from modsim3d.commands.streams import lost_output, prepare_output
+from modsim3d.commands.terminal import check_arguments, say, say_error, start_afresh
 from modsim3d.commands.verify import verify_command
 from modsim3d.commands.view import view_command
 from modsim3d.errors import ModsimError
@@ -91,7 +92,7 @@ def _root(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    pass
+    start_afresh()
 
 
 def check_memory() -> None:
@@ -116,25 +117,40 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
     prepare_output()
+    status = _status()
+    if (problem := lost_output()) is not None:
+        say(f"modsim3d: standard output cannot be written to: {problem.strerror or problem}", err=True)
+        status = BAD_INPUT
+    sys.exit(status)
+
+
+def _status() -> int:
+    """Run the command line, and return its exit status."""
     try:
         check_memory()
         check_arguments(sys.argv[1:])
-        app()
+        app(prog_name=_completed_name())
+    except SystemExit as ended:
+        return int(ended.code or 0)
     except ModsimError as error:
         say_error(error)
-        sys.exit(BAD_INPUT)
     except OSError as error:
         say(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
-        sys.exit(BAD_INPUT)
     except MemoryError:
         say("modsim3d: there is not enough memory: give it more, or a smaller input", err=True)
-        sys.exit(BAD_INPUT)
     except ImportError as error:
         say(f"modsim3d: a library cannot be loaded: {error}", err=True)
-        sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
         say("modsim3d: interrupted", err=True)
-        sys.exit(INTERRUPTED)
+        return INTERRUPTED
+    else:
+        return 0
+    return BAD_INPUT
+
+
+def _completed_name() -> str | None:
+    """The name that shells complete, which is not `python -m modsim3d`; None for the name that it was called by."""
+    return "modsim3d" if any("-completion" in argument for argument in sys.argv[1:]) else None
 
 
 if __name__ == "__main__":

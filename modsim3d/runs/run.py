@@ -14,6 +14,7 @@ from typing import Any
 
 from modsim3d.detector.census import TargetCensus
 from modsim3d.errors import InputError, ModsimError
+from modsim3d.processes import WorkerCount, worker_count
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.run_directory import RunDirectory, locked_run
 from modsim3d.runs.pipeline import Range, step_ranges
@@ -53,7 +54,7 @@ def run_scene(
     *,
     overwrite: bool = False,
     resume: bool = False,
-    workers: int = 1,
+    workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
     """Run a scene and write its run directory.
@@ -63,21 +64,22 @@ def run_scene(
         folder: The run directory.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
-        workers: Number of processes; the bytes of the files do not depend on it.
+        workers: Number of processes, or `auto` for one for each CPU; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
 
     Raises:
         ModsimError: The scene asks for what cannot be, or the folder cannot be used.
     """
-    if scene.live and workers > 1:
+    count = 1 if scene.live and workers == "auto" else worker_count(workers)
+    if scene.live and count > 1:
         raise ModsimError(
-            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
+            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {count} "
             "workers: leave --workers out"
         )
     return write_run(
         scene,
         folder,
-        open_block_workers(scene, workers),
+        open_block_workers(scene, count),
         lambda opened: settings_of(scene, backend_of(opened)),
         overwrite=overwrite,
         resume=resume,
