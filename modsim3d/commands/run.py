@@ -76,9 +76,7 @@ def run_command(
         typer.Option(metavar="PART", help="What is rendered: regions where vessels overlap, or full images."),
     ] = None,
     workers: WorkersOption = 1,
-    sheet: Annotated[
-        bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png into the run directory, or not.")
-    ] = True,
+    no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -108,11 +106,11 @@ def run_command(
     with timed("truth, detections and files"), _interruptible(kept), progress(loaded.name, total) as advance:
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
     tell_backend(folder)
-    if sheet:
+    if not no_sheet:
         with timed("contact sheet"):
             _draw_sheet(folder)
-    print_summary(loaded, result, sheet)
-    say_json(run_json("run", loaded, result, sheet))
+    print_summary(loaded, result, sheet=not no_sheet)
+    say_json(run_json("run", loaded, result, sheet=not no_sheet))
 
 
 def _draw_sheet(folder: Path) -> None:

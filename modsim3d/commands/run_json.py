@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from modsim3d.commands.run_summary import warnings_of
+from modsim3d.commands.run_summary import run_warnings
 from modsim3d.commands.terminal import tell
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def run_json(command: str, scene: Scene, result: RunResult, sheet: bool) -> dict
         "mode": scene.annotation.mode,
         **asdict(result),
         "contact_sheet": result.folder / "contact_sheet.png" if sheet else None,
-        "warnings": warnings_of(result),
+        "warnings": run_warnings(scene, result),
     }
 
 

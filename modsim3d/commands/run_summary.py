@@ -27,7 +27,7 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     print_line(console, f"\nrun directory  {result.folder}")
     if sheet:
         print_line(console, f"contact sheet  {result.folder / 'contact_sheet.png'}")
-    for warning in warnings_of(result):
+    for warning in run_warnings(scene, result):
         warn(warning)
 
 
@@ -93,7 +93,7 @@ def _bias_rows(result: RunResult) -> list[Row]:
     return [("truncation bias", f"{width}, {height} {unit}", meaning)]
 
 
-def warnings_of(result: RunResult) -> list[str]:
+def run_warnings(scene: Scene, result: RunResult) -> list[str]:
     """What a user should know before the run is used."""
     counts = result.counts
     warnings = [

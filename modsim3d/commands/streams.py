@@ -51,7 +51,7 @@ def _prepared(stream: object, errors: str) -> io.TextIOWrapper | None:
     stream.flush()
     descriptor = _Descriptor(raw.fileno(), "wb", closefd=False)
     return io.TextIOWrapper(
-        descriptor if raw is stream.buffer else io.BufferedWriter(descriptor),  # type: ignore[type-var]
+        descriptor if raw is stream.buffer else io.BufferedWriter(descriptor),
         encoding=stream.encoding,
         errors=errors,
         line_buffering=stream.line_buffering,

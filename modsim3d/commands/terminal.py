@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -118,10 +118,11 @@ def tell(name: str, text: str) -> None:
         typer.echo(visible(f"{name:<9} {text}"), err=True)
 
 
-def tell_files(paths: Iterable[object]) -> None:
-    """Tell which files are read."""
-    for path in paths:
-        tell("read", str(path))
+def tell_files(paths: Iterable[Path]) -> None:
+    """Tell which files are read, of those that are there."""
+    if _asked.verbose:
+        for path in filter(Path.exists, paths):
+            tell("read", str(path))
 
 
 @contextmanager
