@@ -43,11 +43,11 @@ def print_table(
         console: Where to.
         title: Empty for none.
         rows: Cells of equal number; nothing is printed if there are none.
-        header: Names of the columns; without it the last column is text that may be broken between words.
+        header: Names of the columns; without it the first and the last are text that may be broken between words.
         right: Columns whose cells stand on the right.
         styles: Style of each column.
         row_styles: Style of each row, in place of that of its cells.
-        breaks: Ways to break cells into lines, the first that fits is taken.
+        breaks: Ways to break cells after the first into lines; the first that fits is taken.
         at_edge: Column that stands at the right edge of a row that has lines of its own.
     """
     if not rows:
@@ -57,8 +57,8 @@ def print_table(
         print_prose(console, title, "bold")
     table = [[visible(cell) for cell in row] for row in ([header, *rows] if header else rows)]
     for broken in ((lambda cell: cell), *breaks):
-        lines = [[broken(cell).split("\n") for cell in row] for row in table]
-        if widths := _widths(lines, console.width, last_wraps=not header):
+        lines = [[[row[0]], *(broken(cell).split("\n") for cell in row[1:])] for row in table]
+        if widths := _widths(lines, console.width, wraps=not header):
             _print_aligned(console, lines, widths, bool(header), right, styles, row_styles)
             return
     for place, row in enumerate(table[bool(header) :]):
@@ -66,19 +66,32 @@ def print_table(
         _print_stacked(console, row, header, at_edge, style or (styles[0] if styles else ""), style)
 
 
-def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, last_wraps: bool) -> list[int]:
-    """The widths of all columns, the last one narrowed if that may be; empty if they do not fit."""
+def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -> list[int]:
+    """The widths of all columns, the first and the last narrowed if they may be; empty if they do not fit."""
     from rich.cells import cell_len
 
     columns = list(zip(*table, strict=True))
-    widths = [max(cell_len(line) for cell in column for line in cell) for column in columns]
-    rest = sum(widths[:-1]) + GAP * (len(widths) - 1)
-    if rest + widths[-1] <= width:
+    first, *others = ([cell_len(line) for cell in column for line in cell] for column in columns)
+    widths = [max(first), *map(max, others)]
+    room = width - sum(widths) - GAP * (len(widths) - 1)
+    if room >= 0:
         return widths
-    words = [cell_len(word) for cell in columns[-1] for line in cell for word in line.split()]
-    if last_wraps and len(widths) > 1 and width - rest >= max(LEAST_PROSE, *words):
-        return [*widths[:-1], width - rest]
-    return []
+    if not wraps or len(widths) < 2:
+        return []
+    least = [max(LEAST_PROSE, *_word_lengths(columns[place])) for place in (0, -1)]
+    least_first, least_last = min(least[0], widths[0]), min(least[1], widths[-1])
+    if widths[0] + room >= least_first:  # a long name before short values
+        return [widths[0] + room, *widths[1:]]
+    if widths[-1] + room >= least_last:
+        return [*widths[:-1], widths[-1] + room]
+    last = widths[-1] + room + widths[0] - least_first
+    return [least_first, *widths[1:-1], last] if last >= least_last else []
+
+
+def _word_lengths(column: Sequence[Sequence[str]]) -> list[int]:
+    from rich.cells import cell_len
+
+    return [cell_len(word) for cell in column for line in cell for word in line.split()]
 
 
 def _print_aligned(
@@ -95,7 +108,9 @@ def _print_aligned(
     for number, row in enumerate(table):
         place = number - has_header
         whole = "dim" if place < 0 else row_styles[place] if place < len(row_styles) else ""
-        cells = [*row[:-1], [piece for line in row[-1] for piece in _wrapped(line, widths[-1])]]
+        cells = [
+            [piece for line in cell for piece in _wrapped(line, wide)] for cell, wide in zip(row, widths, strict=True)
+        ]
         for height in range(max(map(len, cells))):
             line: Line = []
             for column, cell in enumerate(cells):
@@ -142,7 +157,9 @@ def _packed(pieces: Sequence[str], width: int) -> list[str]:
 
 def _wrapped(text: str, width: int) -> list[str]:
     """Text broken between words; longer words stay whole."""
-    if len(text) <= width:
+    from rich.cells import cell_len
+
+    if cell_len(text) <= width:
         return [text]
     return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False)
 
