@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     from modsim3d.learn.entries import Interval
     from modsim3d.learn.figures import Figures
@@ -57,6 +55,8 @@ def _figures(figures: Figures, report: Report) -> dict[str, Any]:
 
 def _numbers(interval: Interval) -> list[dict[str, Any]]:
     """Each number of an entry of the detector file, after the name of its key."""
+    import numpy as np
+
     ends = {"value": interval.estimate, "low": interval.low, "high": interval.high}
     return [
         {"name": interval.key.at(place), **{name: float(np.asarray(array)[place]) for name, array in ends.items()}}
