@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -11,13 +12,16 @@ import typer
 from modsim3d.commands.ais import ais_command
 from modsim3d.commands.compare import compare_command
 from modsim3d.commands.detect import detect_command
-from modsim3d.commands.learn import export_command, learn_command
+from modsim3d.commands.export import export_command
+from modsim3d.commands.help_text import Command, Group
+from modsim3d.commands.learn import learn_command
 from modsim3d.commands.repeat import repeat_command
 from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
 from modsim3d.commands.shared import INTERRUPTED
-from modsim3d.commands.terminal import check_arguments, prepare_output, say, say_error
+from modsim3d.commands.streams import lost_output, prepare_output
+from modsim3d.commands.terminal import check_arguments, say, say_error, start_afresh
 from modsim3d.commands.verify import verify_command
 from modsim3d.commands.view import view_command
 from modsim3d.errors import ModsimError
@@ -27,53 +31,41 @@ BAD_INPUT = 2
 LEAST_ADDRESS_SPACE = 1 << 30
 """Libraries take half of it, and what a small run draws with most of the rest."""
 
+EXAMPLES = """
+modsim3d run strait --out runs/first   a shipped scene
+modsim3d report runs/first             a page that plays the run
+modsim3d view runs/first --film all    a film of it
+modsim3d verify runs/first             does it obey its detector file?
+modsim3d run -h                        all options of a command
+"""
+RUN, LOOK, CHECK, MAKE = "Run", "Look", "Check", "Make"
+COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
+    (RUN, "run", run_command, "Simulate a scene: truth, detections and a contact sheet."),
+    (RUN, "detect", detect_command, "Run another detector or seed over the truth of a run."),
+    (RUN, "scenes", scenes_command, "List the scenes that come with modsim3d."),
+    (LOOK, "report", report_command, "A page that plays a run in the browser."),
+    (LOOK, "view", view_command, "Films, pictures and maps of a run."),
+    (LOOK, "rerun", rerun_command, "A recording for the Rerun viewer."),
+    (CHECK, "check", check_command, "Everything that is wrong with a scene, at once."),
+    (CHECK, "verify", verify_command, "Does a run obey its detector file?"),
+    (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),
+    (CHECK, "compare", compare_command, "Does the rendered truth agree with exact geometry?"),
+    (MAKE, "ais", ais_command, "A scene from real traffic, out of AIS logs."),
+    (MAKE, "learn", learn_command, "A detector file from a detector's results on labelled images."),
+    (MAKE, "export", export_command, "A run in another program's format."),
+)
+"""Group, name, function and short help of each command."""
+
 app = typer.Typer(
+    cls=Group,
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    help="""Simulates cameras and their vessel detector in front of a multi-object tracker.
-
-[bold]Examples[/bold]
-
-  modsim3d run simulation_1 --mode 2          a shipped scene, with occlusion from pixels
-
-  modsim3d run my/scene.yaml --out runs/mine  a scene of your own
-
-  modsim3d detect runs/mine --detector my/detector.yaml --out runs/other    the detector alone, over the same truth
-
-  modsim3d verify runs/mine                   check that the run obeys its detector file
-
-  modsim3d repeat runs/mine                   check that the run comes out the same again, byte by byte
-
-  modsim3d check my/scene.yaml                everything that is wrong with a scene, at once
-
-  modsim3d compare my/scene.yaml              rendered truth against exact geometry
-
-  modsim3d ais log.csv --out scenes/traffic   a scene from real traffic
-
-  modsim3d report runs/first                  a page that plays a run
-
-  modsim3d view runs/simulation_1 --film all  a film of a run
-
-  modsim3d learn --truth gt.json --detections dt.json --out detector.yaml    a detector file from real results
-
-  modsim3d scenes                             the shipped scenes""",
+    help=f"Simulates cameras and their vessel detector for multi-object trackers.\n\n[bold]Examples[/bold]\n{EXAMPLES}",
 )
-
-app.command("run")(run_command)
-app.command("detect")(detect_command)
-app.command("verify")(verify_command)
-app.command("repeat")(repeat_command)
-app.command("view")(view_command)
-app.command("report")(report_command)
-app.command("rerun")(rerun_command)
-app.command("check")(check_command)
-app.command("compare")(compare_command)
-app.command("ais")(ais_command)
-app.command("learn")(learn_command)
-app.command("export")(export_command)
-app.command("scenes")(scenes_command)
+for group, name, function, short_help in COMMANDS:
+    app.command(name, cls=Command, short_help=short_help, rich_help_panel=group)(function)
 
 
 def _show_version(requested: bool) -> None:
@@ -91,7 +83,7 @@ def _root(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    pass
+    start_afresh()
 
 
 def check_memory() -> None:
@@ -116,25 +108,40 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")
     prepare_output()
+    status = _status()
+    if (problem := lost_output()) is not None:
+        say(f"modsim3d: standard output cannot be written to: {problem.strerror or problem}", err=True)
+        status = BAD_INPUT
+    sys.exit(status)
+
+
+def _status() -> int:
+    """Run the command line, and return its exit status."""
     try:
         check_memory()
         check_arguments(sys.argv[1:])
-        app()
+        app(prog_name=_completed_name())
+    except SystemExit as ended:
+        return int(ended.code or 0)
     except ModsimError as error:
         say_error(error)
-        sys.exit(BAD_INPUT)
     except OSError as error:
         say(f"modsim3d: {error.filename or 'a file'}: {error.strerror or error}", err=True)
-        sys.exit(BAD_INPUT)
     except MemoryError:
         say("modsim3d: there is not enough memory: give it more, or a smaller input", err=True)
-        sys.exit(BAD_INPUT)
     except ImportError as error:
         say(f"modsim3d: a library cannot be loaded: {error}", err=True)
-        sys.exit(BAD_INPUT)
     except KeyboardInterrupt:
         say("modsim3d: interrupted", err=True)
-        sys.exit(INTERRUPTED)
+        return INTERRUPTED
+    else:
+        return 0
+    return BAD_INPUT
+
+
+def _completed_name() -> str | None:
+    """The name that shells complete, which is not `python -m modsim3d`; None for the name that it was called by."""
+    return "modsim3d" if any("-completion" in argument for argument in sys.argv[1:]) else None
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import multiprocessing
+import os
+import re
 import signal
 import sys
 import threading
@@ -15,13 +17,15 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from numbers import Integral
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from modsim3d.errors import ModsimError
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
+MOST_WORKERS = 1024
 AHEAD = 3
 """Pieces that may wait for each worker process; it bounds the memory."""
 
@@ -33,6 +37,41 @@ W_co = TypeVar("W_co", covariant=True)
 
 _Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]
 """Where the result goes, the work and the piece."""
+
+
+WorkerCount = int | Literal["auto"]
+"""Number of worker processes; `auto`: one for each CPU that this process may use."""
+
+
+def worker_count(workers: WorkerCount, name: str = "workers") -> int:
+    """The number of workers that is asked for; `name` is what an error calls it.
+
+    Raises:
+        ModsimError: It is neither such a number nor `auto`.
+    """
+    if isinstance(workers, str) and workers == "auto":
+        return min(_usable_cpus(), MOST_WORKERS)
+    if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MOST_WORKERS:
+        return int(workers)
+    raise ModsimError(f"{name}: needs a number of processes from 1 to {MOST_WORKERS}, or 'auto' (got {workers!r})")
+
+
+def parse_workers(text: str) -> WorkerCount:
+    """The value of the option `--workers`.
+
+    Raises:
+        ModsimError: It is neither a number of workers nor `auto`.
+    """
+    value: Any = int(text) if re.fullmatch("[0-9]{1,9}", text) else text
+    worker_count(value, "--workers")
+    return value  # type: ignore[no-any-return]
+
+
+def _usable_cpus() -> int:
+    """The number of CPUs that this process may use."""
+    if hasattr(os, "process_cpu_count"):  # from Python 3.13 on
+        return os.process_cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Workers(Protocol[W_co]):
@@ -51,19 +90,20 @@ class Workers(Protocol[W_co]):
 
 
 def open_workers(
-    count: int, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
+    workers: WorkerCount, if_killed: str, set_up: Callable[..., AbstractContextManager[W]], *arguments: Any
 ) -> AbstractContextManager[Workers[W]]:
     """One worker in this process, or several in processes of their own.
 
     Args:
-        count: Number of workers.
+        workers: Number of workers, or `auto`.
         if_killed: What a user should do if a worker process dies.
         set_up: Opens a worker. Called once in each process with `arguments`, which must be picklable.
         *arguments: Arguments of `set_up`.
 
     Raises:
-        ModsimError: Several workers are asked for, and this process is itself a worker.
+        ModsimError: This is no number of workers, or there are several and this process is itself a worker.
     """
+    count = worker_count(workers)
     if count > 1 and _made_by_multiprocessing():
         raise ModsimError(
             "workers cannot be started inside a process that multiprocessing made; a script that starts them must do "

@@ -44,7 +44,7 @@ def arguments_of(source: Path, other: bool, out: Path) -> dict[str, tuple[object
     return {
         "detect": ("detect", source, "--seed", 3, "--out", out, "--overwrite"),
         "learn": ("learn", "--run", source, "--replicates", 20, "--out", out / "detector.yaml", "--overwrite"),
-        "export": ("export", source, "--coco", out, "--overwrite"),
+        "export": ("export", source, "--format", "coco", "--out", out, "--overwrite"),
         "ais": ("ais", csv, "--out", out, "--overwrite"),
         "report": ("report", source, "--out", out / "report.html", "--overwrite"),
         "verify": ("verify", source, "--out", out, "--overwrite"),

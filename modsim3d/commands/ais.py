@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.shared import OverwriteOption, print_line, print_rows
-from modsim3d.commands.terminal import open_console
+from modsim3d.commands.shared import OverwriteOption, QuietOption, VerboseOption, print_line, print_rows
+from modsim3d.commands.terminal import open_console, tell_files, timed
 
 if TYPE_CHECKING:
     from modsim3d.ais.traffic import Traffic
@@ -24,11 +24,13 @@ class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
 
 # More than fifty lines, because each option stands in the signature, where the command line finds it.
 def ais_command(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs: CSV or NMEA, also gzipped.")],
-    out: Annotated[Path, typer.Option(help="Scene folder to write.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs, CSV or NMEA, gzipped or not.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Scene folder to write.")],
     origin: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Place of w1 = w2 = 0, in degrees.", show_default="median position"),
+        typer.Option(
+            metavar="LAT,LON", help="Origin of the scene's coordinates, in degrees.", show_default="median position"
+        ),
     ] = None,
     region: Annotated[
         str | None, typer.Option(metavar="LAT1,LON1,LAT2,LON2", help="Keep only positions between these two corners.")
@@ -50,15 +52,21 @@ def ais_command(
         float, typer.Option(metavar="KNOTS", help="Drop a position that a vessel can reach only at a higher speed.")
     ] = 60.0,
     swap_coordinates: Annotated[
-        bool, typer.Option("--swap-coordinates", help="Exchange latitude and longitude in all tables.")
+        bool,
+        typer.Option(
+            "--swap-coordinates", help="Exchange latitude and longitude, for CSV files that have them swapped."
+        ),
     ] = False,
     labels: Annotated[
-        Labels, typer.Option(help="One label for all vessels, or one for each group of ship types.")
+        Labels,
+        typer.Option(metavar="BY", help="Labels: vessel, the same for all, or type, one for each group of ship types."),
     ] = Labels.vessel,
     label: Annotated[
         list[str] | None, typer.Option(metavar="GROUP=LABEL", help="Label of one group of ship types; repeatable.")
     ] = None,
     overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
 
@@ -88,13 +96,14 @@ def ais_command(
     with locked_folder(out):
         for name in FILES:
             claims.check_free(out / name, overwrite, files)
-        traffic = read_traffic(files, options)
+        with timed("reading"):
+            traffic = read_traffic(files, options)
+        tell_files(files)
         write_scene(traffic, out, data_folder("scenes") / "detectors" / "thesis.yaml", overwrite)
     _print_summary(traffic, out)
 
 
 def _print_summary(traffic: Traffic, folder: Path) -> None:
-
     from modsim3d.ais.report import summary_rows
 
     console = open_console()

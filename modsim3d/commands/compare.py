@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modsim3d.commands.progress import progress
-from modsim3d.commands.shared import EveryOption, OverwriteOption, SceneArgument, StepsOption, print_line, print_rows
-from modsim3d.commands.terminal import open_console
+from modsim3d.commands.shared import (
+    EveryOption,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    SceneArgument,
+    StepsOption,
+    VerboseOption,
+    print_line,
+    print_rows,
+)
+from modsim3d.commands.terminal import open_console, say_json, tell, tell_files, timed
 from modsim3d.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -23,39 +34,54 @@ def compare_command(
     steps: StepsOption = None,
     every: EveryOption = 1,
     supersample: Annotated[
-        int | None, typer.Option(min=1, max=8, help="Buffer pixels per image pixel and axis, in place of the scene's.")
+        int | None,
+        typer.Option(
+            min=1, max=8, metavar="N", help="Rendered pixels per image pixel and axis, in place of the scene's."
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write compare.json and compare.html here.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for compare.json and compare.html.", show_default="nothing written"),
+    ] = None,
     overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
 ) -> None:
     """Check the rendered truth of a scene against exact geometry, and the rectangle rule against both.
 
     Exit status 1 if a difference is unexplained.
 
-    Example: modsim3d compare simulation_1 --every 5 --out runs/compared
+    Example: modsim3d compare harbour --every 5 --out runs/compared
     """
-
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
     from modsim3d.verify.sources import report as compare_report
     from modsim3d.verify.sources.compare import compare_sources
 
-    loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
+    with timed("reading the scene"):
+        loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
     written = [out / name for name in compare_report.FILES] if out is not None else []
     read = [loaded.path, *loaded.copy.files.values()]
+    tell_files(read)
     with claimed(written, overwrite=overwrite, inputs=read), open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("compare needs the rendered source")
-        with progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:
+        tell("OpenGL", renderer.context.description)
+        with timed("comparison"), progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:
             comparison = compare_sources(loaded, renderer, every=every, progress=advance)
         if out is not None:
             compare_report.write_report(comparison, loaded, renderer, out)
     figures = comparison.figures
     console = open_console()
     _print_figures(console, figures)
-    if out is not None:
-        print_line(console, f"\nwritten  {out / 'compare.html'}, {out / 'compare.json'}")
+    written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
+    if written:
+        print_line(console, "\nwritten")
+    for path in written:
+        print_line(console, f"  {path}")
+    say_json({"command": "compare", **asdict(figures), "written": written})
     if figures.unexplained:
         raise typer.Exit(1)
 

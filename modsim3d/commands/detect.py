@@ -8,28 +8,45 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.progress import progress
+from modsim3d.commands.run_json import run_json
 from modsim3d.commands.run_summary import print_summary
-from modsim3d.commands.shared import FinishedRunArgument, OverwriteOption, WorkersOption
+from modsim3d.commands.shared import (
+    FinishedRunArgument,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    WorkersOption,
+)
+from modsim3d.commands.terminal import say_json, tell_files, timed
 
 
 def detect_command(
     run: FinishedRunArgument,
-    out: Annotated[Path, typer.Option(help="Run directory to write.")],
-    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the run's.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the detector, in place of the run's.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Run directory to write.")],
+    detector: Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the run's.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's.")
+    ] = None,
     overwrite: OverwriteOption = False,
     workers: WorkersOption = 1,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
 ) -> None:
     """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
 
-    Example: modsim3d detect runs/first --detector my/detector.yaml --seed 7 --out runs/second
+    Example: modsim3d detect runs/first --seed 7 --out runs/second
     """
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.stored_run import open_run
 
-    stored = open_run(run)
-    with progress(stored.scene.name, stored.scene.steps) as advance:
+    with timed("opening the run"):
+        stored = open_run(run)
+    tell_files([run, *([detector] if detector else [])])
+    with timed("detections and files"), progress(stored.scene.name, stored.scene.steps) as advance:
         result = detect_run(
             stored, out, detector=detector, seed=seed, overwrite=overwrite, workers=workers, progress=advance
         )
     print_summary(stored.scene, result, sheet=False)
+    say_json(run_json("detect", stored.scene, result, sheet=False))

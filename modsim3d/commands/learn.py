@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.shared import OverwriteOption
-from modsim3d.commands.terminal import open_console, say
+from modsim3d.commands.learn_json import learn_json
+from modsim3d.commands.shared import JsonOption, OverwriteOption, QuietOption, VerboseOption, out_file, print_line
+from modsim3d.commands.tables import print_prose, print_table
+from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from rich.console import Console
 
@@ -42,33 +45,90 @@ class Clutter(str, Enum):  # noqa: UP042
 
 
 def learn_command(
-    out: Annotated[Path, typer.Option(help="Detector file to write.")],
-    truth: Annotated[list[Path] | None, typer.Option(help="COCO JSON, MOT gt.txt or YOLO folder; repeatable.")] = None,
-    detections: Annotated[list[Path] | None, typer.Option(help="COCO results, MOT det.txt, YOLO folder.")] = None,
-    condition: Annotated[list[str] | None, typer.Option(help="Name of each pair, in order.")] = None,
-    run: Annotated[list[Path] | None, typer.Option(metavar="RUN", help="A run directory in place of files.")] = None,
-    state: Annotated[list[str] | None, typer.Option(metavar="NAME=COND,...", help="Conditions of a state.")] = None,
-    states: Annotated[int | None, typer.Option(min=1, help="Number of states to make by F1.")] = None,
-    sequence: Annotated[Path | None, typer.Option(help="Text with one state on each line, in time order.")] = None,
-    interval: Annotated[float | None, typer.Option(metavar="S", help="Seconds between entries of a sequence.")] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Detector file to write.")],
+    truth: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="PATH", help="Ground truth: COCO JSON, MOT gt.txt or YOLO folder; repeatable."),
+    ] = None,
+    detections: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="PATH", help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."
+        ),
+    ] = None,
+    condition: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Condition that a pair of --truth and --detections shows; repeatable."),
+    ] = None,
+    run: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN", help="Run directory, in place of --truth and --detections; repeatable."),
+    ] = None,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COND,...", help="Performance state, and the conditions it is made of; repeatable."),
+    ] = None,
+    states: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Number of states to make of the conditions, by their F1.")
+    ] = None,
+    sequence: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Text file with a state on each line, in time order, for the transitions."),
+    ] = None,
+    interval: Annotated[
+        float | None, typer.Option(metavar="S", help="Seconds between two lines of --sequence.")
+    ] = None,
     match: Annotated[Match, typer.Option(help="How boxes are matched.")] = Match.confidence,
     iou: Annotated[float, typer.Option(min=0.01, max=1, help="Least IoU of a match.")] = 0.5,
     distance: Annotated[float, typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.")] = 50.0,
-    confidence: Annotated[float, typer.Option(min=0, max=1, help="Least confidence that counts.")] = 0.2,
-    clutter: Annotated[Clutter, typer.Option(help="Model of false positives.")] = Clutter.auto,
-    level: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Level of the intervals.")] = 0.95,
-    replicates: Annotated[int, typer.Option(min=20, help="Replicates of the bootstrap.")] = 300,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
-    beta: Annotated[float, typer.Option(min=0.01, help="Weight of recall in F-beta.")] = 2.0,
-    bias: Annotated[bool, typer.Option("--bias", help="Find how much matching shifts the numbers.")] = False,
-    correct: Annotated[bool, typer.Option("--correct", help="Take that shift off the numbers, once.")] = False,
-    labels: Annotated[str | None, typer.Option(metavar="A,B,...", help="Names of classes, for MOT and YOLO.")] = None,
-    image_size: Annotated[str | None, typer.Option(metavar="W,H", help="For YOLO; MOT without seqinfo.ini.")] = None,
-    frame_rate: Annotated[float | None, typer.Option(metavar="HZ", help="For MOT without it; for COCO.")] = None,
-    category_offset: Annotated[int, typer.Option(help="Added to the category IDs of COCO results.")] = 0,
-    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Leave out wrong entries.")] = False,
-    page: Annotated[Path | None, typer.Option(help="Page to write.", show_default="beside OUT, as .html")] = None,
+    confidence: Annotated[
+        float, typer.Option(min=0, max=1, metavar="P", help="Least confidence of a detection that counts.")
+    ] = 0.2,
+    clutter: Annotated[
+        Clutter,
+        typer.Option(metavar="MODEL", help="Model of the number of false positives: auto, calibrated or per_image."),
+    ] = Clutter.auto,
+    level: Annotated[
+        float, typer.Option(min=0.5, max=0.9999, metavar="P", help="Confidence level of the intervals.")
+    ] = 0.95,
+    replicates: Annotated[
+        int, typer.Option(min=20, metavar="N", help="Number of bootstrap replicates, for the intervals.")
+    ] = 300,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the bootstrap.")] = 0,
+    beta: Annotated[
+        float, typer.Option(min=0.01, metavar="B", help="How many times more recall weighs than precision in F-beta.")
+    ] = 2.0,
+    bias: Annotated[
+        bool, typer.Option("--bias", help="Simulate what was learned, to find how much matching shifts the numbers.")
+    ] = False,
+    correct: Annotated[
+        bool, typer.Option("--correct", help="Find that shift as --bias does, and take it off the numbers once.")
+    ] = False,
+    labels: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Names of the classes, for MOT and YOLO, in order.")
+    ] = None,
+    image_size: Annotated[
+        str | None,
+        typer.Option(metavar="W,H", help="Size of the images in pixels, for YOLO and for MOT without seqinfo.ini."),
+    ] = None,
+    frame_rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Frames per second, for MOT without seqinfo.ini and for COCO videos."),
+    ] = None,
+    category_offset: Annotated[
+        int, typer.Option(metavar="N", help="Number to add to the category IDs of COCO results.")
+    ] = 0,
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
+    ] = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="HTML page to write.", show_default="the detector file's name with .html"),
+    ] = None,
     overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
 ) -> None:
     """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
 
@@ -81,21 +141,27 @@ def learn_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.files.replacing import read_of_run
 
-    page = out.with_suffix(".html") if page is None else page
+    out = out_file(out, Path("detector.yaml"))
+    page = out_file(page, out.with_suffix(".html"))
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
     options = _read_options(labels, image_size, skip_bad, frame_rate, category_offset)
-    labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
+    with timed("reading"):
+        labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
     interval = run_interval if interval is None else interval
     order = read_text(sequence, "sequence") if sequence else None
     settings = Settings(Rule(match.value, iou, distance), confidence, replicates, seed, clutter.value)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
     read = [*(truth or ()), *(detections or ()), *([sequence] if sequence else ())]
     read += [path for folder in run or () for path in read_of_run(folder)]
+    tell_files(read)
     with claimed([out, page], overwrite=overwrite, inputs=read):
-        report = learn_detector(labelled, settings, wanted)
-        _write(report, out, page, correct)
+        with timed("learning"):
+            report = learn_detector(labelled, settings, wanted)
+        with timed("files"):
+            _write(report, out, page, correct)
     _show(report, out, page)
+    say_json(learn_json(report, [out, page]))
 
 
 def _read_options(
@@ -173,71 +239,33 @@ def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
 
 def _show(report: Report, out: Path, page: Path) -> None:
     """Print the tables."""
-
     from modsim3d.learn.report import NEVER_LEARNED, lead, tables
 
     console = open_console()
-    console.print(lead(report), highlight=False, markup=False)
+    print_prose(console, lead(report))
     for remark in report.remarks:
-        console.print(f"Remark: {remark}.", highlight=False, markup=False)
+        print_prose(console, f"Remark: {remark}.")
     for table in tables(report):
         _print(console, table.title, table.header, table.rows)
-    console.print("\nLeft simple, and why", style="bold")
+    print_line(console, "\nLeft simple, and why", "bold")
     for note in report.learned.notes or ("nothing: there was enough of everything",):
-        console.print(f"  {note}", highlight=False, markup=False)
-    console.print(f"\n{NEVER_LEARNED}", highlight=False, markup=False)
-    console.print(f"\nwritten  {out}, {page}", highlight=False, markup=False, soft_wrap=True)
+        print_prose(console, note, indent=2)
+    print_line(console, "")
+    print_prose(console, NEVER_LEARNED)
+    print_line(console, f"\nwritten\n  {out}\n  {page}")
 
 
-_BETWEEN = 2
-"""Spaces between columns."""
+_BREAKS: tuple[Callable[[str], str], ...] = (
+    lambda cell: cell.replace(" [", "\n["),
+    lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
+)
+"""Where cells are broken that are too wide: first before intervals, then before both their ends."""
 
 
 def _print(console: Console, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
-    names, *cells = _fitted([header, *rows], console.width)
-    for place, name in enumerate(names):
-        left = place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
-        table.add_column(Text(name), justify="left" if left else "right")
-    for row in cells:
-        table.add_row(*map(Text, row))
-    console.print()
-    console.print(table)
-
-
-def _fitted(rows: Sequence[Sequence[str]], width: int) -> list[list[str]]:
-    """Cells broken into as few lines as the width allows: first before intervals, then before both their ends."""
-    breaks: tuple[Callable[[str], str], ...] = (
-        lambda cell: cell,
-        lambda cell: cell.replace(" [", "\n["),
-        lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
-    )
-    for broken in breaks:
-        found = [[broken(cell) for cell in row] for row in rows]
-        needed = [max(len(line) for cell in column for line in cell.split("\n")) for column in zip(*found, strict=True)]
-        if sum(needed) + _BETWEEN * (len(needed) - 1) <= width:
-            break
-    return found
-
-
-def export_command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
-    coco: Annotated[Path, typer.Option(help="Folder for COCO's gt.json and dt.json.")],
-    overwrite: OverwriteOption = False,
-) -> None:
-    """Write a run's truth and detections in another program's format.
-
-    Example: modsim3d export runs/first --coco exported
-    """
-    from modsim3d.formats.coco import FILES, write_coco
-    from modsim3d.formats.labelled_run import labelled_run
-    from modsim3d.outputs.claims import claimed
-    from modsim3d.runs.files.replacing import read_of_run
-
-    with claimed([coco / name for name in FILES], overwrite=overwrite, inputs=read_of_run(run)):
-        labelled, _ = labelled_run(run)
-        written = write_coco(labelled, coco)
-    say(f"written  {written[0]}, {written[1]}")
+    left = {
+        place
+        for place in range(len(header))
+        if place == 0 or not any(row[place][:1].isdigit() or row[place][:1] in ("", "-", "–") for row in rows)
+    }
+    print_table(console, title, rows, header=header, right=set(range(len(header))) - left, breaks=_BREAKS)

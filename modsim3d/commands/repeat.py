@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -9,28 +10,46 @@ from typing import TYPE_CHECKING
 import typer
 
 from modsim3d.commands.progress import progress
-from modsim3d.commands.shared import FinishedRunArgument, WorkersOption, print_line, print_rows
-from modsim3d.commands.terminal import open_console
+from modsim3d.commands.shared import (
+    FinishedRunArgument,
+    JsonOption,
+    QuietOption,
+    VerboseOption,
+    WorkersOption,
+    print_line,
+    print_rows,
+)
+from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
 
 if TYPE_CHECKING:
     from modsim3d.runs.repeat_run import RepeatedFile, Repetition
 
 
-def repeat_command(run: FinishedRunArgument, workers: WorkersOption = 1) -> None:
+def repeat_command(
+    run: FinishedRunArgument,
+    workers: WorkersOption = 1,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
     """Repeat a run from the copy of its scene into a temporary folder, and compare every file, byte by byte.
 
     Also checks that the stored files are still what run.json lists. Exit status 1 if a byte differs.
 
     Example: modsim3d repeat runs/first
     """
+    from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.repeat_run import repeat_run
     from modsim3d.runs.stored_run import read_finished
 
-    stored = read_finished(run)  # damage to the tables is for the comparison to tell
+    with timed("opening the run"):
+        stored = read_finished(run)  # damage to the tables is for the comparison to tell
+    tell_files(read_of_run(run))
     bar = progress(stored.scene.name, stored.scene.steps)
-    with TemporaryDirectory(prefix="modsim3d_repeat_") as folder, bar as advance:
+    with timed("repetition"), TemporaryDirectory(prefix="modsim3d_repeat_") as folder, bar as advance:
         repetition = repeat_run(stored, Path(folder) / "again", workers=workers, progress=advance)
     _print_repetition(repetition)
+    say_json({"format": 1, "command": "repeat", "folder": run, "same": repetition.same, **asdict(repetition)})
     if not repetition.same:
         raise typer.Exit(1)
 

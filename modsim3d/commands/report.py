@@ -8,15 +8,21 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.progress import progress_bar
-from modsim3d.commands.shared import OverwriteOption
-from modsim3d.commands.terminal import say
+from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, out_file
+from modsim3d.commands.terminal import say, tell_files, timed, warn
 
 
 def report_command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")],
-    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="RUN/report.html")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Show every K-th step; the tables count all.")] = 1,
+    run: RunArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="RUN/report.html")
+    ] = None,
+    every: Annotated[
+        int, typer.Option(min=1, metavar="K", help="Show every K-th step only; the tables count all steps.")
+    ] = 1,
     overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
 
@@ -27,22 +33,29 @@ def report_command(
     from modsim3d.runs.stored_run import open_run
     from modsim3d.view.report.report import REPORT_FILE, write_report
 
-    opened = open_run(run)
-    path = run / REPORT_FILE if out is None else out
+    with timed("opening the run"):
+        opened = open_run(run)
+    read = read_of_run(run)
+    tell_files(read)
+    path = out_file(out, run / REPORT_FILE)
     replace = overwrite or out is None
-    with claimed([path], overwrite=replace, inputs=read_of_run(run)), progress_bar() as bar:
+    with timed("page"), claimed([path], overwrite=replace, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_report(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     if not opened.finished:
-        say(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
+        warn(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def rerun_command(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")],
-    out: Annotated[Path | None, typer.Option(help="The file to write.", show_default="RUN/run.rrd")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Only every K-th step.")] = 1,
+    run: RunArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Rerun recording to write.", show_default="RUN/run.rrd")
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, metavar="K", help="Record every K-th step only.")] = 1,
     overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Write a run as a recording for the Rerun viewer: cameras, vessels and boxes in space and time.
 
@@ -53,10 +66,13 @@ def rerun_command(
     from modsim3d.runs.stored_run import open_run
     from modsim3d.view.rerun_recording import write_recording
 
-    opened = open_run(run)
+    with timed("opening the run"):
+        opened = open_run(run)
+    read = read_of_run(run)
+    tell_files(read)
+    path = out_file(out, run / "run.rrd")
     replace = overwrite or out is None
-    out = run / "run.rrd" if out is None else out
-    with claimed([out], overwrite=replace, inputs=read_of_run(run)), progress_bar() as bar:
+    with timed("recording"), claimed([path], overwrite=replace, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
-        write_recording(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
-    say(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")
+        write_recording(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
+    say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")

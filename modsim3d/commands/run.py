@@ -11,9 +11,19 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.progress import progress
+from modsim3d.commands.run_json import run_json, tell_backend
 from modsim3d.commands.run_summary import print_summary
-from modsim3d.commands.shared import INTERRUPTED, OverwriteOption, SceneArgument, StepsOption, WorkersOption
-from modsim3d.commands.terminal import say
+from modsim3d.commands.shared import (
+    INTERRUPTED,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    SceneArgument,
+    StepsOption,
+    VerboseOption,
+    WorkersOption,
+)
+from modsim3d.commands.terminal import say, say_json, tell_files, timed
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -33,51 +43,83 @@ class Render(str, Enum):  # noqa: UP042
 
 def run_command(
     scene: SceneArgument,
-    out: Annotated[Path | None, typer.Option(help="Run directory to write.", show_default="runs/SCENE")] = None,
-    overwrite: OverwriteOption = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue an interrupted run.")] = False,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed, in place of the scene's.")] = None,
-    detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the scene's.")] = None,
-    detector_seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the detector alone; poses and waves keep theirs.")
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Run directory to write.", show_default="runs/SCENE")
     ] = None,
-    mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
-    source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
+    overwrite: OverwriteOption = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in DIR.")] = False,
+    seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Seed of all random numbers, in place of the scene's.")
+    ] = None,
+    detector: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the scene's.")
+    ] = None,
+    detector_seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Seed of the detector; poses and waves keep the scene's.")
+    ] = None,
+    mode: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=2,
+            metavar="MODE",
+            help="Annotation mode, 0 to 2, in place of the scene's (README).",
+        ),
+    ] = None,
+    source: Annotated[
+        Source | None,
+        typer.Option(metavar="SOURCE", help="Where the truth comes from: rendered, analytic or rectangles."),
+    ] = None,
     steps: StepsOption = None,
-    render: Annotated[Render | None, typer.Option(help="Render only where vessels overlap, or whole images.")] = None,
+    render: Annotated[
+        Render | None,
+        typer.Option(metavar="PART", help="What is rendered: regions where vessels overlap, or full images."),
+    ] = None,
     workers: WorkersOption = 1,
-    sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
+    no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
 ) -> None:
     """Run a scene: write truth, detections and a contact sheet into a run directory.
 
-    Example: modsim3d run simulation_1 --mode 2 --out runs/first
+    Example: modsim3d run strait --out runs/first
     """
     from modsim3d.runs.run import run_scene
     from modsim3d.scene.reading import load_scene
 
-    loaded = load_scene(
-        scene,
-        seed=seed,
-        detector=detector,
-        detector_seed=detector_seed,
-        steps=steps,
-        mode=mode,
-        source=source.value if source else None,
-        render=render.value if render else None,
-    )
+    with timed("reading the scene"):
+        loaded = load_scene(
+            scene,
+            seed=seed,
+            detector=detector,
+            detector_seed=detector_seed,
+            steps=steps,
+            mode=mode,
+            source=source.value if source else None,
+            render=render.value if render else None,
+        )
+    tell_files([loaded.path, *loaded.copy.files.values()])
     folder = out if out is not None else Path("runs") / loaded.name
     total = None if loaded.live else loaded.steps
     kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
-    with _interruptible(kept), progress(loaded.name, total) as advance:
+    with timed("truth, detections and files"), _interruptible(kept), progress(loaded.name, total) as advance:
         result = run_scene(loaded, folder, overwrite=overwrite, resume=resume, workers=workers, progress=advance)
-    if sheet:
-        from modsim3d.outputs.claims import claimed
-        from modsim3d.runs.stored_run import open_run
-        from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
+    tell_backend(folder)
+    if not no_sheet:
+        with timed("contact sheet"):
+            _draw_sheet(folder)
+    print_summary(loaded, result, sheet=not no_sheet)
+    say_json(run_json("run", loaded, result, sheet=not no_sheet))
 
-        with claimed([folder / SHEET_FILE], overwrite=True):
-            draw_contact_sheet(open_run(folder))
-    print_summary(loaded, result, sheet)
+
+def _draw_sheet(folder: Path) -> None:
+    from modsim3d.outputs.claims import claimed
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
+
+    with claimed([folder / SHEET_FILE], overwrite=True):
+        draw_contact_sheet(open_run(folder))
 
 
 @contextmanager

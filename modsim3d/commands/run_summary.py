@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from modsim3d.commands.shared import print_line
-from modsim3d.commands.terminal import open_console
+from modsim3d.commands.tables import print_table
+from modsim3d.commands.terminal import open_console, warn
 
 if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts
@@ -20,21 +21,14 @@ NOTICEABLE_SHARE = 0.005
 
 def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     """Print what happened in a run, and where its files are."""
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(style="bold")
-    table.add_column(justify="right")
-    table.add_column(style="dim")
-    for row in _frame_rows(scene, result) + _detection_rows(result.counts) + _time_rows(result) + _model_rows(result):
-        table.add_row(*row)
+    rows = _frame_rows(scene, result) + _detection_rows(result.counts) + _time_rows(result) + _model_rows(result)
     console = open_console()
-    console.print(table)
-    for warning in _warnings(result):
-        print_line(console, warning, "yellow")
+    print_table(console, "", rows, right=(1,), styles=("bold", "", "dim"))
     print_line(console, f"\nrun directory  {result.folder}")
     if sheet:
         print_line(console, f"contact sheet  {result.folder / 'contact_sheet.png'}")
+    for warning in run_warnings(scene, result):
+        warn(warning)
 
 
 def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
@@ -99,7 +93,8 @@ def _bias_rows(result: RunResult) -> list[Row]:
     return [("truncation bias", f"{width}, {height} {unit}", meaning)]
 
 
-def _warnings(result: RunResult) -> list[str]:
+def run_warnings(scene: Scene, result: RunResult) -> list[str]:
+    """What a user should know before the run is used."""
     counts = result.counts
     warnings = [
         f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"

@@ -2,32 +2,71 @@
 
 from __future__ import annotations
 
-from modsim3d.commands.shared import SceneArgument
-from modsim3d.commands.terminal import say
+from typing import TYPE_CHECKING, Any
+
+from modsim3d.commands.shared import JsonOption, QuietOption, SceneArgument, VerboseOption, print_line, print_rows
+from modsim3d.commands.tables import print_prose
+from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
+
+if TYPE_CHECKING:
+    from modsim3d.scene.scene import Scene
 
 
-def check_command(scene: SceneArgument) -> None:
+def check_command(
+    scene: SceneArgument, quiet: QuietOption = False, verbose: VerboseOption = False, json: JsonOption = False
+) -> None:
     """Read a scene and every file that it names, and list everything that is wrong.
 
-    Example: modsim3d check my/scene.yaml
+    Example: modsim3d check strait
     """
     from modsim3d.scene.reading import load_scene
 
-    loaded = load_scene(scene)
-    steps = "as they come" if loaded.live else loaded.steps
-    say(
-        f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
-        f"steps: {steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
-    )
+    with timed("reading the scene"):
+        loaded = load_scene(scene)
+    tell_files([loaded.path, *loaded.copy.files.values()])
+    console = open_console()
+    print_line(console, f"{loaded.path}: no problems found")
+    print_rows(console, "", _rows(loaded))
+    say_json(_check_json(loaded))
 
 
-def scenes_command() -> None:
+def _rows(scene: Scene) -> list[tuple[str, str]]:
+    return [
+        ("vessels", str(len(scene.vessels))),
+        ("cameras", f"{len(scene.cameras)}: {', '.join(camera.name for camera in scene.cameras)}"),
+        ("steps", "as they come" if scene.live else str(scene.steps)),
+        ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
+    ]
+
+
+def _check_json(scene: Scene) -> dict[str, Any]:
+    return {
+        "format": 1,
+        "command": "check",
+        "scene": scene.name,
+        "path": scene.path,
+        "files": list(scene.copy.files.values()),
+        "vessels": [vessel.name for vessel in scene.vessels],
+        "cameras": [camera.name for camera in scene.cameras],
+        "steps": None if scene.live else scene.steps,
+        "mode": scene.annotation.mode,
+        "source": scene.annotation.source,
+    }
+
+
+def scenes_command(json: JsonOption = False) -> None:
     """List the shipped scenes.
 
     Example: modsim3d scenes
     """
     from modsim3d.scene.reading import shipped_scenes
 
+    console, entries = open_console(), []
     for name, path in shipped_scenes().items():
-        first = path.read_text(encoding="utf-8").partition("\n")[0]
-        say(f"{name:<16}{first.lstrip('# ')}\n{'':<16}{path}")
+        with path.open(encoding="utf-8") as file:
+            title = file.readline().strip("# \n")
+        entries.append({"name": name, "title": title, "path": path})
+        print_line(console, name, "bold")
+        print_prose(console, title, indent=4)
+        print_line(console, f"    {path}", "dim")
+    say_json({"format": 1, "command": "scenes", "scenes": entries})

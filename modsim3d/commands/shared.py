@@ -4,37 +4,79 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from modsim3d.commands.completion import complete_scene
+from modsim3d.commands.tables import print_table
+from modsim3d.commands.terminal import ask_json, ask_quiet, ask_verbose
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from modsim3d.processes import WorkerCount
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
-SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
-FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
-WorkersOption = Annotated[
-    int, typer.Option(min=1, help="Number of processes that share the work; the output stays the same.")
+
+def _workers(given: str | int) -> WorkerCount:
+    from modsim3d.processes import parse_workers
+
+    return parse_workers(str(given))  # the default comes here too, and is a number
+
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE", help="Scene file, or name of a shipped scene (modsim3d scenes).", autocompletion=complete_scene
+    ),
 ]
-StepsOption = Annotated[int | None, typer.Option(min=1, help="Number of time steps, in place of the scene's.")]
-EveryOption = Annotated[int, typer.Option(min=1, help="Take every K-th step only.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory, finished or interrupted.")]
+FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory of a finished run.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace output files that exist.")]
+WorkersOption = Annotated[
+    Any,
+    typer.Option(
+        parser=_workers,
+        metavar="N|auto",
+        help="Number of processes that share the work; auto: one for each CPU. The output is the same.",
+    ),
+]
+StepsOption = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Number of time steps, in place of the scene's.")
+]
+EveryOption = Annotated[int, typer.Option(min=1, metavar="K", help="Take every K-th time step only.")]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", callback=ask_quiet, help="Print nothing but warnings and errors.")
+]
+VerboseOption = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", "-v", callback=ask_verbose, help="Also print versions, files read, the OpenGL in use and times."
+    ),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", callback=ask_json, help="Print the result as one JSON object (docs/json.md).")
+]
+
+
+def out_file(out: Path | None, usual: Path) -> Path:
+    """The file that `--out` names: in a folder that exists under its usual name, as `cp` does it.
+
+    Args:
+        out: What was given.
+        usual: The file without `--out`.
+    """
+    if out is None:
+        return usual
+    return out / usual.name if out.is_dir() else out
 
 
 def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
     """Print rows as a table without a header under a title; print nothing if there are no rows."""
-    from rich.table import Table
-
-    if not rows:
-        return
-    table = Table(title=title, title_justify="left", title_style="bold", show_header=False, box=None, pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    console.print()
-    console.print(table)
+    print_table(console, title, rows)
 
 
 def print_line(console: Console, text: str, style: str = "") -> None:

@@ -1,10 +1,16 @@
-"""What the commands write to the terminal: any text of an input, without its control characters, in any encoding."""
+"""What the commands write to the terminal: how much is asked for, and any text without its control characters."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -14,6 +20,8 @@ from modsim3d.errors import InputError, ModsimError
 if TYPE_CHECKING:
     from rich.console import Console
 
+UNBROKEN = 100_000
+"""Columns of a console that breaks no line."""
 _CONTROL = r"\x00-\x1f\x7f-\x9f"
 _BREAKS = re.compile(f"[{_CONTROL}]")
 # Also marks that turn or hide text: of direction, of width zero, line separators, halves of characters, and tags.
@@ -33,9 +41,114 @@ def visible(text: str) -> str:
     return _HIDDEN.sub(_escaped, text)
 
 
+@dataclass
+class Asked:
+    """What the command line asks to be told.
+
+    Attributes:
+        quiet: Nothing but warnings and errors.
+        verbose: Also what is read, by which programs, and how long each part takes.
+        json: The result as JSON on standard output, and no text there.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+    json: bool = False
+
+
+_asked = Asked()
+
+
+def start_afresh() -> None:
+    """Forget what an earlier command of this process was asked."""
+    _asked.quiet = _asked.verbose = _asked.json = False
+
+
+def ask_quiet(value: bool) -> bool:
+    """Take `--quiet` from the command line."""
+    _asked.quiet = value
+    _check_not_both()
+    return value
+
+
+def ask_verbose(value: bool) -> bool:
+    """Take `--verbose` from the command line, and tell the versions of the programs."""
+    _asked.verbose = value
+    _check_not_both()
+    if value:
+        tell("versions", _versions())
+    return value
+
+
+def _check_not_both() -> None:
+    if _asked.quiet and _asked.verbose:
+        raise ModsimError("--quiet and --verbose contradict each other: leave one out")
+
+
+def ask_json(value: bool) -> bool:
+    """Take `--json` from the command line."""
+    _asked.json = value
+    return value
+
+
+def _versions() -> str:
+    from importlib.metadata import version
+
+    python = ".".join(map(str, sys.version_info[:3]))
+    names = ("numpy", "scipy", "shapely", "pyarrow", "PyOpenGL")
+    return ", ".join([f"modsim3d {version('modsim3d')}", f"Python {python}", *(f"{n} {version(n)}" for n in names)])
+
+
 def say(text: str, *, err: bool = False) -> None:
-    """Write text and a line break to standard output, or to standard error."""
-    typer.echo(visible(text), err=err)
+    """Write text and a line break to standard output, unless it is not asked for, or to standard error."""
+    if err or not (_asked.quiet or _asked.json):
+        typer.echo(visible(text), err=err)
+
+
+def warn(text: str) -> None:
+    """Write a warning to standard error, whatever is asked for."""
+    if sys.stdout is not None:
+        sys.stdout.flush()  # it stands after what it is about, where both go to one place
+    open_console(stderr=True, quiet=False).print(f"warning: {text}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def tell(name: str, text: str) -> None:
+    """Write what only `--verbose` asks for to standard error."""
+    if _asked.verbose:
+        typer.echo(visible(f"{name:<9} {text}"), err=True)
+
+
+def tell_files(paths: Iterable[Path]) -> None:
+    """Tell which files are read, of those that are there."""
+    if _asked.verbose:
+        for path in filter(Path.exists, paths):
+            tell("read", str(path))
+
+
+@contextmanager
+def timed(part: str) -> Iterator[None]:
+    """Tell how long a part of a command takes."""
+    started = perf_counter()
+    yield
+    tell("time", f"{perf_counter() - started:7.2f} s  {part}")
+
+
+def say_json(content: Mapping[str, Any]) -> None:
+    """Write the result as one line of JSON to standard output if `--json` asks for it: numbers are finite or null."""
+    if not _asked.json:
+        return
+    import orjson
+
+    options = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS
+    line = orjson.dumps(content, default=_path_text, option=options).decode()
+    typer.echo(_HIDDEN.sub(lambda match: json.dumps(match[0])[1:-1], line).encode())
+
+
+def _path_text(value: object) -> str:
+    """A path as text; JSON is UTF-8, which the name of a folder above need not be."""
+    if not isinstance(value, PurePath):
+        raise TypeError(f"{type(value)} has no place in JSON")
+    return str(value).encode("utf-8", "replace").decode()
 
 
 def say_error(error: ModsimError) -> None:
@@ -48,7 +161,10 @@ def say_error(error: ModsimError) -> None:
 
 
 def open_console(**options: Any) -> Console:
-    """A console of rich that takes text as it is: no markup, no emoji, and control characters visible."""
+    """A console of rich that takes text as it is: no markup, no emoji, and control characters visible.
+
+    It writes nothing that is not asked for, and breaks no line in a file or a pipe, unless `COLUMNS` says where.
+    """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
     from rich.text import Text
@@ -61,14 +177,11 @@ def open_console(**options: Any) -> Console:
             for text, style, control in super().render(renderable, options):
                 yield Segment(text if control else visible(text), style, control)
 
-    return PlainConsole(markup=False, emoji=False, **options)
-
-
-def prepare_output() -> None:
-    """Let standard output replace what its encoding lacks; standard error does so by itself."""
-    reconfigure = getattr(sys.stdout, "reconfigure", None)
-    if reconfigure is not None:
-        reconfigure(errors="replace")
+    options.setdefault("quiet", _asked.quiet or (_asked.json and not options.get("stderr")))
+    console = PlainConsole(markup=False, emoji=False, **options)
+    if not (console.is_terminal or "width" in options or "COLUMNS" in os.environ):
+        console.width = UNBROKEN
+    return console
 
 
 def check_arguments(arguments: Iterable[str]) -> None:

@@ -8,22 +8,30 @@ from typing import TYPE_CHECKING
 import typer
 
 from modsim3d.commands import view_options as options
-from modsim3d.commands.terminal import say
+from modsim3d.commands.shared import (
+    INTERRUPTED,
+    OverwriteOption,
+    QuietOption,
+    RunArgument,
+    VerboseOption,
+    WorkersOption,
+    out_file,
+)
+from modsim3d.commands.terminal import say, tell_files, timed, warn
 from modsim3d.commands.view_options import Film, Style
 from modsim3d.commands.view_output import claimed_file, claimed_folder, film_format
 from modsim3d.errors import ModsimError, RendererError
 
 if TYPE_CHECKING:
+    from modsim3d.processes import WorkerCount
     from modsim3d.runs.selection import Selection
     from modsim3d.runs.stored_run import StoredRun
     from modsim3d.view.films.plan import FilmPlan
     from modsim3d.view.shaded.render_style import RenderStyle
 
-INTERRUPTED = 130
-
 
 def view_command(
-    run: options.Run,
+    run: RunArgument,
     film: options.FilmOption = None,
     frame: options.Frame = None,
     map_: options.Map = False,
@@ -42,20 +50,24 @@ def view_command(
     width: options.Width = None,
     format_: options.FormatOption = None,
     speed: options.Speed = 1.0,
-    workers: options.Workers = 1,
+    workers: WorkersOption = 1,
     out: options.Out = None,
-    overwrite: options.Overwrite = False,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Draw a film or a picture of a run, from its directory alone.
 
-    Example: modsim3d view runs/simulation_1 --film detections --crop vessels
+    Example: modsim3d view runs/first --film detections --crop vessels
     """
+    from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.selection import select_cameras
     from modsim3d.runs.stored_run import open_run
 
     _check_task(film, frame, map_, at, sheet)
     style, boxes_on_scene = _style(film, look, visibility, night)
     opened = open_run(run)
+    tell_files(read_of_run(run))
     if sheet:
         _draw_sheet(opened, overwrite)
     cameras = select_cameras(opened, camera or [])
@@ -106,7 +118,7 @@ def _say_what_there_is(run: StoredRun) -> None:
     if not run.finished:
         from modsim3d.runs.selection import span
 
-        say(f"modsim3d: {span(run)}", err=True)
+        warn(span(run))
 
 
 def _style(film: Film | None, look: Style | None, visibility: float | None, night: bool) -> tuple[RenderStyle, bool]:
@@ -142,7 +154,7 @@ def _draw_map(
     from modsim3d.view.maps.map_picture import FORMATS, check_matplotlib, save_map
 
     step = len(times_of(run)) - 1 if at is None else find_step(run, at)
-    path = out or run.folder / f"map_{step:06d}.png"
+    path = out_file(out, run.folder / f"map_{step:06d}.png")
     if path.suffix.lower() not in FORMATS:
         raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
     check_matplotlib()
@@ -192,7 +204,7 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
 def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | None, overwrite: bool) -> None:
     from modsim3d.view.films.film import draw_picture
 
-    path = out or selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png"
+    path = out_file(out, selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png")
     if path.suffix.lower() != ".png":
         raise ModsimError(f"{path}: the name of a picture must end in .png")
     with claimed_file(path, selection.run, overwrite):
@@ -205,7 +217,7 @@ def _draw_film(
     film: Film,
     kind: str,
     speed: float,
-    workers: int,
+    workers: WorkerCount,
     out: Path | None,
     overwrite: bool,
 ) -> None:
@@ -216,10 +228,11 @@ def _draw_film(
     if not 0 < speed < float("inf"):
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
     check_encoder(kind)
-    path = out or selection.run.folder / (film.value if kind == "png" else f"{film.value}.{kind}")
+    folder = selection.run.folder
+    path = out or folder / film.value if kind == "png" else out_file(out, folder / f"{film.value}.{kind}")
     claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
     try:
-        with claim, progress_bar() as bar:
+        with timed("film"), claim, progress_bar() as bar:
             task = bar.add_task(path.name, total=len(selection.steps))
             drawn = draw_film(
                 selection,

@@ -37,38 +37,83 @@ class Format(str, Enum):  # noqa: UP042
     png = "png"
 
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="A run directory, finished or interrupted.")]
-FilmOption = Annotated[Film | None, typer.Option(help="What to show; all: three side by side.")]
-Frame = Annotated[
-    str | None, typer.Option(metavar="STEP|TIME", help="One PNG in place of a film: 255, or 51.0 or 51s.")
+FilmOption = Annotated[
+    Film | None,
+    typer.Option(
+        metavar="KIND",
+        help="Draw a film, or with --frame a picture: detections, scene, ids, corners, map, or all three side by side.",
+    ),
 ]
-Map = Annotated[bool, typer.Option("--map", help="The scene from above, as PNG, SVG or PDF.")]
-At = Annotated[str | None, typer.Option(metavar="STEP|TIME", help="When, with --map.", show_default="the last step")]
-Sheet = Annotated[bool, typer.Option("--sheet", help="Draw contact_sheet.png again.")]
-Cameras = Annotated[list[str] | None, typer.Option(help="May be repeated.", show_default="all")]
-From = Annotated[float | None, typer.Option("--from", metavar="S", help="First time, in seconds.")]
-To = Annotated[float | None, typer.Option("--to", metavar="S", help="Last time, in seconds.")]
-Every = Annotated[int, typer.Option(min=1, metavar="K", help="Every K-th step.")]
+Frame = Annotated[
+    str | None,
+    typer.Option(metavar="STEP|TIME", help="Draw one PNG in place of a film: step 255, or time 51.0 or 51s."),
+]
+Map = Annotated[bool, typer.Option("--map", help="Draw the scene from above, as PNG, SVG or PDF.")]
+At = Annotated[
+    str | None,
+    typer.Option(metavar="STEP|TIME", help="Step or time that --map shows.", show_default="the last step"),
+]
+Sheet = Annotated[bool, typer.Option("--sheet", help="Draw contact_sheet.png of the run again.")]
+Cameras = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="Camera whose images are drawn; repeatable.", show_default="all cameras"),
+]
+From = Annotated[float | None, typer.Option("--from", metavar="S", help="Time at which a film begins, in seconds.")]
+To = Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which a film ends, in seconds.")]
+Every = Annotated[int, typer.Option(min=1, metavar="K", help="Draw every K-th time step only.")]
 OnlyWithVessels = Annotated[
     bool, typer.Option("--only-with-vessels", help="Leave out steps with no vessel in an image.")
 ]
 LayerNames = Annotated[
-    str | None, typer.Option(metavar="NAME,...", help="Layers to draw.", show_default="those of the film")
+    str | None,
+    typer.Option(
+        metavar="NAME,...", help="Layers to draw over the image (docs/pictures.md).", show_default="those of the film"
+    ),
 ]
 Look = Annotated[
-    Style | None, typer.Option(help="Of scene and detections.", show_default="scene: shaded, detections: plain")
+    Style | None,
+    typer.Option(
+        metavar="LOOK",
+        help="How vessels and sea are drawn: shaded or plain.",
+        show_default="shaded for scene, plain for detections",
+    ),
 ]
-Visibility = Annotated[float | None, typer.Option(metavar="M", help="Fog, in shaded pictures; for illustration only.")]
-Night = Annotated[bool, typer.Option("--night", help="Dark, in shaded pictures; for illustration only.")]
+Visibility = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Fog with this visibility in metres, in shaded pictures; it changes no detection."),
+]
+Night = Annotated[bool, typer.Option("--night", help="Darkness, in shaded pictures; it changes no detection.")]
 Crop = Annotated[
-    str | None, typer.Option(metavar="X0,Y0,X1,Y1|vessels", help="A part of the image, or where vessels are.")
+    str | None,
+    typer.Option(
+        metavar="X0,Y0,X1,Y1|vessels", help="Part of the image to draw, in pixels, or vessels: where vessels are."
+    ),
 ]
 Width = Annotated[
     int | None,
-    typer.Option(min=LEAST_WIDTH_PX, max=MOST_WIDTH_PX, help="Of the picture.", show_default="1280; several: 1920"),
+    typer.Option(
+        min=LEAST_WIDTH_PX,
+        max=MOST_WIDTH_PX,
+        metavar="PX",
+        help="Width of the picture or film in pixels.",
+        show_default="1280; several side by side: 1920",
+    ),
 ]
-FormatOption = Annotated[Format | None, typer.Option("--format", show_default="by --out, or mp4")]
-Speed = Annotated[float, typer.Option(help="Seconds of the run in one of the film.")]
-Workers = Annotated[int, typer.Option(min=1, help="Processes that draw; the film stays the same.")]
-Out = Annotated[Path | None, typer.Option(help="The file.", show_default="in the run directory")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")]
+FormatOption = Annotated[
+    Format | None,
+    typer.Option(
+        "--format",
+        metavar="FORMAT",
+        help="Format of a film: mp4, gif, or png for a folder of pictures.",
+        show_default="by the name in --out, or mp4",
+    ),
+]
+Speed = Annotated[float, typer.Option(metavar="X", help="Seconds of the run that one second of a film shows.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Picture or film to write; a folder with --format png.",
+        show_default="in the run directory",
+    ),
+]

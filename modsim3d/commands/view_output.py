@@ -25,7 +25,7 @@ def film_format(option: Format | None, out: Path | None) -> str:
     Raises:
         ModsimError: The two differ, or no film has such an ending.
     """
-    ending = out.suffix.lower().removeprefix(".") if out is not None else ""
+    ending = "" if out is None or out.is_dir() else out.suffix.lower().removeprefix(".")
     if option is None:
         if ending and ending not in ("mp4", "gif"):
             raise ModsimError(

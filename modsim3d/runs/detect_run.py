@@ -8,6 +8,7 @@ from pathlib import Path
 
 from modsim3d.errors import RunDirectoryError
 from modsim3d.paths import StrPath, as_path
+from modsim3d.processes import WorkerCount
 from modsim3d.runs.run import RunResult, settings_of, write_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.runs.workers import open_block_workers
@@ -22,7 +23,7 @@ def detect_run(
     detector: StrPath | None = None,
     seed: int | None = None,
     overwrite: bool = False,
-    workers: int = 1,
+    workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
     """Run a detector alone: write the run directory that another detector or seed would have given, without rendering.
@@ -35,7 +36,7 @@ def detect_run(
         detector: A detector file or the name of a shipped detector, in place of the run's.
         seed: Seed of the detector, in place of the run's.
         overwrite: Replace a run that is there.
-        workers: Number of processes; the bytes of the files do not depend on it.
+        workers: Number of processes, or `auto` for one for each CPU; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
 
     Raises:

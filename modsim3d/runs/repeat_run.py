@@ -9,6 +9,7 @@ from typing import Any
 
 import orjson
 
+from modsim3d.processes import WorkerCount
 from modsim3d.runs.files.differences import difference, settings_difference
 from modsim3d.runs.files.file_list import FileList, file_list
 from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER
@@ -68,7 +69,7 @@ class Repetition:
 
 
 def repeat_run(
-    run: FinishedRun, again: Path, *, workers: int = 1, progress: Callable[[int], None] = lambda steps: None
+    run: FinishedRun, again: Path, *, workers: WorkerCount = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Repetition:
     """Run the scene of a finished run, from `read_finished`, into a new folder, and compare.
 

@@ -16,6 +16,7 @@ from modsim3d.detector.census import TargetCensus
 from modsim3d.display import key_table
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.paths import StrPath, as_path
+from modsim3d.processes import WorkerCount, worker_count
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.run_directory import RunDirectory, locked_run
 from modsim3d.runs.pipeline import Range, check_scene, step_ranges
@@ -77,7 +78,7 @@ def run_scene(
     *,
     overwrite: bool = False,
     resume: bool = False,
-    workers: int = 1,
+    workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
     """Run a scene and write its run directory.
@@ -90,7 +91,7 @@ def run_scene(
         folder: The run directory; folders that are missing are made.
         overwrite: Replace a run that is there.
         resume: Continue an interrupted run that is there.
-        workers: Number of processes; the bytes of the files do not depend on it.
+        workers: Number of processes, or `auto` for one for each CPU; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
 
     Raises:
@@ -98,15 +99,16 @@ def run_scene(
         TypeError: The scene is none, or the folder is neither text nor a path.
     """
     check_scene(scene)
-    if scene.live and workers > 1:
+    count = 1 if scene.live and workers == "auto" else worker_count(workers)
+    if scene.live and count > 1:
         raise ModsimError(
-            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
+            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {count} "
             "workers: leave --workers out"
         )
     return write_run(
         scene,
         as_path(folder, "folder"),
-        open_block_workers(scene, workers),
+        open_block_workers(scene, count),
         lambda opened: settings_of(scene, backend_of(opened)),
         overwrite=overwrite,
         resume=resume,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modsim3d.detector.census import TargetCensus
-from modsim3d.processes import Workers, open_workers
+from modsim3d.processes import WorkerCount, Workers, open_workers
 from modsim3d.runs.box_sample import BoxSample
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth, kept_truth_path
@@ -113,14 +113,16 @@ class BlockMaker:
 BlockWorkers = Workers[BlockMaker]
 
 
-def open_block_workers(scene: Scene, count: int, truth_run: Path | None = None) -> AbstractContextManager[BlockWorkers]:
+def open_block_workers(
+    scene: Scene, workers: WorkerCount, truth_run: Path | None = None
+) -> AbstractContextManager[BlockWorkers]:
     """One worker in this process, or several in processes of their own; see `BlockMaker`.
 
     Raises:
         ModsimError: This process cannot start others.
         RendererError: There is no OpenGL library; with several workers, when they are first used.
     """
-    return open_workers(count, IF_KILLED, _open_block_maker, scene, truth_run)
+    return open_workers(workers, IF_KILLED, _open_block_maker, scene, truth_run)
 
 
 def backend_of(workers: BlockWorkers) -> str:

@@ -66,7 +66,7 @@ def test_run_is_not_overwritten_unasked(monkeypatch, tmp_path, capsys):
 
 
 def test_ctrl_c_before_a_command_begins_is_one_message(monkeypatch, capsys):
-    def press_ctrl_c() -> None:
+    def press_ctrl_c(**_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "app", press_ctrl_c)

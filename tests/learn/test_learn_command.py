@@ -38,7 +38,9 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def exported(run):
     folder = run.parent / "coco"
-    result = CliRunner().invoke(app, ["export", str(run), "--coco", str(folder)], catch_exceptions=False)
+    result = CliRunner().invoke(
+        app, ["export", str(run), "--format", "coco", "--out", str(folder)], catch_exceptions=False
+    )
     assert "gt.json" in result.output
     return folder
 

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.outputs.placing import put_in_place
-from modsim3d.processes import Workers, open_workers
+from modsim3d.processes import WorkerCount, Workers, open_workers
 from modsim3d.runs.selection import Selection, StepFrames
 from modsim3d.view.films.files import MOST_RATE, EncodedFrame, write_film
 from modsim3d.view.films.gif import film_palette
@@ -52,7 +52,7 @@ def draw_film(
     path: Path,
     *,
     speed: float = 1.0,
-    workers: int = 1,
+    workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> DrawnFilm:
     """Draw a film.
@@ -63,7 +63,7 @@ def draw_film(
         kind: One of `FORMATS`.
         path: The file, or the folder of PNG files.
         speed: Seconds of the run in one second of the film.
-        workers: Processes that draw; their number does not change the film.
+        workers: Number of processes, or `auto` for one for each CPU; their number does not change the film.
         progress: Called with the number of frames drawn since its last call.
     """
     scene = selection.run.scene

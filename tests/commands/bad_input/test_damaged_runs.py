@@ -97,7 +97,7 @@ def commands(run: Path, out: Path) -> dict[str, tuple[object, ...]]:
         "report": ("report", run, "--out", out / "report.html"),
         "verify": ("verify", run, "--out", out / "verified"),
         "learn": ("learn", "--run", run, "--out", out / "detector.yaml", "--replicates", 20),
-        "export": ("export", run, "--coco", out / "coco"),
+        "export": ("export", run, "--format", "coco", "--out", out / "coco"),
         "detect": ("detect", run, "--out", out / "run"),
         "rerun": ("rerun", run, "--out", out / "run.rrd"),
     }

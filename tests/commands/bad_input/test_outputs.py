@@ -40,7 +40,7 @@ COMMANDS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
     "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
     "compare": ("compare.html", lambda run, out: ("compare", run / "scene" / "scene.json", "--out", out.parent)),
-    "export": ("dt.json", lambda run, out: ("export", run, "--coco", out.parent)),
+    "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "page": (
         "page.html",
@@ -152,7 +152,7 @@ def test_an_ais_log_in_the_scene_folder_is_not_written_over(call: Call, tmp_path
 @pytest.mark.parametrize("name", ["device", "folder"])
 def test_only_regular_files_are_written(run, call: Call, tmp_path, name: str) -> None:
     (tmp_path / "device").symlink_to("/dev/null")
-    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "report.html").mkdir(parents=True)
     status, said = call("report", run, "--out", tmp_path / name, "--overwrite")
     assert status == 2
     assert "choose another name" in said
@@ -244,7 +244,8 @@ def test_a_run_is_refused_with_exit_status_two_while_its_folder_is_written(input
 
 def test_an_output_that_is_a_link_in_a_circle_is_no_traceback(run, call: Call, tmp_path) -> None:
     (tmp_path / "link").symlink_to("link")
-    for line in (("report", run, "--out", tmp_path / "link"), ("export", run, "--coco", tmp_path / "link")):
+    out = ("--out", tmp_path / "link")
+    for line in (("report", run, *out), ("export", run, "--format", "coco", *out)):
         status, said = call(*line)
         assert "Traceback" not in said
         assert status == 2

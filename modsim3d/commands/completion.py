@@ -1,0 +1,21 @@
+"""What the shell completes after the Tab key, found without loading more than the command line itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from modsim3d.inputs.shipped import data_folder
+
+_SCENE_FILES = (".yaml", ".yml", ".json")
+
+
+def complete_scene(incomplete: str) -> list[str]:
+    """Shipped scenes, and scene files of the working directory, that begin so.
+
+    Where no shipped scene does, there is nothing, and the shell completes the names of files and folders by itself.
+    """
+    shipped = [path.stem for path in sorted(data_folder("scenes").glob("*.yaml")) if path.stem.startswith(incomplete)]
+    if not shipped:
+        return []
+    files = (path.name for path in sorted(Path().iterdir()) if path.suffix in _SCENE_FILES and path.is_file())
+    return shipped + [name for name in files if name.startswith(incomplete)]

@@ -1,0 +1,85 @@
+"""Help that can be read alone, everywhere, at 80 columns, and without loading what the work needs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from modsim3d.cli import COMMANDS, app
+from tests.commands.conftest import Modsim3d
+
+GROUP: Any = typer.main.get_command(app)
+OPTIONS = [
+    (name, parameter)
+    for name, command in GROUP.commands.items()
+    for parameter in command.params
+    if parameter.name != "help"
+]
+HEAVY = ("numpy", "scipy", "pyarrow", "OpenGL", "matplotlib", "PIL", "trimesh", "shapely", "pydantic", "pyrender")
+
+
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+@pytest.mark.parametrize("name", ["", *GROUP.commands])
+def test_every_command_has_help(modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch, name: str, flag: str) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    said = modsim3d(*filter(None, [name]), flag)
+    assert (said.status, said.err) == (0, "")
+    assert "Usage: modsim3d" in said.out
+    assert "<bool>" not in said.out
+    assert max(map(len, said.out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(("command", "parameter"), OPTIONS, ids=[f"{name} {p.name}" for name, p in OPTIONS])
+def test_the_help_of_an_option_can_be_read_alone(command: str, parameter: Any) -> None:
+    words = (parameter.help or "").rstrip(".").split()
+    assert parameter.help.endswith(".")
+    assert len(words) >= 3
+    assert words[0] not in ("Of", "For", "The", "May", "In", "When", "Also", "Added") or parameter.name == "verbose"
+
+
+def test_out_has_one_meaning() -> None:
+    metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
+    folders = dict.fromkeys(("run", "detect", "ais", "compare", "verify", "export"), "DIR")
+    assert metavars == {**folders, **dict.fromkeys(("learn", "report", "rerun", "view"), "FILE")}
+
+
+def test_the_root_help_has_every_command_on_one_line_of_80_columns(
+    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = modsim3d("-h").out.splitlines()
+    for panel, name, _, short_help in COMMANDS:
+        assert any(line.strip("│ ").split(maxsplit=1) == [name, short_help] for line in lines), name
+        assert any(line.startswith(f"╭─ {panel} ─") for line in lines)
+    examples = [line for line in lines if line.startswith(" modsim3d ")]
+    assert len(examples) == 5
+
+
+@pytest.mark.parametrize("arguments", [["-h"], ["run", "-h"], ["--version"], []])
+def test_help_loads_nothing_that_the_work_needs(arguments: list[str]) -> None:
+    script = (
+        f"import sys; sys.argv = ['modsim3d', *{arguments!r}]\n"
+        "from modsim3d.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        f"print(*(name for name in {HEAVY!r} if name in sys.modules), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stderr.strip() == ""
+
+
+def test_python_dash_m_is_the_command_line(tmp_path: Path) -> None:
+    def python_m(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "modsim3d", *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, cwd=tmp_path)
+
+    assert "Usage: python -m modsim3d [OPTIONS]" in python_m("-h").stdout
+    done = python_m("run")
+    assert done.returncode == 2
+    assert "Usage: python -m modsim3d run " in done.stderr
+    assert "harbour" in python_m("scenes").stdout

@@ -1,0 +1,78 @@
+"""A reader that goes away changes nothing: no traceback, no other exit status, and the work is done."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = f"{sys.executable} -m modsim3d"
+
+
+def bash(line: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a line of bash, in which MODSIM3D is the program and $1, $2 … are the arguments."""
+    command = ["bash", "-c", line.replace("MODSIM3D", PROGRAM), "bash", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+
+def other_detector(run: Path, folder: Path) -> Path:
+    """A detector file that the run does not obey."""
+    text = next((run / "scene").glob("detector.*")).read_text()
+    path = folder / "other.yaml"
+    path.write_text(text.replace("mean: 0.67", "mean: 0.2"))
+    assert path.read_text() != text
+    return path
+
+
+@pytest.mark.parametrize("options", ["", "--json"])
+@pytest.mark.parametrize("obeys", [True, False])
+@pytest.mark.parametrize("reader", ["head -1", "true"])
+def test_the_status_of_verify_is_its_verdict_whoever_reads(
+    run: Path, tmp_path: Path, reader: str, obeys: bool, options: str
+) -> None:
+    detector = next((run / "scene").glob("detector.*")) if obeys else other_detector(run, tmp_path)
+    line = f'MODSIM3D verify "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null; echo ${{PIPESTATUS[0]}}'
+    done = bash(line, run, detector, tmp_path / "out")
+    assert done.stdout == f"{0 if obeys else 1}\n"
+    assert done.stderr == ""
+    assert json.loads((tmp_path / "out" / "verify.json").read_text())["obeys"] is obeys
+
+
+@pytest.mark.parametrize(
+    "arguments", ["scenes", "-h", "run -h", "check harbour", "scenes --json", "check harbour --json", "--version"]
+)
+@pytest.mark.parametrize("unbuffered", ["", "PYTHONUNBUFFERED=1"])
+def test_no_command_minds_a_reader_that_goes_away(arguments: str, unbuffered: str) -> None:
+    done = bash(f"{unbuffered} MODSIM3D {arguments} | true; echo ${{PIPESTATUS[0]}}")
+    assert (done.stdout, done.stderr) == ("0\n", "")
+
+
+def test_a_run_whose_bar_and_summary_nobody_reads_is_finished(scene: Path, tmp_path: Path) -> None:
+    line = 'MODSIM3D run "$1" --source analytic --no-sheet --out "$2" 2>&1 | true; echo ${PIPESTATUS[0]}'
+    assert bash(line, scene, tmp_path / "run").stdout == "0\n"
+    assert (tmp_path / "run" / "run.json").exists()
+
+
+def test_an_error_keeps_its_status_when_nobody_reads() -> None:
+    done = bash("MODSIM3D check nowhere.yaml 2>&1 | true; echo ${PIPESTATUS[0]}")
+    assert done.stdout == "2\n"
+
+
+def test_the_first_line_of_json_is_the_whole_object(run: Path, tmp_path: Path) -> None:
+    done = bash('MODSIM3D verify "$1" --out "$2" --json | head -1', run, tmp_path)
+    assert json.loads(done.stdout)["command"] == "verify"
+
+
+def test_output_that_a_full_disk_loses_is_an_error() -> None:
+    done = bash("MODSIM3D scenes > /dev/full")
+    assert done.returncode == 2
+    assert done.stderr == "modsim3d: standard output cannot be written to: No space left on device\n"
+
+
+def test_without_standard_output_a_command_does_its_work(run: Path, tmp_path: Path) -> None:
+    done = bash('MODSIM3D verify "$1" --out "$2" >&-', run, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "verify.json").exists()

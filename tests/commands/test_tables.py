@@ -1,0 +1,97 @@
+"""Tables lose no column and break no word, at any width and in a pipe."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.commands.tables import print_prose, print_table
+from modsim3d.commands.terminal import open_console
+from tests.commands.conftest import Modsim3d
+
+WIDTHS = (20, 40, 60, 80, 120, 200)
+CELLS = st.text("ab1/._-é漢 ", max_size=30).map(lambda text: " ".join(text.split()))
+
+
+def printed(width: int, *arguments: object, **options: object) -> list[str]:
+    file = io.StringIO()
+    print_table(open_console(file=file, width=width), *arguments, **options)  # type: ignore[arg-type]
+    return file.getvalue().splitlines()
+
+
+@given(
+    st.integers(2, 4).flatmap(lambda count: st.lists(st.tuples(*[CELLS] * count), min_size=1, max_size=4)),
+    st.integers(10, 120),
+    st.booleans(),
+)
+def test_every_word_of_every_cell_is_printed_whole_and_in_order(
+    rows: list[tuple[str, ...]], width: int, with_header: bool
+) -> None:
+    header = tuple(f"n{place}" for place in range(len(rows[0]))) if with_header else ()
+    lines = printed(width, "", rows, header=header)
+    words = "\n".join(lines).split()
+    for row in rows:
+        for cell in row:
+            for word in cell.split():
+                assert word in words
+    assert not any(line.endswith(" ") for line in lines)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_file_name_and_a_number_are_never_broken(width: int) -> None:
+    name = "/a/very/long/path/" + "x" * 90 + "/scene.yaml"
+    rows = [(name, "0.2111 … 1", "some words that explain what this is about, at length"), ("b", "2", "c")]
+    for header in ((), ("file", "interval", "meaning")):
+        text = "\n".join(printed(width, "title", rows, header=header))
+        assert name in text
+        assert "0.2111 … 1" in text
+
+
+def test_a_table_that_fits_has_its_columns_one_below_the_other() -> None:
+    lines = printed(40, "title", [("a", "1"), ("long", "22")], header=("name", "number"), right=(1,))
+    assert lines == ["", "title", "name  number", "a          1", "long      22"]
+
+
+def test_what_does_not_fit_stands_below_with_the_names_of_its_columns() -> None:
+    rows = [("parameter_with_a_name", "0.99", "0.2 … 1", "obeys"), ("other", "1", "–", "DIFFERS")]
+    header = ("parameter", "asked", "interval", "verdict")
+    assert printed(36, "", rows, header=header, at_edge=3) == [
+        "parameter_with_a_name          obeys",
+        "    asked 0.99  interval 0.2 … 1",
+        "other                        DIFFERS",
+        "    asked 1",
+    ]
+
+
+def test_cells_are_broken_where_they_may_be_before_rows_are() -> None:
+    rows = [("state", "0.5 [0.1, 0.9]", "0.6 [0.2, 0.8]")]
+    found = printed(28, "", rows, header=("", "recall", "F1"), breaks=[lambda cell: cell.replace(" [", "\n[")])
+    assert found == ["       recall      F1", "state  0.5         0.6", "       [0.1, 0.9]  [0.2, 0.8]"]
+
+
+def test_prose_is_broken_between_words() -> None:
+    file = io.StringIO()
+    print_prose(open_console(file=file, width=20), "the file /a/b/c/d/e/f/g/h.yaml is well", indent=2)
+    assert file.getvalue() == "  the file\n  /a/b/c/d/e/f/g/h.yaml\n  is well\n"
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, None])
+def test_verify_has_every_number_at_any_width(
+    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch, run: object, tmp_path: object, width: int | None
+) -> None:
+    if width:
+        monkeypatch.setenv("COLUMNS", str(width))
+    out = modsim3d("verify", run, "--out", tmp_path).out
+    monkeypatch.delenv("COLUMNS", raising=False)
+    table = modsim3d("verify", run, "--out", tmp_path, "--overwrite").out
+    assert re.search(r"parameter +asked +measured +interval +noticed from +verdict", table)
+    for word in table.split("\n\nwritten")[0].split():
+        assert word in out or word in ("–", "parameter")
+    if width:
+        assert max(len(line) for line in out.split("\nwritten")[0].splitlines()) <= width
+    else:
+        assert out == table
