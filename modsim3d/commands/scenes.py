@@ -9,8 +9,11 @@ from modsim3d.commands.terminal import say
 def check_command(scene: SceneArgument) -> None:
     """Read a scene and every file that it names, and list everything that is wrong.
 
+    Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene.
+
     Example: modsim3d check my/scene.yaml
     """
+    from modsim3d.runs.blind_cameras import blind_at_first
     from modsim3d.scene.reading import load_scene
 
     loaded = load_scene(scene)
@@ -19,6 +22,8 @@ def check_command(scene: SceneArgument) -> None:
         f"{loaded.path}: no problems found. Vessels: {len(loaded.vessels)}, cameras: {len(loaded.cameras)}, "
         f"steps: {steps}, annotation mode: {loaded.annotation.mode}, source: {loaded.annotation.source}"
     )
+    for warning in blind_at_first(loaded):
+        say(f"warning: {warning}")
 
 
 def scenes_command() -> None:

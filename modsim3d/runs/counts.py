@@ -61,6 +61,11 @@ class Counts:
     off_by_curvature: int = 0
     largest_curvature_px: float = 0.0
 
+    @property
+    def true_detections(self) -> int:
+        """Detections of a vessel; a merged box is one detection of two vessels."""
+        return self.detected - self.merged
+
     def __add__(self, other: Counts) -> Counts:
         """The counts of both; of the curvature's shift the larger one."""
         sums = {field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)}
