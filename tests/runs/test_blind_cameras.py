@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from modsim3d.runs.blind_cameras import blind_at_first
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene, shipped_scenes
 from modsim3d.scene.scene import Scene
-from tests.commands.bad_input.builders import lens
+from tests.commands.bad_input.builders import at, lens
 
 DETECTOR = Path(__file__).parents[2] / "scenes" / "detectors" / "thesis.yaml"
 SIZE = {"length_m": 12.0, "beam_m": 4.0, "air_draft_m": 3.0, "label": "Vessel"}
@@ -38,6 +39,7 @@ def scene_of(
         "detector": str(DETECTOR),
         **more,
     }
+    content = {key: value for key, value in content.items() if value is not None}
     (folder / "scene.yaml").write_text(yaml.dump(content))
     return load_scene(folder / "scene.yaml")
 
@@ -110,6 +112,20 @@ def test_a_vessel_that_comes_into_view_late_is_no_reason_to_warn(tmp_path: Path)
     assert blind_at_first(scene) == []
     warnings = run_warnings(scene, run_scene(scene, tmp_path / "run"))
     assert not [warning for warning in warnings if "sees no vessel" in warning]
+
+
+def test_of_a_live_scene_it_is_said_after_the_run(tmp_path: Path) -> None:
+    steps = [
+        {f"{step}.0": {name: at(w1, w2) for name, (w1, w2) in {"own": (step, 0.0), **BOATS}.items()}}
+        for step in range(4)
+    ]
+    (tmp_path / "live.jsonl").write_text("".join(json.dumps(step) + "\n" for step in steps))
+    poses = {"stream": {"file": "live.jsonl", "timeout_s": 0}}
+    scene = scene_of(tmp_path, {"pitch_rad": -0.6}, poses=poses, steps=9, time_step_s=None)
+    assert blind_at_first(scene) == []
+    (warning,) = run_warnings(scene, run_scene(scene, tmp_path / "run"))
+    assert warning.startswith("camera 'bow' sees no vessel in its 4 frames: it looks 34.4° above the horizon")
+    assert warning.endswith("vessels: 2 ahead of it but below the picture")
 
 
 @pytest.mark.parametrize("name", shipped_scenes())
