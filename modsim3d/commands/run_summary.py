@@ -15,15 +15,30 @@ if TYPE_CHECKING:
 
 Row = tuple[str, str, str]
 """Name, value and meaning."""
+CAMERA_HEADER = (
+    "camera",
+    "frames",
+    "annotated",
+    "detected",
+    "false\nalarms",
+    "wrong\nclass",
+    "IoU\n< 0.5",
+    "off\nvessel",
+)
 NOTICEABLE_SHARE = 0.005
 """The bias from resampled box errors is shown if at least this share of the detections was resampled."""
+WARNING_SHARE = 0.1
+"""A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says."""
 
 
 def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     """Print what happened in a run, and where its files are."""
-    rows = _frame_rows(scene, result) + _detection_rows(result.counts) + _time_rows(result) + _model_rows(result)
     console = open_console()
-    print_table(console, "", rows, right=(1,), styles=("bold", "", "dim"))
+    print_table(console, "", summary_rows(scene, result), right=(1,), styles=("bold", "", "dim"))
+    if len(result.camera_counts) > 1:
+        header, *rows = camera_rows(result)
+        console.print()
+        print_table(console, "", rows, header=header, right=range(1, len(header)))
     print_line(console, f"\nrun directory  {result.folder}")
     if sheet:
         print_line(console, f"contact sheet  {result.folder / 'contact_sheet.png'}")
@@ -31,30 +46,49 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
         warn(warning)
 
 
+def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
+    """What happened in a run; each share is of a number that stands in another row."""
+    return _frame_rows(scene, result) + _detection_rows(result.counts) + _model_rows(result) + _time_rows(result)
+
+
 def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
-    counts = result.counts
-    frames = f"{len(scene.cameras)} camera(s), {result.steps} steps, mode {scene.annotation.mode}"
+    counts, cameras = result.counts, len(scene.cameras)
+    many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
     return [
-        ("frames", str(counts.frames), frames),
-        ("vessels seen", str(counts.seen), "vessels in images, summed over frames"),
-        ("occlusions", f"{counts.partly_hidden} partly, {counts.fully_hidden} fully", ""),
-        ("annotated", str(counts.annotated), ""),
+        ("frames", str(counts.frames), many),
+        ("vessels seen", str(counts.seen), "summed over frames"),
+        ("partly hidden", str(counts.partly_hidden), _share(counts.partly_hidden, counts.seen, "seen")),
+        ("fully hidden", str(counts.fully_hidden), "vessels, beside those seen"),
+        ("annotated", str(counts.annotated), "vessels given to the detector"),
     ]
 
 
 def _detection_rows(counts: Counts) -> list[Row]:
-    every = counts.detected + counts.false_positives
-    true = max(counts.detected, 1)
-    below = f"{counts.below_half_iou / true:.1%} of detections: an evaluation by IoU counts them as missed"
-    resampled = f"{counts.redrawn / true:.1%}: the first sampled error shrank the box below one pixel"
-    return [
-        ("detections", str(counts.detected), _share(counts.detected, counts.annotated, "of annotated")),
-        ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "of annotated")),
-        ("false", str(counts.false_positives), _share(counts.false_positives, every, "of all detections")),
-        ("mislabelled", str(counts.mislabelled), ""),
-        ("IoU below 0.5", str(counts.below_half_iou), below),
-        ("box resampled", str(counts.redrawn), resampled),
+    true = counts.true_detections
+    every = true + counts.false_positives
+    of_true = [
+        ("wrong class", counts.mislabelled),
+        ("IoU below 0.5", counts.below_half_iou),
+        ("off their vessel", counts.off_vessel),
+        ("box resampled", counts.redrawn),
     ]
+    return [
+        ("detected", str(counts.detected), _share(counts.detected, counts.annotated, "annotated")),
+        ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "annotated")),
+        ("detections", str(every), f"in the files: {true} true + {counts.false_positives} false"),
+        ("false alarms", str(counts.false_positives), _share(counts.false_positives, every, "detections")),
+        *((name, str(count), _share(count, true, "true detections")) for name, count in of_true),
+    ]
+
+
+def camera_rows(result: RunResult) -> list[tuple[str, ...]]:
+    """A header, and the counts of each camera."""
+    return [CAMERA_HEADER, *(_camera_row(name, counts) for name, counts in result.camera_counts.items())]
+
+
+def _camera_row(name: str, counts: Counts) -> tuple[str, ...]:
+    found = counts.detected, counts.false_positives, counts.mislabelled, counts.below_half_iou, counts.off_vessel
+    return (name, *map(str, (counts.frames, counts.annotated, *found)))
 
 
 def _time_rows(result: RunResult) -> list[Row]:
@@ -72,10 +106,11 @@ def _model_rows(result: RunResult) -> list[Row]:
     counts = result.counts
     rows = _bias_rows(result)
     if counts.missed_by_gate:
-        gated = _share(counts.missed_by_gate, counts.missed, "of the missed")
+        gated = _share(counts.missed_by_gate, counts.missed, "missed")
         rows.append(("gated", str(counts.missed_by_gate), gated))
     if counts.merged:
-        rows.append(("merged", str(counts.merged), "boxes around two vessels"))
+        merged = _share(counts.merged, counts.true_detections, "true detections")
+        rows.append(("merged", str(counts.merged), merged))
     return rows
 
 
@@ -94,9 +129,14 @@ def _bias_rows(result: RunResult) -> list[Row]:
 
 
 def run_warnings(scene: Scene, result: RunResult) -> list[str]:
-    """What a user should know before the run is used."""
+    """What a user should know before using a run, each a sentence."""
+    from modsim3d.runs.blind_cameras import blind_cameras
+
     counts = result.counts
-    warnings = [
+    warnings = blind_cameras(scene, result.steps, result.camera_counts)
+    if len(warnings) == len(scene.cameras) > 1:
+        warnings.insert(0, "no camera sees a vessel in this run")
+    warnings += [
         f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"
         for pair in result.intersecting
     ]
@@ -105,8 +145,13 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
             f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
             f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved"
         )
+    if counts.below_half_iou > WARNING_SHARE * counts.true_detections:
+        warnings.append(
+            f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their "
+            "vessel: an evaluation by IoU counts each as a miss and a false alarm"
+        )
     return warnings
 
 
 def _share(part: int, whole: int, of: str) -> str:
-    return f"{part / whole:.1%} {of}" if whole else ""
+    return f"of {whole} {of} ({part / whole:.1%})".replace("%", " %") if whole else ""

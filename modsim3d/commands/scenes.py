@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from modsim3d.commands.shared import JsonOption, QuietOption, SceneArgument, VerboseOption, print_line, print_rows
 from modsim3d.commands.tables import print_prose
-from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
+from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
 
 if TYPE_CHECKING:
     from modsim3d.scene.scene import Scene
@@ -17,8 +17,11 @@ def check_command(
 ) -> None:
     """Read a scene and every file that it names, and list everything that is wrong.
 
+    Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene.
+
     Example: modsim3d check strait
     """
+    from modsim3d.runs.blind_cameras import blind_at_first
     from modsim3d.scene.reading import load_scene
 
     with timed("reading the scene"):
@@ -27,7 +30,10 @@ def check_command(
     console = open_console()
     print_line(console, f"{loaded.path}: no problems found")
     print_rows(console, "", _rows(loaded))
-    say_json(_check_json(loaded))
+    warnings = blind_at_first(loaded)
+    for warning in warnings:
+        warn(warning)
+    say_json(_check_json(loaded, warnings))
 
 
 def _rows(scene: Scene) -> list[tuple[str, str]]:
@@ -39,7 +45,7 @@ def _rows(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
-def _check_json(scene: Scene) -> dict[str, Any]:
+def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
     return {
         "format": 1,
         "command": "check",
@@ -51,6 +57,7 @@ def _check_json(scene: Scene) -> dict[str, Any]:
         "steps": None if scene.live else scene.steps,
         "mode": scene.annotation.mode,
         "source": scene.annotation.source,
+        "warnings": warnings,
     }
 
 

@@ -61,7 +61,7 @@ def base_number(reader: str, number: int) -> int:
 def _weight(name: str) -> int:
     """How often a file is changed, against the others of its folder."""
     stem, _, ending = PurePosixPath(name).name.partition(".")
-    if stem.startswith(("annotations_", "detections_")):  # of a run, which nothing reads again
+    if stem.startswith(("annotations_", "detections_", "tracker_input_")):  # of a run, which nothing reads again
         return 0
     return 6 if ending in ("parquet", "npz") or stem in ("scene", "live") else 1
 

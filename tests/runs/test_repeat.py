@@ -55,10 +55,10 @@ def flipped(path: Path) -> None:
 def with_a_box_moved(run: Path, step: int) -> None:
     """The run's detections with one number moved by half a pixel."""
     table = pq.read_table(run / "detections.parquet")
-    x = table["x_px"].to_numpy().copy()
+    x = table["centre_x_px"].to_numpy().copy()
     x[step] += 0.5
-    place = table.column_names.index("x_px")
-    pq.write_table(table.set_column(place, "x_px", pa.array(x)), run / "detections.parquet", compression="zstd")
+    place = table.column_names.index("centre_x_px")
+    pq.write_table(table.set_column(place, "centre_x_px", pa.array(x)), run / "detections.parquet", compression="zstd")
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -114,7 +114,7 @@ def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Ca
     status, said = call("repeat", run)
     said = " ".join(said.split())
     assert status == 1, said
-    assert f"1 of {len(pq.read_table(run / 'detections.parquet'))} rows differ: x_px in 1 by 0.5 at most" in said
+    assert f"1 of {len(pq.read_table(run / 'detections.parquet'))} rows differ: centre_x_px in 1 by 0.5 at most" in said
     assert "counts.missed 12345 against" in said
     assert "2 of " in said
     assert "an older version wrote" in said

@@ -23,6 +23,7 @@ FILES = {
     "run.log",
     "annotations_C0.json",
     "detections_C0.json",
+    "tracker_input_C0.jsonl",
     "frames.parquet",
     "truth.parquet",
     "detections.parquet",
@@ -109,7 +110,7 @@ def test_tables_and_json_tell_the_same(finished):
     assert len(drawn) == sum(map(len, detections.values()))
     for row in drawn:
         entries = detections[row["timestamp"]].values()
-        assert [row["x_px"], row["width_px"], row["confidence"]] in [
+        assert [row["centre_x_px"], row["width_px"], row["confidence"]] in [
             [e["bbox"]["centre"]["x"], e["bbox"]["width"], e["confidenceScore"]] for e in entries
         ]
 
@@ -214,7 +215,7 @@ def test_python_way_gives_the_same_as_the_files(scene, finished):
     frames = list(simulate_frames(scene))
     assert len(frames) == STEPS
     boxes = np.concatenate([frame.detections.boxes_px for frame in frames])
-    np.testing.assert_allclose(boxes[:, 0], [row["x_px"] - row["width_px"] / 2 for row in drawn], atol=1e-9)
+    assert boxes[:, 0].tolist() == [row["x_min_px"] for row in drawn]
     frame = frames[151]
     assert frame.timestamp == "30.2"
     assert frame.truth.vessels == tuple(f"vessel{i}" for i in range(1, 6))

@@ -213,6 +213,8 @@ def test_a_real_process_answers_each_line_with_a_line(tmp_path):
                 text = wait_for_lines(out / "unfinished" / f"{name}.jsonl", step + 1)
                 assert text.count(b"\n") == step + 1
                 assert list(json.loads(text.splitlines()[-1])) == [f"{step / 10}"]
+            text = wait_for_lines(out / "unfinished" / "tracker_input_C0.jsonl", step + 1)
+            assert [json.loads(given)["step"] for given in text.splitlines()] == list(range(step + 1))
         _, errors = running.communicate(timeout=60)
         assert running.returncode == 0, errors.decode()
     assert len(json.loads((out / "detections_C0.json").read_text())) == 4

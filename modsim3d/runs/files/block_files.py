@@ -16,6 +16,7 @@ from modsim3d.outputs.placing import written_whole
 from modsim3d.runs.blocks import Block
 from modsim3d.runs.files import own_ships_table, tables, thesis_json
 from modsim3d.runs.files.kept_truth import truth_of_columns
+from modsim3d.runs.files.tracker_input import TRACKER_INPUT, tracker_lines
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.truth_record import COLUMNS, Truth
 
@@ -28,7 +29,10 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 OWN_SHIP = "ownship"
 SETTINGS_FILE = "settings.json"
 """The settings of a run, beside its kept blocks."""
-JSON_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+THESIS_LINES = {"annotations": thesis_json.annotation_lines, "detections": thesis_json.detection_lines}
+"""Kinds of JSON lines that become one JSON object at the end of a run."""
+JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}
+"""All kinds of JSON lines; there is a file of each for each camera."""
 
 
 def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
@@ -43,7 +47,7 @@ class BlockFiles:
 
     Attributes:
         tables: New rows by the name of the table.
-        lines: New complete lines by the kind of JSON file and the index of the camera.
+        lines: New complete lines by the kind of file and the index of the camera.
     """
 
     tables: dict[str, pa.Table]

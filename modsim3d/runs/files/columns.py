@@ -10,8 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import corner_form
-from modsim3d.runs.files.tables import BOX_SIDES, CENTRE_FORM
+from modsim3d.runs.files.tables import BOX_SIDES
 
 NOBODY = -1
 """The index of a name that is null, or not among the names."""
@@ -54,7 +53,7 @@ def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
 
 def detection_boxes_px(table: pa.Table) -> Array:
     """The boxes of a table of detections as x_min, y_min, x_max, y_max, shape (n, 4)."""
-    return corner_form(np.column_stack([numbers(table, name) for name in CENTRE_FORM]))
+    return np.column_stack([numbers(table, name) for name in BOX_SIDES])
 
 
 @dataclass(frozen=True, eq=False)

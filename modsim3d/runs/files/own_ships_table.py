@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.runs.files.table_columns import schema_of
 from modsim3d.scene.own_ships import own_ships_at
 from modsim3d.scene.scene import Scene
 
@@ -20,8 +21,7 @@ _COLUMNS = {
     "measured_forces_m_s2": ("measured_f1_m_s2", "measured_f2_m_s2", "measured_f3_m_s2"),
 }
 """Attribute of `OwnShips` → names of the columns of its components."""
-_KEYS = [("vessel", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
-OWN_SHIP = pa.schema([*_KEYS, *((name, pa.float64()) for names in _COLUMNS.values() for name in names)])
+OWN_SHIP = schema_of("ownship")
 
 
 def own_ship_table(scene: Scene, first: int, stop: int) -> pa.Table:
@@ -36,4 +36,4 @@ def own_ship_table(scene: Scene, first: int, stop: int) -> pa.Table:
     }
     for attribute, components in _COLUMNS.items():
         columns |= zip(components, getattr(own, attribute).reshape(-1, len(components)).T, strict=True)
-    return pa.table(columns, schema=OWN_SHIP)
+    return pa.table([columns[name] for name in OWN_SHIP.names], schema=OWN_SHIP)

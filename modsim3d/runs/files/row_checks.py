@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import centre_form
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
 from modsim3d.errors import RunDirectoryError
 from modsim3d.inputs.validation import MAX_COORDINATE_M, shown
@@ -178,9 +179,9 @@ def check_truth(rows: Rows, scene: Scene) -> None:
     of_vessel = np.array([labels.index(vessel.label) for vessel in scene.vessels])
     rows.refuse("label", label != of_vessel[vessel], "the vessel's")
     size_px = _image_sizes_px(rows, scene)
-    _check_boxes(rows, "full", truth_boxes_px(rows.table, "full"), size_px, nullable=False)
+    _check_boxes(rows, "full_", truth_boxes_px(rows.table, "full"), size_px, nullable=False)
     visible = truth_boxes_px(rows.table, "visible")
-    _check_boxes(rows, "visible", visible, size_px, nullable=True)
+    _check_boxes(rows, "visible_", visible, size_px, nullable=True)
     _check_visibility(rows, scene, size_px.prod(axis=1) * (1 + ROUNDING))
     annotated, detected = rows.flags("annotated"), rows.flags("detected")
     if scene.annotation.mode == 2:
@@ -198,12 +199,12 @@ def _check_boxes(rows: Rows, prefix: str, boxes_px: Array, size_px: Array, *, nu
     """Check that boxes, shape (n, 4), lie in their images and have no side below 0; a missing one has no number."""
     slack = ROUNDING * float(size_px.max(initial=1.0))
     for i, side in enumerate(BOX_SIDES):
-        rows.numbers(f"{prefix}_{side}", 0.0, size_px[:, i % 2], slack=slack, nullable=nullable)
+        rows.numbers(f"{prefix}{side}", 0.0, size_px[:, i % 2], slack=slack, nullable=nullable)
         missing = np.isnan(boxes_px[:, i]) != np.isnan(boxes_px[:, 0])
-        rows.refuse(f"{prefix}_{side}", missing, "a number like the other sides of the box, or null like them")
+        rows.refuse(f"{prefix}{side}", missing, "a number like the other sides of the box, or null like them")
     for i, side in enumerate(BOX_SIDES[2:]):
         wrong = boxes_px[:, i + 2] < boxes_px[:, i] - slack
-        rows.refuse(f"{prefix}_{side}", wrong, f"at least {prefix}_{BOX_SIDES[i]}")
+        rows.refuse(f"{prefix}{side}", wrong, f"at least {prefix}{BOX_SIDES[i]}")
 
 
 def _check_visibility(rows: Rows, scene: Scene, most_px: Array) -> None:
@@ -238,13 +239,15 @@ def check_detections(rows: Rows, scene: Scene) -> None:
     of_nobody = np.isin(kind, OF_NO_VESSEL)
     rows.refuse("vessel", of_nobody != (vessel == NOBODY), "null for a false positive and for nothing else")
     rows.numbers("confidence", 0.0, 1.0)
-    size_px = _image_sizes_px(rows, scene)
-    for i, name in enumerate(CENTRE_FORM):
-        rows.numbers(name, 0.0, size_px[:, i % 2] * (1 + ROUNDING))
-    boxes_px, slack = detection_boxes_px(rows.table), ROUNDING * np.tile(size_px, 2)
-    outside = (boxes_px < -slack) | (boxes_px > np.tile(size_px, 2) + slack)
-    for i, name in enumerate(CENTRE_FORM[:2]):
-        rows.refuse(name, outside[:, i] | outside[:, i + 2], "the centre of a box inside the image")
+    size_px, boxes_px = _image_sizes_px(rows, scene), detection_boxes_px(rows.table)
+    _check_boxes(rows, "", boxes_px, size_px, nullable=False)
+    for i, (name, number) in enumerate(zip(CENTRE_FORM, centre_form(boxes_px).T, strict=True)):
+        apart = np.abs(rows.numbers(name, 0.0, size_px[:, i % 2] * (1 + ROUNDING)) - number)
+        rows.refuse(
+            name,
+            apart > ROUNDING * size_px[:, i % 2],
+            f"that of the box from {BOX_SIDES[i % 2]} to {BOX_SIDES[i % 2 + 2]}",
+        )
     errors = np.column_stack([rows.numbers(name, -MOST_ERROR_PX, MOST_ERROR_PX, nullable=True) for name in ERRORS])
     for i, name in enumerate(ERRORS):
         one_missing = np.isnan(errors[:, i]) != np.isnan(errors[:, 0])

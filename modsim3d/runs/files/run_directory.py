@@ -17,7 +17,14 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.outputs.locks import LOCK_FILE, locked_folder
 from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
 from modsim3d.runs.files import tables, thesis_json
-from modsim3d.runs.files.block_files import JSON_LINES, OWN_SHIP, SETTINGS_FILE, BlockFiles, schemas_of
+from modsim3d.runs.files.block_files import (
+    JSON_LINES,
+    OWN_SHIP,
+    SETTINGS_FILE,
+    THESIS_LINES,
+    BlockFiles,
+    schemas_of,
+)
 from modsim3d.runs.files.file_list import file_list
 from modsim3d.runs.files.own_ships_table import own_ship_table
 from modsim3d.runs.files.replacing import (
@@ -242,8 +249,10 @@ class RunDirectory:
             log: Content of `run.log`.
         """
         self._close_files()
-        for key in self._lines:
-            lines = self._lines_path(*key)
+        for kind, camera in self._lines:
+            if kind not in THESIS_LINES:
+                continue
+            lines = self._lines_path(kind, camera)
             with lines.with_suffix(".json").open("wb") as out:
                 thesis_json.join_lines(lines, out)
         names = self._file_names()
@@ -269,7 +278,8 @@ class RunDirectory:
     def _file_names(self) -> list[str]:
         """Paths of the finished run's files inside the run directory, without `run.json` and `run.log`."""
         names = [f"{name}.parquet" for name in schemas_of(self._scene)]
-        names += [f"{kind}_{camera.name}.json" for kind in JSON_LINES for camera in self._scene.cameras]
+        ending = {kind: "json" if kind in THESIS_LINES else "jsonl" for kind in JSON_LINES}
+        names += [f"{kind}_{camera.name}.{ending[kind]}" for kind in JSON_LINES for camera in self._scene.cameras]
         names += [f"{SCENE_FOLDER}/{name}" for name in self._scene.copy.names]
         return [*names, POSES_FILE] if self._scene.live else names
 

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from modsim3d.arrays import Indices
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
+from modsim3d.runs.files.format_1 import FORMAT_1_DETECTIONS, from_format_1
 from modsim3d.runs.files.replacing import RUN_FILE
 from modsim3d.runs.files.row_checks import (
     Rows,
@@ -44,7 +45,9 @@ class StoredTable:
         self._name, self._scene, self._run = name, scene, _identity(folder / RUN_FILE)
         with damage_named(self.path):
             self._metadata = pq.read_metadata(self.path)
-            _check_schema(self.path, self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name])
+            found, wanted = self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name]
+            self._of_format_1 = name == "detections" and found.names == FORMAT_1_DETECTIONS.names
+            _check_schema(self.path, found, FORMAT_1_DETECTIONS if self._of_format_1 else wanted)
             self._steps = self._steps_of_groups()
         rows = [self._metadata.row_group(i).num_rows for i in range(self._metadata.num_row_groups)]
         self._first_row = np.concatenate([[0], np.cumsum(rows, dtype=np.int64)])
@@ -78,6 +81,8 @@ class StoredTable:
         with self._of_one_run(), damage_named(self.path), pq.ParquetFile(self.path, metadata=self._metadata) as file:
             table = file.read_row_groups(range(begin, end)).combine_chunks()
             table.validate()
+        if self._of_format_1:
+            table = from_format_1(table)
         whole = Rows(self.path, int(self._first_row[begin]), table, first, stop)
         steps = whole.integers("step")
         whole.refuse("step", np.diff(steps, prepend=-1) < 0, "in ascending order")

@@ -15,52 +15,19 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files.table_columns import schema_of
 from modsim3d.scene.scene import Scene
 
 ROW_GROUP_ROWS = 65_536
 MOST_WAITING = 64
 """So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""
 
-_KEYS = [("camera", pa.string()), ("step", pa.int64()), ("timestamp", pa.string())]
-CENTRE_FORM = ("x_px", "y_px", "width_px", "height_px")
 BOX_SIDES = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+CENTRE_FORM = ("centre_x_px", "centre_y_px", "width_px", "height_px")
 ERRORS = ("e_x_px", "e_y_px", "e_w_px", "e_h_px")
 TRUTH_NUMBERS = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
 """Columns of the truth table that are attributes of `Truth`."""
-_OCCLUDERS = pa.list_(pa.struct([("id", pa.string()), ("px", pa.float64())]))
-
-
-def _doubles(*names: str) -> list[tuple[str, pa.DataType]]:
-    return [(name, pa.float64()) for name in names]
-
-
-FRAMES = pa.schema(
-    [*_KEYS, ("state", pa.string()), *[(name, pa.int64()) for name in ("n_annotated", "n_detected", "n_false")]]
-)
-TRUTH = pa.schema(
-    [
-        *_KEYS,
-        ("vessel", pa.string()),
-        ("label", pa.string()),
-        *_doubles(*(f"full_{side}" for side in BOX_SIDES), *(f"visible_{side}" for side in BOX_SIDES)),
-        *_doubles(*TRUTH_NUMBERS),
-        ("occluded_by", _OCCLUDERS),
-        ("annotated", pa.bool_()),
-        ("detected", pa.bool_()),
-    ]
-)
-DETECTIONS = pa.schema(
-    [
-        *_KEYS,
-        ("detection", pa.int64()),
-        ("label", pa.string()),
-        *_doubles("confidence", *CENTRE_FORM),
-        ("state", pa.string()),
-        ("kind", pa.string()),
-        ("vessel", pa.string()),
-        *_doubles(*ERRORS),
-    ]
-)
+FRAMES, TRUTH, DETECTIONS = (schema_of(name) for name in ("frames", "truth", "detections"))
 
 
 def frame_table(block: Block, scene: Scene) -> pa.Table:
@@ -110,7 +77,6 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
     tables = []
     for part in block.cameras:
         detections, rows = part.detections, part.truth_row
-        boxes = centre_form(detections.boxes_px)
         starts = np.searchsorted(detections.frame, detections.frame)
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
         tables.append(
@@ -119,7 +85,8 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
                 "detection": np.arange(len(detections)) - starts,
                 "label": _named(scene.detector.labels, detections.label),
                 "confidence": detections.confidence,
-                **dict(zip(CENTRE_FORM, boxes.T, strict=True)),
+                **dict(zip(BOX_SIDES, detections.boxes_px.T, strict=True)),
+                **dict(zip(CENTRE_FORM, centre_form(detections.boxes_px).T, strict=True)),
                 "state": _named(states, detections.states[detections.frame]),
                 "kind": _named(KINDS, detections.kind),
                 "vessel": _named(scene.vessel_names, vessels),

@@ -93,6 +93,4 @@ def _hidden_by(row: dict[str, Any]) -> str:
 
 
 def _false_alarm(row: dict[str, Any]) -> Highlight:
-    x, y, half = row["x_px"], row["y_px"], (row["width_px"] / 2, row["height_px"] / 2)
-    box = x - half[0], y - half[1], x + half[0], y + half[1]
-    return Highlight(row["step"], row["camera"], box, "a false positive")
+    return Highlight(row["step"], row["camera"], tuple(row[side] for side in BOX_SIDES), "a false positive")

@@ -161,6 +161,9 @@ WRONG = {  # table, column, row, value, part of the message
     "an unknown kind": ("detections", "kind", 0, "phantom", "row 0, column 'kind': must be one of true"),
     "a confidence above 1": ("detections", "confidence", 0, 1.5, "row 0, column 'confidence': must be from 0 to 1"),
     "a negative width": ("detections", "width_px", 0, -3.0, "row 0, column 'width_px': must be from 0 to 640"),
+    "a corner outside": ("detections", "x_max_px", 0, 1e300, "row 0, column 'x_max_px': must be from 0 to 640"),
+    "no corner": ("detections", "y_min_px", 1, None, "row 1, column 'y_min_px': must be a number"),
+    "the centre of another box": ("detections", "centre_y_px", 0, 0.0, "column 'centre_y_px': must be that of the box"),
     "half an error": ("detections", "e_x_px", 0, float("inf"), "row 0, column 'e_x_px'"),
     "a wrong count": ("frames", "n_false", 0, 99, "row 0, column 'n_false': must be the number in "),
 }

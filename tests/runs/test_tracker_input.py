@@ -1,0 +1,123 @@
+"""The file for a tracker: every detection of every frame, in time order, and nothing of the truth."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.arrays import Indices
+from modsim3d.detector.records import KINDS, Detections
+from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.files.tracker_input import tracker_lines
+from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+
+STEPS = 60
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("strait", steps=STEPS, source="analytic")
+
+
+@pytest.fixture(scope="module")
+def run(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    return open_run(run_scene(scene, tmp_path_factory.mktemp("runs") / "run").folder)
+
+
+class Tracker:
+    """Takes one line after another, as a tracker would, and knows no other file."""
+
+    def __init__(self) -> None:
+        self.times_s: list[float] = []
+        self.seen: dict[int, list[dict[str, Any]]] = {}
+
+    def take(self, line: bytes) -> None:
+        frame = json.loads(line)
+        assert list(frame) == ["time_s", "step", "detections"]
+        assert not self.times_s or frame["time_s"] > self.times_s[-1]
+        self.times_s.append(frame["time_s"])
+        self.seen[frame["step"]] = frame["detections"]
+
+
+def fed(path: Path) -> Tracker:
+    tracker = Tracker()
+    with path.open("rb") as lines:
+        for line in lines:
+            tracker.take(line)
+    return tracker
+
+
+@pytest.mark.parametrize("camera", ["bow", "quay"])
+def test_a_tracker_gets_every_detection_of_every_frame(run: StoredRun, camera: str) -> None:
+    tracker = fed(run.folder / f"tracker_input_{camera}.jsonl")
+    frames = [frame for frame in run.frames() if frame.camera == camera]
+    assert list(tracker.seen) == [frame.step for frame in frames]
+    np.testing.assert_allclose(tracker.times_s, [float(frame.timestamp) for frame in frames])
+    assert sum(map(len, tracker.seen.values())) > 50
+    for frame in frames:
+        found, given = frame.detections, tracker.seen[frame.step]
+        boxes = np.round(found.boxes_px, 3).tolist()
+        expected = [repr(entry) for entry in zip(boxes, found.labels, found.confidence.tolist(), strict=True)]
+        told = [repr((entry["box_px"], entry["label"], entry["confidence"])) for entry in given]
+        assert Counter(told) == Counter(expected)
+
+
+def test_frames_without_detections_are_there(tmp_path: Path) -> None:
+    run_scene(load_scene("simulation_3", steps=20, source="analytic"), tmp_path / "run")
+    tracker = fed(tmp_path / "run" / "tracker_input_C1.jsonl")
+    assert tracker.seen == {step: [] for step in range(20)}
+
+
+@pytest.mark.parametrize("camera", ["bow", "quay"])
+def test_nothing_in_it_is_of_the_truth(run: StoredRun, camera: str) -> None:
+    text = (run.folder / f"tracker_input_{camera}.jsonl").read_text()
+    for word in (*run.scene.vessel_names, *KINDS[1:], "vessel", "kind"):
+        assert f'"{word}' not in text
+    for entries in fed(run.folder / f"tracker_input_{camera}.jsonl").seen.values():
+        assert all(list(entry) == ["box_px", "label", "confidence"] for entry in entries)
+        keys = [(-entry["confidence"], entry["box_px"], entry["label"]) for entry in entries]
+        assert keys == sorted(keys)
+
+
+def block_of(scene: Scene) -> Block:
+    truth = truth_block(scene, 0, STEPS, None)
+    return Simulation(scene, scene_census(scene, [(truth, 0, STEPS)])).detect(truth, 0, STEPS)
+
+
+def lines_with(scene: Scene, block: Block, part: CameraBlock, detections: Detections) -> list[bytes]:
+    return list(tracker_lines(block, replace(part, detections=detections), scene))
+
+
+def permuted(detections: Detections, order: Indices) -> Detections:
+    columns = ("frame", "target", "partner", "kind", "label", "confidence", "boxes_px", "errors_px", "redrawn")
+    return replace(detections, **{name: getattr(detections, name)[order] for name in columns})
+
+
+def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order(scene: Scene) -> None:
+    block = block_of(scene)
+    for part in block.cameras:
+        found = part.detections
+        lines = partial(lines_with, scene, block, part)
+        by_origin = permuted(found, np.lexsort((found.target, found.kind, found.frame)))
+        by_size = permuted(found, np.lexsort((found.boxes_px[:, 0], found.frame)))
+        nobody = np.full(len(found), -1)
+        unknown = replace(found, target=nobody, partner=nobody, kind=np.ones_like(found.kind))
+        assert lines(found) == lines(by_origin) == lines(by_size) == lines(unknown)
+
+
+def test_the_last_bits_of_a_box_tell_nothing(run: StoredRun) -> None:
+    boxes = [
+        entry["box_px"] for entries in fed(run.folder / "tracker_input_bow.jsonl").seen.values() for entry in entries
+    ]
+    assert all(edge == round(edge, 3) for box in boxes for edge in box)
