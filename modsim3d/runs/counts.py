@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -18,7 +19,7 @@ WORTH_A_WARNING_PX = 1.0
 
 @dataclass(frozen=True)
 class Counts:
-    """What happened in a run or in a block, summed over cameras and steps. The names are keys of `run.json`.
+    """What happened in the frames of one camera, or of all, summed over steps. The names are keys of `run.json`.
 
     Attributes:
         vessel_frames: Vessels whose silhouette was in a frame.
@@ -36,6 +37,7 @@ class Counts:
         redrawn: Detections of a vessel whose box error was resampled, because it shrank the box below one pixel.
         below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one. An evaluation that
             matches boxes counts such a detection as a miss and a false positive.
+        off_vessel: Of these, the detections whose box does not even overlap the annotated one: IoU is 0.
         off_by_curvature: Vessels on a flat sea whose box the Earth's curvature would move by more than a pixel.
         largest_curvature_px: The largest such shift.
     """
@@ -55,6 +57,7 @@ class Counts:
     clipped: int = 0
     redrawn: int = 0
     below_half_iou: int = 0
+    off_vessel: int = 0
     off_by_curvature: int = 0
     largest_curvature_px: float = 0.0
 
@@ -65,9 +68,14 @@ class Counts:
         return Counts(**sums)
 
     @classmethod
-    def of(cls, block: Block, scene: Scene) -> Counts:
-        """Count a block."""
-        return sum((_count(part, scene) for part in block.cameras), cls())
+    def total(cls, camera_counts: Mapping[str, Counts]) -> Counts:
+        """The counts of all cameras together."""
+        return sum(camera_counts.values(), cls())
+
+
+def camera_counts(block: Block, scene: Scene) -> dict[str, Counts]:
+    """What happened in a block, by name of the camera."""
+    return {scene.cameras[part.camera].name: _count(part, scene) for part in block.cameras}
 
 
 def _count(part: CameraBlock, scene: Scene) -> Counts:
@@ -76,6 +84,7 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
     rows = part.truth_row[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
     boxes, annotated = detections.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
+    overlaps = iou(boxes, annotated)
     unclipped = sizes(annotated) + detections.errors_px[true, 2:]
     detected = int(part.detected.sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
@@ -96,7 +105,8 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
         false_positives=len(detections) - len(true),
         clipped=int(np.any(sizes(boxes) < unclipped - 1e-6, axis=1).sum()),
         redrawn=int(detections.redrawn[true].sum()),
-        below_half_iou=int((iou(boxes, annotated) < 0.5).sum()),
+        below_half_iou=int((overlaps < 0.5).sum()),
+        off_vessel=int((overlaps == 0).sum()),
         off_by_curvature=len(curvature_px),
         largest_curvature_px=float(curvature_px.max(initial=0.0)),
     )

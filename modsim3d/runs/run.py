@@ -20,7 +20,8 @@ from modsim3d.runs.pipeline import Range, step_ranges
 from modsim3d.runs.workers import BlockMaker, BlockWorkers, Tally, backend_of, open_block_workers
 from modsim3d.scene.scene import Scene
 
-FORMAT = 1
+FORMAT = 2
+"""Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
 
 
@@ -29,6 +30,7 @@ class RunResult:
     """A finished run.
 
     Attributes:
+        camera_counts: What happened in the frames of each camera, by its name.
         seconds: Wall-clock time.
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
         damaged_blocks: Number of blocks whose truth an interrupted run had kept in a damaged file; it was made anew.
@@ -38,13 +40,18 @@ class RunResult:
     """
 
     folder: Path
-    counts: Counts
+    camera_counts: dict[str, Counts]
     steps: int
     seconds: float
     resumed_steps: int
     damaged_blocks: int
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
+
+    @property
+    def counts(self) -> Counts:
+        """What happened in the frames of all cameras."""
+        return Counts.total(self.camera_counts)
 
 
 def run_scene(
@@ -123,12 +130,12 @@ def write_run(
             truncation = total.boxes.truncation(scene)
             known = {**settings, **directory.live_settings(total.steps)}
             seconds = time.perf_counter() - started
-            directory.finish({**known, "counts": asdict(total.counts), "truncation": truncation}, _log(total, seconds))
+            directory.finish({**known, **_counts_of(total), "truncation": truncation}, _log(total, seconds))
     names = scene.occluder_names
     intersecting = tuple((names[one], names[other]) for one, other in sorted(total.intersecting))
     return RunResult(
         folder,
-        total.counts,
+        total.camera_counts,
         total.steps,
         seconds,
         total.resumed_steps,
@@ -138,12 +145,19 @@ def write_run(
     )
 
 
+def _counts_of(total: Tally) -> dict[str, Any]:
+    """What `run.json` counts, in all and by camera."""
+    by_camera = {name: asdict(counts) for name, counts in total.camera_counts.items()}
+    return {"counts": asdict(Counts.total(total.camera_counts)), "camera_counts": by_camera}
+
+
 def _log(total: Tally, seconds: float) -> str:
     """What `run.log` says of a run; times and the host are named nowhere else."""
+    frames = sum(counts.frames for counts in total.camera_counts.values())
     damaged = f"{total.damaged_blocks} damaged blocks of it made anew\n" if total.damaged_blocks else ""
     return (
         f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')} on {platform.node()}\n"
-        f"{total.counts.frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
+        f"{frames} frames in {seconds:.3f} s, {total.resumed_steps} steps taken from an interrupted run\n"
         f"{damaged}"
     )
 

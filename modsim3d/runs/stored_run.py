@@ -18,6 +18,7 @@ from modsim3d.runs.files.replacing import POSES_FILE, RUN_FILE, SCENE_FOLDER, UN
 from modsim3d.runs.files.run_file import (
     RunFile,
     Settings,
+    check_camera_counts,
     check_content,
     check_files,
     check_same_scene,
@@ -203,6 +204,7 @@ def read_finished(folder: Path) -> FinishedRun:
     check_scene_copy(folder / SCENE_FOLDER, run, source, run.files)
     scene = load_scene(folder / SCENE_FOLDER / f"{run.scene}.json")
     check_same_scene(run, scene, source)
+    check_camera_counts(run, source)
     return FinishedRun(folder, content, run, scene)
 
 

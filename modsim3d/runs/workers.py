@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from modsim3d.detector.census import TargetCensus
 from modsim3d.processes import Workers, open_workers
 from modsim3d.runs.box_sample import BoxSample
-from modsim3d.runs.counts import Counts
+from modsim3d.runs.counts import Counts, camera_counts
 from modsim3d.runs.files.block_files import BlockFiles, finished_truth, keep_truth, kept_truth_path
 from modsim3d.runs.files.reading import truth_of
 from modsim3d.runs.files.stored_tables import StoredTables
@@ -32,6 +32,7 @@ class Tally:
     Attributes:
         resumed_steps: Number of steps whose truth was taken from an interrupted run.
         damaged_blocks: Number of blocks whose truth an interrupted run had kept in a file that is damaged.
+        camera_counts: What happened, by name of the camera.
         boxes: A sample of the detected boxes.
         intersecting: Pairs of vessels or obstacles that overlap in space, as indices: the analytic source cannot tell
             what is visible of them.
@@ -40,7 +41,7 @@ class Tally:
     steps: int = 0
     resumed_steps: int = 0
     damaged_blocks: int = 0
-    counts: Counts = field(default_factory=Counts)
+    camera_counts: dict[str, Counts] = field(default_factory=dict)
     boxes: BoxSample = field(default_factory=BoxSample)
     intersecting: frozenset[tuple[int, int]] = frozenset()
 
@@ -50,10 +51,13 @@ class Tally:
             self.steps + other.steps,
             self.resumed_steps + other.resumed_steps,
             self.damaged_blocks + other.damaged_blocks,
-            self.counts + other.counts,
+            {name: self._of(name) + other._of(name) for name in {**self.camera_counts, **other.camera_counts}},
             self.boxes + other.boxes,
             self.intersecting | other.intersecting,
         )
+
+    def _of(self, camera: str) -> Counts:
+        return self.camera_counts.get(camera, Counts())
 
 
 class BlockMaker:
@@ -90,7 +94,7 @@ class BlockMaker:
             steps=stop - first,
             resumed_steps=resumed_steps,
             damaged_blocks=damaged_blocks,
-            counts=Counts.of(block, self._scene),
+            camera_counts=camera_counts(block, self._scene),
             boxes=BoxSample.of(block, self._scene),
             intersecting=frozenset((one, other) for one, other in truth.intersections[:, 2:].tolist()),
         )

@@ -8,7 +8,7 @@ from dataclasses import asdict, fields
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import AfterValidator, Field, ValidationError, field_validator
 
 from modsim3d.detector.box_error_law import ErrorUnit
 from modsim3d.errors import InputError, RunDirectoryError
@@ -25,6 +25,23 @@ Estimate = Number | None
 """A number, null where too few boxes tell it."""
 Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
 MOST_PROBLEMS = 5
+
+
+def _has_every_count(counts: dict[str, float]) -> dict[str, float]:
+    """Refuse counts that are not those of a run; format 1 had no `off_vessel`."""
+    names = {field.name for field in fields(Counts)}
+    if missing := sorted(names - counts.keys() - {"off_vessel"}):
+        raise ValueError(f"these counts are missing: {', '.join(missing)}")
+    if unknown := sorted(counts.keys() - names):
+        raise ValueError(f"these counts are unknown: {', '.join(unknown)}")
+    if broken := [name for name in counts if name != "largest_curvature_px" and counts[name] % 1]:
+        raise ValueError(f"these counts are no whole numbers: {', '.join(broken)}")
+    return counts
+
+
+RunCounts = Annotated[
+    dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]], AfterValidator(_has_every_count)
+]
 
 
 class FileEntry(Strict):
@@ -50,7 +67,7 @@ class Truncation(Strict):
 class Settings(Strict):
     """Everything that decides the content of the files, see `runs.run.settings_of`."""
 
-    format: Literal[1]
+    format: Literal[1, 2]
     scene: FileName
     scene_sha256: Sha256
     seed: Count
@@ -68,27 +85,18 @@ class RunFile(Settings):
     """The settings, and what is known after the run.
 
     Attributes:
+        counts: What happened in all frames, see `Counts`.
+        camera_counts: What happened in the frames of each camera; None in format 1.
         files: Size and checksum of each file that the run has written, by its path in the run directory; None in a run
             that was written before this was kept.
         poses_sha256: Checksum of the poses that a live scene received.
     """
 
-    counts: dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]]
+    counts: RunCounts
+    camera_counts: dict[Text, RunCounts] | None = None
     truncation: dict[Text, Truncation]
     poses_sha256: Sha256 | None = None
     files: dict[Text, FileEntry] | None = None
-
-    @field_validator("counts")
-    @classmethod
-    def _has_every_count(cls, counts: dict[str, float]) -> dict[str, float]:
-        names = {field.name for field in fields(Counts)}
-        if missing := sorted(names - counts.keys()):
-            raise ValueError(f"these counts are missing: {', '.join(missing)}")
-        if unknown := sorted(counts.keys() - names):
-            raise ValueError(f"these counts are unknown: {', '.join(unknown)}")
-        if broken := [name for name in counts if name != "largest_curvature_px" and counts[name] % 1]:
-            raise ValueError(f"these counts are no whole numbers: {', '.join(broken)}")
-        return counts
 
     @field_validator("files")
     @classmethod
@@ -189,6 +197,18 @@ def check_same_scene(settings: Settings, scene: Scene, source: Path) -> None:
                 f"{source}: {name} is {shown(found[name])}, but {shown(value)} in the run's copy of its scene "
                 f"({scene.path})"
             )
+
+
+def check_camera_counts(run: RunFile, source: Path) -> None:
+    """Check that a run of format 2 has every count of every camera.
+
+    Raises:
+        RunDirectoryError: One is missing.
+    """
+    of_cameras = run.camera_counts or {}
+    complete = all("off_vessel" in counts for counts in (run.counts, *of_cameras.values()))
+    if run.format > 1 and not (complete and list(of_cameras) == run.cameras):
+        raise RunDirectoryError(f"{source} is not what a run has written: it must have every count of every camera")
 
 
 def check_files(folder: Path, run: RunFile) -> None:

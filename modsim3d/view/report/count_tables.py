@@ -78,12 +78,12 @@ class CountTables:
 
 
 def named_values(values: dict[str, Any], prefix: str = "") -> Rows:
-    """The settings of a run as rows, nested ones under a dotted name, without counts and the list of files."""
+    """The settings of a run as rows, nested ones under a dotted name, without the counts and the list of files."""
     rows: Rows = []
     for key, value in values.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
-            rows += [] if name in ("counts", "files") else named_values(value, f"{name}.")
+            rows += [] if name in ("counts", "camera_counts", "files") else named_values(value, f"{name}.")
         else:
             rows.append((name, ", ".join(map(str, value)) if isinstance(value, list) else str(value)))
     return rows

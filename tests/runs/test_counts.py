@@ -1,0 +1,101 @@
+"""The counts of a run, in all and by camera, against a slow count of its frames."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modsim3d.boxes import iou
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.blocks import Frame
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import RunResult, run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+
+OF_A_VESSEL = ("true", "merged", "split")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("strait", steps=60, source="analytic")
+
+
+@pytest.fixture(scope="module")
+def result(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    return run_scene(scene, tmp_path_factory.mktemp("runs") / "run")
+
+
+def counted(frame: Frame) -> dict[str, int]:
+    truth, found = frame.truth, frame.detections
+    of_vessel = dict(zip(truth.vessels, range(len(truth)), strict=True))
+    mine = [i for i in range(len(found)) if found.kinds[i] in OF_A_VESSEL]
+    rows = [of_vessel[found.vessels[i]] for i in mine]
+    overlaps = [float(iou(found.boxes_px[i], truth.boxes_px[row])) for i, row in zip(mine, rows, strict=True)]
+    return {
+        "frames": 1,
+        "annotated": int(truth.annotated.sum()),
+        "detected": int(truth.detected.sum()),
+        "false_positives": len(found) - len(mine),
+        "mislabelled": sum(found.labels[i] != truth.labels[row] for i, row in zip(mine, rows, strict=True)),
+        "below_half_iou": sum(overlap < 0.5 for overlap in overlaps),
+        "off_vessel": sum(overlap == 0 for overlap in overlaps),
+    }
+
+
+def test_counts_of_each_camera_are_those_of_its_frames(scene: Scene, result: RunResult) -> None:
+    by_camera: dict[str, Counter[str]] = defaultdict(Counter)
+    for frame in simulate_frames(scene):
+        by_camera[frame.camera].update(counted(frame))
+    assert list(result.camera_counts) == list(by_camera) == ["bow", "quay"]
+    for camera, slow in by_camera.items():
+        fast = asdict(result.camera_counts[camera])
+        assert {name: fast[name] for name in slow} == slow
+        assert slow["detected"] > slow["below_half_iou"] > slow["off_vessel"] > 20
+
+
+def test_large_errors_put_boxes_off_their_vessels(tmp_path: Path) -> None:
+    scene = load_scene("simulation_1", mode=2, steps=60, source="analytic")
+    slow = sum((Counter(counted(frame)) for frame in simulate_frames(scene)), Counter[str]())
+    counts = run_scene(scene, tmp_path / "run").counts
+    assert {name: asdict(counts)[name] for name in slow} == slow
+    assert slow["below_half_iou"] > slow["off_vessel"] > 20
+
+
+def test_run_json_has_the_counts_of_all_cameras_and_of_each(result: RunResult) -> None:
+    data = json.loads((result.folder / "run.json").read_text())
+    assert data["counts"] == asdict(result.counts)
+    assert data["camera_counts"] == {name: asdict(counts) for name, counts in result.camera_counts.items()}
+    for name in data["counts"].keys() - {"largest_curvature_px"}:
+        assert data["counts"][name] == sum(counts[name] for counts in data["camera_counts"].values()), name
+
+
+def edited(result: RunResult, folder: Path, **changes: Any) -> Path:
+    """A copy of a run with other entries in its `run.json`; None removes one."""
+    folder.mkdir()
+    for path in result.folder.iterdir():
+        (folder / path.name).symlink_to(path)
+    (folder / "run.json").unlink()
+    data = json.loads((result.folder / "run.json").read_text()) | changes
+    (folder / "run.json").write_text(json.dumps({name: value for name, value in data.items() if value is not None}))
+    return folder
+
+
+def test_a_camera_without_counts_is_refused(result: RunResult, tmp_path: Path) -> None:
+    one = {"bow": asdict(result.camera_counts["bow"])}
+    for name, wrong in {"one": one, "none": None}.items():
+        with pytest.raises(RunDirectoryError, match="must have every count of every camera"):
+            open_run(edited(result, tmp_path / name, camera_counts=wrong))
+
+
+def test_a_run_of_the_format_before_is_read(result: RunResult, tmp_path: Path) -> None:
+    counts = asdict(result.counts)
+    del counts["off_vessel"]
+    old = edited(result, tmp_path / "old", format=1, counts=counts, camera_counts=None)
+    assert open_run(old).tables()["truth"].equals(open_run(result.folder).tables()["truth"])
