@@ -54,6 +54,12 @@ def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Arra
     return np.where(false, Outcome.FALSE_POSITIVE, flags).astype(np.uint8)
 
 
+def having(found: Outcomes, flag: Outcome) -> Mask:
+    """Which outcomes have a flag, shape (m,)."""
+    mask: Mask = (found & flag) > 0
+    return mask
+
+
 def frame_outcomes(frame: Frame) -> list[Outcome]:
     """The outcome of each detection of a frame."""
     truth, found, rows = frame.truth, frame.detections, source_rows(frame)

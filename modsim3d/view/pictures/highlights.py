@@ -15,7 +15,7 @@ from modsim3d.boxes import areas, unions
 from modsim3d.runs.files.columns import flags, numbers
 from modsim3d.runs.files.stored_tables import StoredTables
 from modsim3d.runs.files.tables import BOX_SIDES
-from modsim3d.runs.outcomes import Outcome
+from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.view.pictures.window import Box
@@ -84,7 +84,7 @@ def _detection_groups(tables: StoredTables, scene: Scene) -> Iterable[RunRows]:
 def _detection_ranks(rows: RunRows) -> list[Array]:
     """As `_truth_ranks`: the largest one of each kind."""
     size, outcome = areas(rows.detection_boxes_px()), rows.outcomes
-    has = {flag: (outcome & flag) > 0 for flag in Outcome}
+    has = {flag: having(outcome, flag) for flag in Outcome}
     known = ~has[Outcome.FALSE_POSITIVE]
     vessel_size = np.zeros(len(size))
     vessel_size[known] = areas(rows.annotated_boxes_px[rows.source_row[known]])
