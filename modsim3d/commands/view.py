@@ -172,7 +172,16 @@ def _plan(
     style: RenderStyle,
     boxes_on_scene: bool,
 ) -> FilmPlan:
-    from modsim3d.view.films.plan import ALL, SEVERAL_WIDTH_PX, WIDTH_PX, FilmPlan, crop_to_vessels, parse_crop
+    from modsim3d.runs.outcomes import NOTHING_WRONG
+    from modsim3d.view.films.plan import (
+        ALL,
+        SEVERAL_WIDTH_PX,
+        WIDTH_PX,
+        FilmPlan,
+        crop_to_vessels,
+        mistakes_in,
+        parse_crop,
+    )
     from modsim3d.view.pictures.layers import Layers
 
     kinds = ALL if film is Film.all else (film.value,)
@@ -186,7 +195,17 @@ def _plan(
         from modsim3d.view.maps.map_picture import check_matplotlib
 
         check_matplotlib()
-    return FilmPlan(kinds, selection.cameras, wide, chosen, crops, style, boxes_on_scene, selection.run.steps)
+    return FilmPlan(
+        kinds,
+        selection.cameras,
+        wide,
+        chosen,
+        crops,
+        style,
+        boxes_on_scene,
+        selection.run.steps,
+        mistakes=mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
+    )
 
 
 def _draw_sheet(run: StoredRun, overwrite: bool) -> None:

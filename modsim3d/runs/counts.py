@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from modsim3d.boxes import iou, sizes
+from modsim3d.boxes import sizes
 from modsim3d.geometry.curved_sea import shift_px
 from modsim3d.runs.blocks import Block, CameraBlock
+from modsim3d.runs.outcomes import Outcome, having, outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
@@ -89,7 +90,8 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
     rows = part.truth_row[true]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
     boxes, annotated = detections.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
-    overlaps = iou(boxes, annotated)
+    mislabelled = detections.label[true] != labels[truth.vessel[rows]]
+    outcome = outcomes(np.zeros(len(true), dtype=bool), mislabelled, boxes, annotated)
     unclipped = sizes(annotated) + detections.errors_px[true, 2:]
     detected = int(part.detected.sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
@@ -106,12 +108,12 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
         missed=len(part.target_rows) - detected,
         missed_by_gate=int(detections.gated.sum()),
         merged=int((detections.partner >= 0).sum()),
-        mislabelled=int((detections.label[true] != labels[truth.vessel[rows]]).sum()),
+        mislabelled=int(having(outcome, Outcome.MISLABELLED).sum()),
         false_positives=len(detections) - len(true),
         clipped=int(np.any(sizes(boxes) < unclipped - 1e-6, axis=1).sum()),
         redrawn=int(detections.redrawn[true].sum()),
-        below_half_iou=int((overlaps < 0.5).sum()),
-        off_vessel=int((overlaps == 0).sum()),
+        below_half_iou=int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
+        off_vessel=int(having(outcome, Outcome.OFF_VESSEL).sum()),
         off_by_curvature=len(curvature_px),
         largest_curvature_px=float(curvature_px.max(initial=0.0)),
     )

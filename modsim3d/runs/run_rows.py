@@ -1,7 +1,8 @@
-"""All rows of a run's tables in memory, with the names of frames, states and vessels as indices."""
+"""Rows of a run's tables in memory, with the names of frames, states and vessels as indices."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,15 +18,17 @@ from modsim3d.runs.files.columns import (
     indices,
     integers,
     numbers,
+    positions,
     truth_boxes_px,
 )
+from modsim3d.runs.outcomes import Outcomes, outcomes
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
 class RunRows:
-    """All rows of a run's tables. A frame is one camera at one step; its number is step × cameras + camera.
+    """Rows of a run's tables. A frame is one camera at one step; its number is step × cameras + camera.
 
     Attributes:
         steps: Number of steps that are there.
@@ -53,7 +56,11 @@ class RunRows:
     @classmethod
     def of(cls, run: StoredRun) -> RunRows:
         """All rows of the steps that a run has."""
-        tables, scene = run.tables(), run.scene
+        return cls.of_tables(run.scene, run.steps, run.tables())
+
+    @classmethod
+    def of_tables(cls, scene: Scene, steps: int, tables: Mapping[str, pa.Table]) -> RunRows:
+        """Some detections of a run of a scene, with the frames and the truth of their steps; tables by their names."""
         frames, truth, detections = (tables[name].combine_chunks() for name in ("frames", "truth", "detections"))
         cameras = [camera.name for camera in scene.cameras]
 
@@ -63,7 +70,7 @@ class RunRows:
 
         return cls(
             scene=scene,
-            steps=run.steps,
+            steps=steps,
             frames=frame_of(frames),
             frame_state=indices(frames, "state", [state.name for state in scene.detector.states]),
             truth=truth,
@@ -99,6 +106,30 @@ class RunRows:
     def detection_boxes_px(self) -> Array:
         """The detections' boxes as x_min, y_min, x_max, y_max, shape (m, 4)."""
         return detection_boxes_px(self.detections)
+
+    @cached_property
+    def annotated_boxes_px(self) -> Array:
+        """The boxes that the annotation mode takes as x_min, y_min, x_max, y_max, shape (n, 4)."""
+        return self.boxes_px("visible" if self.scene.annotation.mode == 2 else "full")
+
+    @cached_property
+    def source_row(self) -> Indices:
+        """Row of the truth that each detection came from, `NOBODY` for a false positive, shape (m,)."""
+        vessels = len(self.scene.vessels)
+        wanted = self.detection_frame * vessels + self.detection_vessel
+        wanted[self.detection_vessel == NOBODY] = NOBODY
+        return positions(self.truth_frame * vessels + self.truth_vessel, wanted)
+
+    @cached_property
+    def outcomes(self) -> Outcomes:
+        """The outcome of each detection, shape (m,)."""
+        labels, rows = self.scene.detector.labels, self.source_row
+        false = rows == NOBODY
+        annotated_px = np.full((len(rows), 4), np.nan)
+        annotated_px[~false] = self.annotated_boxes_px[rows[~false]]
+        true_label = np.array([labels.index(vessel.label) for vessel in self.scene.vessels])
+        mislabelled = indices(self.detections, "label", labels) != true_label[self.detection_vessel]
+        return outcomes(false, mislabelled, self.detection_boxes_px(), annotated_px)
 
     @cached_property
     def annotated(self) -> Mask:

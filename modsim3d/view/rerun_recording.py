@@ -9,16 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Indices
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import centres
 from modsim3d.errors import ModsimError, RunDirectoryError
 from modsim3d.motion.vessel_motion import PosesInWaves
 from modsim3d.outputs.placing import put_in_place
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
+from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.outcome_words import NAMES, is_a
 
+COUNTS = {
+    Outcome.FALSE_POSITIVE: "false",
+    Outcome.MISLABELLED: "wrong_class",
+    Outcome.BELOW_HALF_IOU: "below_half_iou",
+    Outcome.OFF_VESSEL: "off_vessel",
+}
+"""What is counted of the detections of each frame, and under which name."""
 SIGHT_STEPS = 250
 """Steps whose geometry is computed together."""
 
@@ -49,11 +59,12 @@ def write_recording(
 
 
 def _record(recorder: _Recorder, rows: RunRows, steps: Indices, progress: Callable[[int], None]) -> None:
+    columns = _Columns.of(rows)
     recorder.fixed()
     for first in range(0, len(steps), SIGHT_STEPS):
         some = steps[first : first + SIGHT_STEPS]
         recorder.space(some)
-        recorder.images(rows, some)
+        recorder.images(columns, some)
         progress(len(some))
     recorder.stream.flush()
     recorder.stream.disconnect()
@@ -123,29 +134,24 @@ class _Recorder:
             columns = self.sdk.Transform3D.columns(translation=positions_m, mat3x3=rotations)
             self.stream.send_columns(self.sdk.new_entity_path(path), indexes=self._times(steps), columns=columns)
 
-    def images(self, rows: RunRows, steps: Indices) -> None:
+    def images(self, columns: _Columns, steps: Indices) -> None:
         """Log the boxes and counts of each camera at some steps, shape (n,)."""
-        full, drawn_px = rows.boxes_px("full"), rows.detection_boxes_px()
-        missed = rows.annotated & ~rows.detected
-        labels = indices(rows.detections, "label", self.scene.detector.labels)
-        confidence = numbers(rows.detections, "confidence")
-        names = self.scene.vessel_names
+        rows = columns.rows
         for step, camera, truth, drawn in _frames(rows, steps):
             self._at(step)
             self._state(camera, int(rows.states_of(np.array([step * len(self.scene.cameras) + camera]))[0]))
             name = self.scene.cameras[camera].name
             path = ["world", "cameras", name, "image"]
-            vessels = rows.truth_vessel[truth]
-            colours = [palette.ALARM if lost else palette.TRUTH for lost in missed[truth]]
-            tags = [f"{names[v]} missed" if lost else names[v] for v, lost in zip(vessels, missed[truth], strict=True)]
-            self._boxes([*path, "truth"], full[truth], colours, tags)
-            sources = rows.detection_vessel[drawn]
+            missed, sources, outcome = columns.missed[truth], rows.detection_vessel[drawn], rows.outcomes[drawn]
+            colours = [palette.ALARM if lost else palette.TRUTH for lost in missed]
+            self._boxes([*path, "truth"], columns.full_px[truth], colours, columns.truth_tags[truth])
             colours = [palette.ALARM if source == NOBODY else palette.vessel_colour(int(source)) for source in sources]
-            what = zip(labels[drawn], confidence[drawn], strict=True)
-            tags = [f"{self.scene.detector.labels[label]} {sure:.2f}" for label, sure in what]
-            self._boxes([*path, "detections"], drawn_px[drawn], colours, tags)
-            for kind, count in (("missed", missed[truth].sum()), ("false", (sources == NOBODY).sum())):
-                self.stream.log(["counts", name, kind], self.sdk.Scalars(float(count)))
+            self._boxes([*path, "detections"], columns.drawn_px[drawn], colours, columns.tags[drawn])
+            lines = columns.tethers[drawn][having(outcome, Outcome.OFF_VESSEL)]
+            self.stream.log([*path, "off_vessel"], self.sdk.LineStrips2D(lines, colors=[palette.ALARM]))
+            self.stream.log(["counts", name, "missed"], self.sdk.Scalars(float(missed.sum())))
+            for flag, count in COUNTS.items():
+                self.stream.log(["counts", name, count], self.sdk.Scalars(float(having(outcome, flag).sum())))
 
     def _boxes(self, path: list[str], boxes_px: Any, colours: list[palette.Colour], tags: list[str]) -> None:
         boxes = self.sdk.Boxes2D(array=boxes_px, array_format=self.sdk.Box2DFormat.XYXY, colors=colours, labels=tags)
@@ -165,6 +171,63 @@ class _Recorder:
     def _times(self, steps: Indices) -> list[Any]:
         seconds = self.scene.times_s(0, int(steps[-1]) + 1)[steps]
         return [self.sdk.TimeColumn("step", sequence=steps), self.sdk.TimeColumn("time", duration=seconds)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """What is logged of the n rows of the truth and the m detections of a run.
+
+    Attributes:
+        missed: Shape (n,).
+        full_px: Boxes of the whole silhouettes, shape (n, 4).
+        drawn_px: Boxes of the detections, shape (m, 4).
+        tethers: Lines from the centres of the detections to their vessels' annotated boxes; NaN for a false positive,
+            shape (m, 2, 2).
+    """
+
+    rows: RunRows
+    missed: Mask
+    truth_tags: list[str]
+    full_px: Array
+    drawn_px: Array
+    tags: list[str]
+    tethers: Array
+
+    @classmethod
+    def of(cls, rows: RunRows) -> _Columns:
+        """The columns of a run."""
+        names, missed, drawn_px = rows.scene.vessel_names, rows.annotated & ~rows.detected, rows.detection_boxes_px()
+        lost = zip(rows.truth_vessel.tolist(), missed.tolist(), strict=True)
+        known = rows.source_row != NOBODY
+        tethers = np.full((len(drawn_px), 2, 2), np.nan)
+        low, high = np.split(rows.annotated_boxes_px[rows.source_row[known]], 2, axis=1)
+        tethers[known, 0] = centres(drawn_px[known])
+        tethers[known, 1] = np.clip(tethers[known, 0], low, high)
+        return cls(
+            rows,
+            missed,
+            [f"{names[vessel]} missed" if is_missed else names[vessel] for vessel, is_missed in lost],
+            rows.boxes_px("full"),
+            drawn_px,
+            _detection_tags(rows),
+            tethers,
+        )
+
+
+def _detection_tags(rows: RunRows) -> list[str]:
+    """What is written at each detection: class, confidence, and what is wrong with it."""
+    names, vessels = rows.scene.detector.labels, rows.scene.vessels
+    labels, confidence = indices(rows.detections, "label", names).tolist(), numbers(rows.detections, "confidence")
+    tags = []
+    columns = (labels, confidence.tolist(), rows.detection_vessel.tolist(), rows.outcomes.tolist())
+    for label, sure, vessel, outcome in zip(*columns, strict=True):
+        words = [f"{'false: ' if outcome & Outcome.FALSE_POSITIVE else ''}{names[label]} {sure:.2f}"]
+        if outcome & Outcome.MISLABELLED:
+            words.append(is_a(vessels[vessel].label))
+        if outcome & Outcome.BELOW_HALF_IOU:
+            words.append(NAMES[Outcome.OFF_VESSEL if outcome & Outcome.OFF_VESSEL else Outcome.BELOW_HALF_IOU])
+        tags.append(", ".join(words))
+    return tags
 
 
 def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, slice]]:

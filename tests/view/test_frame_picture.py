@@ -92,7 +92,7 @@ def test_lines_and_text_grow_with_the_picture(hiding):
 @pytest.mark.parametrize("name", [field.name for field in fields(Layers)])
 def test_each_layer_draws_something_and_only_when_it_is_on(camera_views, name):
     """Fractions and labels are drawn next to the boxes of others."""
-    companions = {"labels": {"detections": True, "missed": True}}.get(name, {})
+    companions = {"labels": {"detections": True, "missed": True}, "mistakes": {"detections": True}}.get(name, {})
     without, with_it = Layers(**companions), replace(Layers(**companions), **{name: True})
     changed = 0
     for camera_view in camera_views:
@@ -102,6 +102,9 @@ def test_each_layer_draws_something_and_only_when_it_is_on(camera_views, name):
         elif name == "missed":
             truth = replace(mode_0, detected=np.zeros(len(mode_0), dtype=bool))
             camera_view = replace(camera_view, frame=replace(camera_view.frame, truth=truth))
+        elif name == "mistakes":
+            others = replace(camera_view.frame.detections, labels=("Buoy",) * len(camera_view.frame.detections))
+            camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=others))
         elif name == "false_positives":
             nobody = replace(camera_view.frame.detections, vessels=(None,) * len(camera_view.frame.detections))
             camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=nobody))

@@ -8,6 +8,7 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
+from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, frame_outcomes
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.layout import FilmLayout
@@ -44,6 +45,7 @@ class FilmPlan:
         boxes_on_scene: Whether `detections` has the boxes on a picture in this style, in place of plain sea and sky.
         steps: Number of steps of the run, for the tracks of a map.
         columns: Panels side by side; those of a camera, or the cameras, if None.
+        mistakes: What is wrong with detections in the pictures, for the legend; see `mistakes_in`.
     """
 
     kinds: tuple[str, ...]
@@ -55,6 +57,7 @@ class FilmPlan:
     boxes_on_scene: bool = False
     steps: int = 0
     columns: int | None = None
+    mistakes: Outcome = NOTHING_WRONG
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -73,7 +76,7 @@ class FilmPlan:
         """The places of panels and legend."""
         entries: list[Entry] = []
         if "detections" in self.kinds:
-            entries += detection_entries(self.layers_of("detections"), scene.annotation.mode)
+            entries += detection_entries(self.layers_of("detections"), scene.annotation.mode, self.mistakes)
         if "ids" in self.kinds:
             entries += id_entries(scene.vessel_names, [obstacle.name for obstacle in scene.obstacles])
         elif set(self.kinds) & {"scene", "corners"}:
@@ -97,6 +100,16 @@ class FilmPlan:
         """The part of a camera's image that its panel shows."""
         x0, y0, x1, _ = self._shown(scene, place)
         return Window(x0, y0, size[0] / (x1 - x0), size)
+
+
+def mistakes_in(selection: Selection) -> Outcome:
+    """What is wrong with any detection in the frames of a selection."""
+    found = NOTHING_WRONG
+    for step in selection.step_frames():
+        for frame in filter(None, step.frames):
+            for outcome in frame_outcomes(frame):
+                found |= outcome
+    return found
 
 
 def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:

@@ -10,13 +10,16 @@ from PIL import Image
 from modsim3d.arrays import Array, Indices
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.blocks import Frame
+from modsim3d.runs.outcomes import Outcome, frame_outcomes, source_rows
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.outcome_words import is_a
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas
 from modsim3d.view.pictures.hatching import hatch_hidden
 from modsim3d.view.pictures.labels import Label, draw_labels
 from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.marks import draw_detection, draw_tether
 from modsim3d.view.pictures.plain import background, draw_horizon, fill_solids
 from modsim3d.view.pictures.solids import Solids
 from modsim3d.view.pictures.window import Window
@@ -139,23 +142,27 @@ def _percent(fraction: float, short: bool) -> str:
 
 
 def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
-    detections = camera_view.frame.detections
+    frame, detections = camera_view.frame, camera_view.frame.detections
+    outcomes, rows = frame_outcomes(frame), source_rows(frame)
     labels = []
     order: Indices = np.argsort(detections.confidence, kind="stable")  # the most confident one is drawn last, on top
     for i in order.tolist():
-        vessel = detections.vessels[i]
-        box = window.corners(detections.boxes_px[i])
+        vessel, row = detections.vessels[i], rows[i]
         if not (layers.false_positives if vessel is None else layers.detections):
             continue
+        outcome = outcomes[i] if layers.mistakes else outcomes[i] & Outcome.FALSE_POSITIVE
+        box = window.corners(detections.boxes_px[i])
+        if row is not None and outcome & Outcome.OFF_VESSEL:
+            draw_tether(canvas, box, window.corners(frame.truth.boxes_px[row]))
         colour = palette.ALARM if vessel is None else camera_view.colour(vessel)
-        if vessel is None:
-            canvas.crossed(box, colour)
-        (canvas.dashed_box if vessel is None else canvas.box)(box, colour, 1.5)
+        draw_detection(canvas, box, colour, outcome)
         if layers.labels:
+            mislabelled = row is not None and bool(outcome & Outcome.MISLABELLED)
             text = f"{detections.confidence[i]:.2f}"
             if canvas.picture.width >= SHORT_BELOW_PX:
                 text = f"{_remark(detections.kinds[i])}{detections.labels[i]} {text}"
-            labels.append(Label(box, text, colour))
+                text += f", {is_a(frame.truth.labels[row])}" if mislabelled else ""
+            labels.append(Label(box, text, palette.ALARM if mislabelled else colour))
     return labels[::-1]
 
 

@@ -25,6 +25,7 @@ class Layers:
         missed: Annotated vessels without a detection.
         false_positives: Detections without a vessel.
         detections: Detections of vessels.
+        mistakes: Marks of detections of a wrong class or with a bad box.
         labels: Class and confidence of detections, and the names of missed vessels.
     """
 
@@ -40,6 +41,7 @@ class Layers:
     missed: bool = False
     false_positives: bool = False
     detections: bool = False
+    mistakes: bool = False
     labels: bool = False
 
     @classmethod
@@ -58,5 +60,5 @@ class Layers:
 
 CORNERS = Layers.of(["horizon", "wires", "points"])
 SCENE = Layers.of(["horizon", "silhouettes"])
-BOXES = ("full", "visible", "truth", "fractions", "missed", "false_positives", "detections", "labels")
+BOXES = ("full", "visible", "truth", "fractions", "missed", "false_positives", "detections", "mistakes", "labels")
 DETECTIONS = Layers.of(["horizon", "silhouettes", *BOXES])

@@ -8,12 +8,18 @@ from typing import Literal
 
 from PIL import Image
 
+from modsim3d.runs.outcomes import Outcome
 from modsim3d.view import palette
+from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas, font, text_size
 from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.marks import draw_detection, draw_tether
+from modsim3d.view.pictures.window import Box
 
 MOST_VESSELS = 40
+MARKS = (Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU, Outcome.OFF_VESSEL)
+"""Of a vessel's detections, in the order of the legend."""
 
 
 @dataclass(frozen=True)
@@ -22,18 +28,20 @@ class Entry:
 
     text: str
     colour: Colour
-    style: Literal["box", "dashed", "false", "missed", "hatched", "filled"] = "box"
+    style: Literal["box", "dashed", "missed", "hatched", "filled"] | Outcome = "box"
 
 
-def detection_entries(layers: Layers, mode: int) -> list[Entry]:
-    """The legend of the boxes of some layers, in an annotation mode."""
+def detection_entries(layers: Layers, mode: int, mistakes: Outcome) -> list[Entry]:
+    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there."""
+    marks = [mark for mark in MARKS if layers.detections and layers.mistakes and mark & mistakes]
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
         (layers.full and mode == 2, Entry("whole silhouette", palette.TRUTH, "dashed")),
         (layers.visible and mode < 2, Entry("visible part", palette.TRUTH, "dashed")),
         (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
+        *((True, Entry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
-        (layers.false_positives, Entry("false positive", palette.ALARM, "false")),
+        (layers.false_positives, Entry("false positive", palette.ALARM, Outcome.FALSE_POSITIVE)),
         (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
     )
     return [entry for drawn, entry in shown if drawn]
@@ -87,20 +95,34 @@ def _entry(canvas: Canvas, entry: Entry, x: int, y: int, text_px: int) -> None:
     ground = entry.colour if entry.style == "filled" else palette.SEA
     canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=ground)
     inset = text_px // 6 + 1
-    box = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
-    if entry.style == "dashed":
-        canvas.dashed_box(box, entry.colour, 0.75, 4.0)
-    elif entry.style == "missed":
-        canvas.brackets((box[0] + 3, box[1] + 3, box[2] - 3, box[3] - 3), entry.colour, 1.0)
-    elif entry.style == "false":
-        canvas.crossed(box, entry.colour)
-        canvas.dashed_box(box, entry.colour, 1.0, 4.0)
-    elif entry.style == "hatched":
-        for start in range(chip[0], chip[2], 6):
-            top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
-            canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
-    elif entry.style == "box":
-        canvas.box(box, entry.colour, 1.0)
+    if entry.style == "hatched":
+        _hatch(canvas, chip, entry.colour)
+    elif entry.style != "filled":
+        sample = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
+        _draw_sample(canvas, sample, entry.colour, entry.style)
     _, high, _, low = text_size("Ag", text_px)
     middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
     canvas.draw.text((chip[2] + text_px // 2, middle), entry.text, fill=palette.INK, font=font(text_px))
+
+
+def _hatch(canvas: Canvas, chip: tuple[int, int, int, int], colour: Colour) -> None:
+    for start in range(chip[0], chip[2], 6):
+        top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
+        canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=colour, width=2)
+
+
+def _draw_sample(canvas: Canvas, box: Box, colour: Colour, style: str | Outcome) -> None:
+    x0, y0, x1, y1 = box
+    if style == "missed":
+        canvas.brackets((x0 + 3, y0 + 3, x1 - 3, y1 - 3), colour, 1.0)
+    elif style == "dashed":
+        canvas.dashed_box(box, colour, 0.75, 4.0)
+    elif style == Outcome.OFF_VESSEL:
+        side = (x1 - x0) / 4
+        vessel = (x1 - side, y0, x1, y0 + side)
+        canvas.box(vessel, palette.TRUTH, 0.75)
+        draw_tether(canvas, (x0, y0 + side, x1 - 1.5 * side, y1), vessel)
+    elif isinstance(style, Outcome):
+        draw_detection(canvas, box, colour, style, 1.0)
+    else:
+        canvas.box(box, colour, 1.0)

@@ -1,21 +1,79 @@
-"""Counts of a run by vessel and by performance state, as rows of tables."""
+"""Counts of a run: in all, by camera, by performance state and by vessel, as rows of tables."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from modsim3d.runs.files.columns import indices
+from modsim3d.arrays import Mask
+from modsim3d.runs.outcomes import Outcome, having
 from modsim3d.runs.run_rows import RunRows
 
 Rows = list[tuple[str, ...]]
 
-VESSEL_HEADER = ("Vessel", "Frames", "Partly hidden", "Wholly hidden", "Annotated", "Detected", "Missed", "Miss rate")
-STATE_HEADER = (
-    *("Performance state", "Frames", "Annotated", "Detected", "Missed", "Miss rate"),
-    *("False positives", "Share of detections"),
-)
+_DETECTED = ("Annotated", "Detected", "Missed", "Miss rate")
+_BOXES = ("Wrong class", "IoU below 0.5", "Off its vessel")
+_FALSE = ("False positives", "Share of detections")
+VESSEL_HEADER = ("Vessel", "Frames", "Partly hidden", "Wholly hidden", *_DETECTED, *_BOXES)
+STATE_HEADER = ("Performance state", "Frames", *_DETECTED, *_BOXES, *_FALSE)
+CAMERA_HEADER = ("Camera", "Frames", *_DETECTED, *_BOXES, *_FALSE)
+
+
+@dataclass(frozen=True)
+class DetectorCounts:
+    """What a detector made of some frames, with the names of `modsim3d.runs.counts.Counts`.
+
+    Attributes:
+        of_vessels: Detections of vessels; fewer than `detected` where one box is of two vessels.
+    """
+
+    annotated: int
+    detected: int
+    of_vessels: int
+    mislabelled: int
+    below_half_iou: int
+    off_vessel: int
+    false_positives: int
+
+    @property
+    def missed(self) -> int:
+        """Annotated vessels that were not detected."""
+        return self.annotated - self.detected
+
+    @property
+    def detections(self) -> int:
+        """All detections."""
+        return self.of_vessels + self.false_positives
+
+    @property
+    def mostly_off(self) -> bool:
+        """Whether most boxes do not fit their vessels."""
+        return 2 * self.below_half_iou > self.of_vessels
+
+    def named(self) -> Rows:
+        """Name, count and what the count is a share of."""
+        every, true = f"of {self.detections} detections", f"of {self.of_vessels} detections of vessels"
+        return [
+            ("Annotated", str(self.annotated), "vessels in frames, given to the detector"),
+            ("Detected", str(self.detected), f"{_share(self.detected, self.annotated)} of annotated"),
+            ("Missed", str(self.missed), f"{_share(self.missed, self.annotated)} of annotated"),
+            ("False positives", str(self.false_positives), f"{_share(self.false_positives, self.detections)} {every}"),
+            ("Wrong class", str(self.mislabelled), f"{_share(self.mislabelled, self.of_vessels)} {true}"),
+            ("IoU below 0.5", str(self.below_half_iou), f"{_share(self.below_half_iou, self.of_vessels)} {true}"),
+            ("Off their vessel", str(self.off_vessel), f"{_share(self.off_vessel, self.of_vessels)} {true}"),
+        ]
+
+    def cells(self) -> tuple[str, ...]:
+        """The columns `_DETECTED` and `_BOXES` of a table."""
+        boxes = self.mislabelled, self.below_half_iou, self.off_vessel
+        detected = *map(str, (self.annotated, self.detected, self.missed)), _share(self.missed, self.annotated)
+        return *detected, *map(str, boxes)
+
+    def false_cells(self) -> tuple[str, str]:
+        """The columns `_FALSE` of a table."""
+        return str(self.false_positives), _share(self.false_positives, self.detections)
 
 
 class CountTables:
@@ -23,33 +81,35 @@ class CountTables:
 
     def __init__(self, rows: RunRows) -> None:
         """Find what is counted in the rows of a run."""
-        self._rows, scene, known = rows, rows.scene, rows.detection_vessel >= 0
+        self._rows = rows
         visible_px, silhouette_px = rows.numbers("visible_px"), rows.numbers("silhouette_px")
         self._partly_hidden = (visible_px > 0) & (visible_px < silhouette_px)
         self._wholly_hidden = (visible_px == 0) & (silhouette_px > 0)
-        self._detected = rows.annotated & rows.detected
-        self._truth_state = rows.states_of(rows.truth_frame)
-        self._false_state = rows.states_of(rows.detection_frame[~known])
-        labels = scene.detector.labels
-        true_label = np.array([labels.index(vessel.label) for vessel in scene.vessels])
-        label = indices(rows.detections, "label", labels)
-        self._mislabelled = int((label[known] != true_label[rows.detection_vessel[known]]).sum())
+        self.total = self._counts(np.ones(len(rows.annotated), bool), np.ones(len(rows.outcomes), bool))
+
+    def _counts(self, truth: Mask, detections: Mask) -> DetectorCounts:
+        """The counts of some rows of the truth, shape (n,), and some detections, shape (m,)."""
+        annotated, outcome = self._rows.annotated & truth, self._rows.outcomes[detections]
+        false = int(having(outcome, Outcome.FALSE_POSITIVE).sum())
+        return DetectorCounts(
+            annotated=int(annotated.sum()),
+            detected=int((annotated & self._rows.detected).sum()),
+            of_vessels=len(outcome) - false,
+            mislabelled=int(having(outcome, Outcome.MISLABELLED).sum()),
+            below_half_iou=int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
+            off_vessel=int(having(outcome, Outcome.OFF_VESSEL).sum()),
+            false_positives=false,
+        )
 
     def overall(self) -> Rows:
         """Name, count and its share of everything that happened, summed over frames."""
         vessels, partly_hidden = len(self._rows.annotated), int(self._partly_hidden.sum())
-        annotated, detected = int(self._rows.annotated.sum()), int(self._detected.sum())
-        false = len(self._false_state)
         return [
             ("Frames", str(len(self._rows.frame_state)), ""),
             ("Vessels in frames", str(vessels), "summed over frames"),
-            ("Partly hidden", str(partly_hidden), _share(partly_hidden, vessels)),
+            ("Partly hidden", str(partly_hidden), f"{_share(partly_hidden, vessels)} of vessels in frames"),
             ("Wholly hidden", str(int(self._wholly_hidden.sum())), ""),
-            ("Annotated", str(annotated), "given to the detector"),
-            ("Detected", str(detected), f"{_share(detected, annotated)} of annotated"),
-            ("Missed", str(annotated - detected), f"{_share(annotated - detected, annotated)} of annotated"),
-            ("Mislabelled", str(self._mislabelled), f"{_share(self._mislabelled, detected)} of detected"),
-            ("False positives", str(false), f"{_share(false, detected + false)} of all detections"),
+            *self.total.named(),
         ]
 
     def by_vessel(self) -> Rows:
@@ -57,24 +117,31 @@ class CountTables:
         table = []
         for index, name in enumerate(self._rows.scene.vessel_names):
             mine = self._rows.truth_vessel == index
-            columns = (mine, self._partly_hidden, self._wholly_hidden, self._rows.annotated, self._detected)
-            counts = [int((column & mine).sum()) for column in columns]
-            annotated, detected = counts[-2:]
-            missed = annotated - detected
-            table.append((name, *map(str, counts), str(missed), _share(missed, annotated)))
+            hidden = [int((mine & column).sum()) for column in (mine, self._partly_hidden, self._wholly_hidden)]
+            counts = self._counts(mine, self._rows.detection_vessel == index)
+            table.append((name, *map(str, hidden), *counts.cells()))
         return table
 
     def by_state(self) -> Rows:
         """A row for each performance state, with the columns of `STATE_HEADER`."""
-        table = []
-        for index, state in enumerate(self._rows.scene.detector.states):
-            mine = self._truth_state == index
-            annotated, detected = int((self._rows.annotated & mine).sum()), int((self._detected & mine).sum())
-            frames, false = int((self._rows.frame_state == index).sum()), int((self._false_state == index).sum())
-            missed = annotated - detected
-            shares = _share(missed, annotated), str(false), _share(false, detected + false)
-            table.append((state.name, *map(str, (frames, annotated, detected, missed)), *shares))
-        return table
+        rows, names = self._rows, [state.name for state in self._rows.scene.detector.states]
+        truth, detections = rows.states_of(rows.truth_frame), rows.states_of(rows.detection_frame)
+        return [
+            self._row(name, rows.frame_state == index, truth == index, detections == index)
+            for index, name in enumerate(names)
+        ]
+
+    def by_camera(self) -> Rows:
+        """A row for each camera, with the columns of `CAMERA_HEADER`."""
+        rows, names = self._rows, [camera.name for camera in self._rows.scene.cameras]
+        frame, truth, detections = (each % len(names) for each in (rows.frames, rows.truth_frame, rows.detection_frame))
+        return [
+            self._row(name, frame == index, truth == index, detections == index) for index, name in enumerate(names)
+        ]
+
+    def _row(self, name: str, frames: Mask, truth: Mask, detections: Mask) -> tuple[str, ...]:
+        counts = self._counts(truth, detections)
+        return name, str(int(frames.sum())), *counts.cells(), *counts.false_cells()
 
 
 def named_values(values: dict[str, Any], prefix: str = "") -> Rows:

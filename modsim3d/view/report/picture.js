@@ -46,6 +46,12 @@ class Picture {
     this.view = { x: within((x0 + x1) / 2, wide, width), y: within((y0 + y1) / 2, high, height), width: wide };
   }
 
+  // Whether the middle of a box is to be seen.
+  shows([x0, y0, x1, y1]) {
+    const [x, y] = this.toCanvas((x0 + x1) / 2, (y0 + y1) / 2), wide = this.canvas.width / this.ratio;
+    return x >= 0 && y >= 0 && x <= wide && y <= wide / this.aspect;
+  }
+
   zoom(factor, x, y) {
     const [imageX, imageY] = this.toImage(x, y), width = Math.min(Math.max(this.view.width / factor, 10), 1e5);
     const shrunk = width / this.view.width;
@@ -65,12 +71,8 @@ class Picture {
       if (shown.full) this.box(truth.full, colours.truth, 1, [5, 4]);
       if (shown.visible && truth.visible) this.box(truth.visible, colours.truth, 1.2);
     }
-    for (const { vessel, box, label, confidence } of frame.detections) {
-      if (!(vessel === null ? shown.false : shown.detections)) continue;
-      const colour = vessel === null ? colours.alarm : colours.vessels[vessel];
-      this.box(box, colour, 2, vessel === null ? [7, 4] : []);
-      const number = confidence.toFixed(2), name = this.narrow ? '' : `${label} `;
-      this.plates.push({ box, colour, text: vessel === null && !this.narrow ? `false: ${name}${number}` : name + number });
+    for (const detection of frame.detections) {
+      if (detection.vessel === null ? shown.false : shown.detections) this.detection(detection, frame, recording.facts);
     }
     for (const { vessel, target } of frame.truths.filter((truth) => shown.missed && truth.missed)) {
       const { name } = recording.facts.vessels[vessel];
@@ -123,6 +125,52 @@ class Picture {
     this.context.moveTo(...this.toCanvas(corners[0], corners[1]));
     for (let i = 2; i < corners.length; i += 2) this.context.lineTo(...this.toCanvas(corners[i], corners[i + 1]));
     this.context.closePath();
+  }
+
+  // A detection: in long dashes where its box is bad, with a line to its vessel where it is off, with a filled corner where
+  // its class is wrong; crossed out where it is false.
+  detection({ vessel, box, label, confidence, mislabelled, bad, off }, frame, { colours, vessels }) {
+    const colour = vessel === null ? colours.alarm : colours.vessels[vessel];
+    if (vessel === null) this.cross(box, colour);
+    if (off) this.tether(box, frame.truths.find((truth) => truth.vessel === vessel).target, colours.alarm);
+    this.box(box, colour, 2, vessel === null ? [5, 3] : bad ? [9, 6] : []);
+    if (mislabelled) this.flag(box, colours);
+    const words = this.narrow ? confidence.toFixed(2) : `${label} ${confidence.toFixed(2)}`;
+    const text = this.narrow ? words : vessel === null ? `false: ${words}` : mislabelled ? `${words}, ${isA(vessels[vessel].label)}` : words;
+    this.plates.push({ box, colour: mislabelled ? colours.alarm : colour, text });
+  }
+
+  cross([x0, y0, x1, y1], colour) {
+    this.path([x0, y0, x1, y1]);
+    this.stroke(colour, 1);
+    this.path([x0, y1, x1, y0]);
+    this.stroke(colour, 1);
+  }
+
+  // A line from the middle of a box to the box that it should be at.
+  tether([x0, y0, x1, y1], [left, top, right, bottom], colour) {
+    const { context } = this, x = (x0 + x1) / 2, y = (y0 + y1) / 2, from = this.toCanvas(x, y);
+    this.path([x, y, Math.min(Math.max(x, left), right), Math.min(Math.max(y, top), bottom)]);
+    this.stroke('#10182055', 3.5);
+    this.stroke(colour, 1.5);
+    context.beginPath();
+    context.arc(...from, 3.5, 0, 2 * Math.PI);
+    context.fillStyle = colour;
+    context.fill();
+  }
+
+  // The filled upper right corner of a box.
+  flag([x0, y0, x1, y1], colours) {
+    const { context } = this, [right, top] = this.toCanvas(x1, y0);
+    const leg = Math.max(7, Math.min(15, 0.6 * this.scale * Math.min(x1 - x0, y1 - y0)));
+    context.beginPath();
+    context.moveTo(right + 1, top - 1);
+    context.lineTo(right - leg, top - 1);
+    context.lineTo(right + 1, top + leg);
+    context.closePath();
+    context.fillStyle = colours.alarm;
+    context.fill();
+    this.stroke(colours.ink, 1);
   }
 
   // A box with a dark seam, so that a light line is seen on the sky too.
@@ -211,6 +259,9 @@ class Picture {
     this.box([x, y, x + width, y + height], '#ffffffbb', 1, [2, 3]);
   }
 }
+
+// What a wrongly labelled vessel is.
+function isA(label) { return `is ${/^[aeiou]/i.test(label) ? 'an' : 'a'} ${label}`; }
 
 // Dark text on light plates, light on dark ones.
 function inkOn(colour) {

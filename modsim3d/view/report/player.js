@@ -1,7 +1,7 @@
 // The player: what is shown, and how mouse, keys and buttons change it.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 20, 50];
-const CLOSEUP_ASPECT = 16 / 10, WIDEST = 2, NARROW_PX = 480;
+const CLOSEUP_ASPECT = 16 / 10, WIDEST = 2, NARROW_PX = 480, MOST_LISTED = 1000;
 const $ = (id) => document.getElementById(id);
 
 class Player {
@@ -17,13 +17,16 @@ class Player {
     this.picture = new Picture($('picture'), NARROW_PX);
     this.closeup = new Picture($('closeup'));
     this.timeline = new Timeline($('timeline'), recording);
+    this.moments = new Moments(recording);
     this.actions = {
       play: () => this.play(!this.playing), back: () => this.step(-1), forward: () => this.step(1),
       zoomIn: () => this.zoom(1.5), zoomOut: () => this.zoom(1 / 1.5), home: () => this.home(), whole: () => this.whole(),
+      previous: () => this.goTo(this.moments.from(this.index, -1)), next: () => this.goTo(this.moments.from(this.index, 1)),
     };
     this.fill();
     this.listen();
     this.resize();
+    this.fillKinds();
     this.home();
     if (!this.fromAddress()) this.go(Math.max(0, this.timeline.summary.seen.findIndex((seen) => seen > 0)));
   }
@@ -43,9 +46,7 @@ class Player {
       $('layers').append(label);
     });
     this.rows = facts.vessels.map(({ name }, vessel) => {
-      const swatch = element('span', { className: 'swatch' });
-      swatch.style.background = facts.colours.vessels[vessel];
-      const button = element('button', { type: 'button', title: name }, swatch, name);
+      const button = element('button', { type: 'button', title: name }, swatchOf(facts.colours.vessels[vessel]), name);
       button.addEventListener('click', () => this.follow(this.followed === vessel ? null : vessel));
       const cells = ['', '', ''].map(() => element('td'));
       const row = element('tr', {}, element('td', {}, button), ...cells);
@@ -54,18 +55,35 @@ class Player {
     });
   }
 
+  // The kinds of moments that the camera has.
+  fillKinds() {
+    const { summary } = this.timeline;
+    const count = ([kind]) => this.moments.look(this.camera, kind, summary).length, kinds = KINDS.filter(count);
+    $('kind').replaceChildren(...kinds.map((kind) => new Option(`${kind[1]}: ${count(kind)}`, kind[0])));
+    $('momentRow').hidden = !kinds.length;
+    this.lookFor(kinds.some(([kind]) => kind === this.kind) ? this.kind : (kinds[0] ?? KINDS[0])[0]);
+  }
+
+  lookFor(kind) {
+    this.kind = kind;
+    $('kind').value = kind;
+    const list = this.moments.look(this.camera, kind, this.timeline.summary), shown = list.slice(0, MOST_LISTED);
+    const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
+    const more = list.length > MOST_LISTED ? ` (the first ${MOST_LISTED})` : '';
+    $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);
+  }
+
   legend() {
-    const { colours, states } = this.recording.facts, parts = [];
-    const add = (colour, text) => {
-      const swatch = element('span', { className: 'swatch' });
-      swatch.style.background = colour;
-      parts.push(element('span', {}, swatch, text));
-    };
-    states.forEach((name, state) => add(stateColour(state, states.length), `detector: ${name}`));
-    add(colours.alarm, 'missed (corners, bars, lower part of a strip) or false (dashed box, bars)');
+    const { colours, states } = this.recording.facts, { summary } = this.timeline, parts = [];
+    const add = (swatch, text) => parts.push(element('span', {}, swatch, text));
+    states.forEach((name, state) => add(swatchOf(stateColour(state, states.length)), `detector: ${name}`));
+    for (const [kind, text] of SYMBOLS) {
+      if (!summary[kind] || summary[kind].some((count) => count)) add(symbolOf(kind, colours), text);
+    }
     parts.push(element('span', { textContent:
-      'Strips: a vessel’s colour while it is seen, dark while it is hidden, empty while it is out of the image. '
-      + 'Boxes: pale is the truth (dashed: the whole silhouette), colour is a detection.' }));
+      'Strips: a vessel’s colour while it is seen, dark while it is hidden, empty while it is out of the image; in vermilion '
+      + 'below where it was missed, striped where its box was off it, lower stripes where IoU was below 0.5, above where its class was wrong.',
+    }));
     $('legend').replaceChildren(...parts);
   }
 
@@ -78,6 +96,10 @@ class Player {
     $('slider').addEventListener('input', () => this.go(Number($('slider').value)));
     $('speed').addEventListener('change', () => this.setSpeed(Number($('speed').value)));
     $('camera').addEventListener('change', () => this.look(Number($('camera').value)));
+    $('kind').addEventListener('change', () => this.lookFor($('kind').value));
+    $('moment').addEventListener('change', () => {
+      if ($('moment').value) this.goTo(this.moments.choose(Number($('moment').value)));
+    });
     $('theme').addEventListener('click', () => this.otherTheme());
     document.addEventListener('keydown', (event) => this.key(event));
     window.addEventListener('resize', () => this.resize());
@@ -124,7 +146,7 @@ class Player {
     const keys = {
       ' ': this.actions.play, ArrowLeft: () => this.step(shiftKey ? -10 : -1), ArrowRight: () => this.step(shiftKey ? 10 : 1),
       Home: () => this.go(0), End: () => this.go(this.recording.length - 1),
-      n: () => this.nextHidden(1), b: () => this.nextHidden(-1), '[': () => this.faster(-1), ']': () => this.faster(1),
+      n: this.actions.next, b: this.actions.previous, '[': () => this.faster(-1), ']': () => this.faster(1),
       c: () => this.look((this.camera + 1) % this.recording.facts.cameras.length), v: () => this.followNext(),
       '+': this.actions.zoomIn, '=': this.actions.zoomIn, '-': this.actions.zoomOut,
       0: this.actions.home, 9: this.actions.whole, t: () => this.otherTheme(),
@@ -175,14 +197,16 @@ class Player {
     this.setSpeed(SPEEDS[Math.min(Math.max(SPEEDS.indexOf(this.speed) + by, 0), SPEEDS.length - 1)]);
   }
 
-  nextHidden(by) {
+  // Show a moment, with its vessel close up; all of the image if it is out of sight.
+  goTo(moment) {
+    if (!moment) return;
     this.play(false);
-    const { hidden } = this.timeline.summary;
-    for (let index = this.index + by; index >= 0 && index < hidden.length; index += by) {
-      if (!hidden[index]) continue;
-      this.followed = this.recording.truths(index, this.camera).find((truth) => truth.fraction > 0 && truth.fraction < 1)?.vessel;
-      return this.go(index);
-    }
+    this.followed = moment.vessel;
+    this.go(moment.index);
+    const found = this.recording.detections(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
+    const true_ = this.recording.truths(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
+    const boxes = [...found.map(({ box }) => box), ...true_.map(({ full }) => full)];
+    if (!boxes.every((box) => this.picture.shows(box))) this.whole();
   }
 
   fromAddress() {
@@ -199,6 +223,7 @@ class Player {
     this.camera = camera;
     $('camera').value = camera;
     this.resize();
+    this.fillKinds();
     this.home();
   }
 
@@ -285,7 +310,7 @@ class Player {
   // The frame in words.
   say(frame) {
     const { facts, length } = this.recording, { index, camera } = this;
-    const missed = frame.truths.filter((truth) => truth.missed).length;
+    const missed = frame.truths.filter((truth) => truth.missed).length, count = (test) => frame.detections.filter(test).length;
     const drawn = frame.detections.filter(({ vessel }) => vessel !== null), wrong = frame.detections.length - drawn.length;
     $('slider').value = index;
     $('slider').setAttribute('aria-valuetext', `${facts.timestamps[index]} seconds`);
@@ -293,30 +318,38 @@ class Player {
       `${facts.timestamps[index]} s`, `step ${facts.steps[index]} of ${facts.steps[length - 1]}`,
       this.recording.age(index, camera), `detector ${this.recording.state(index, camera)}`, `${frame.truths.length} in the image`, `${drawn.length} detected`,
       `${missed} missed`, `${wrong} false`,
+      some(count(({ mislabelled }) => mislabelled), 'of a wrong class'), some(count(({ bad }) => bad), 'with IoU below 0.5'),
+      some(count(({ off }) => off), 'off their vessel'),
     ].filter((word) => word).join(' · ');
     $('status').textContent = words;
     $('picture').setAttribute('aria-label', `Image of ${facts.cameras[camera].name}: ${words}`);
     const byVessel = new Map(frame.truths.map((truth) => [truth.vessel, truth]));
-    const confidence = new Map(drawn.map((detection) => [detection.vessel, detection.confidence]));
+    const detections = new Map(drawn.map((detection) => [detection.vessel, detection]));
+    const chosen = this.moments.list[this.moments.place]?.index === index ? `${this.moments.place}` : '';
+    if ($('moment').value !== chosen) $('moment').value = chosen;
     this.rows.forEach(({ row, cells }, vessel) => {
       const truth = byVessel.get(vessel), carries = facts.vessels[vessel].name === facts.cameras[camera].carrier;
-      const texts = truth ? describe(truth, confidence.get(vessel)) : ['', '', carries ? 'carries the camera' : 'not in the image'];
+      const texts = truth ? describe(truth, detections.get(vessel)) : ['', '', carries ? 'carries the camera' : 'not in the image'];
       row.classList.toggle('away', !truth);
-      row.classList.toggle('missed', truth?.missed ?? false);
+      const found = detections.get(vessel);
+      row.classList.toggle('wrong', Boolean(truth?.missed || found?.mislabelled || found?.bad));
       texts.forEach((text, i) => { if (cells[i].textContent !== text) cells[i].textContent = text; });
     });
   }
 
   hint(x, y) {
     const { facts } = this.recording, index = this.timeline.indexAt(x), vessel = this.timeline.vesselAt(y);
-    const { annotated, missed, false: wrong, fraction } = this.timeline.summary;
+    const { annotated, missed, false: wrong, mislabelled, bad, off, fraction, outcome, lost } = this.timeline.summary;
     const lines = [
       `${facts.timestamps[index]} s, step ${facts.steps[index]}: detector ${this.recording.state(index, this.camera)}`,
-      `${annotated[index]} annotated, ${missed[index]} missed, ${wrong[index]} false`,
+      [`${annotated[index]} annotated`, `${missed[index]} missed`, `${wrong[index]} false`, some(mislabelled[index], 'of a wrong class'),
+        some(bad[index], 'with IoU below 0.5'), some(off[index], 'off their vessel')].filter((word) => word).join(', '),
     ];
     if (vessel !== null) {
-      const seen = fraction[vessel * this.recording.length + index];
-      lines.push(`${facts.vessels[vessel].name}: ${Number.isNaN(seen) ? 'not in the image' : `${percent(seen)} visible`}`);
+      const at = vessel * this.recording.length + index, seen = fraction[at];
+      const words = [Number.isNaN(seen) ? 'not in the image' : `${percent(seen)} visible`];
+      if (lost[at]) words.push('missed');
+      lines.push(`${facts.vessels[vessel].name}: ${[...words, ...wordsFor(this.recording.mistakes(outcome[at]))].join(', ')}`);
     }
     const hint = $('hint');
     hint.textContent = lines.join('\n');
@@ -325,12 +358,20 @@ class Player {
   }
 }
 
-function describe(truth, confidence) {
+function describe(truth, detection) {
   const seen = truth.fraction === null ? '' : percent(truth.fraction), by = truth.hider ? ` by ${truth.hider.replace(/^obstacle:/, '')}` : '';
-  const what = truth.missed ? 'missed' : truth.detected ? `detected ${confidence?.toFixed(2) ?? ''}`
-    : truth.fraction === 0 ? 'hidden' : 'not annotated';
+  const as = detection?.mislabelled ? `as ${detection.label}` : 'detected', how = detection?.off ? ', off it' : detection?.bad ? ', IoU\u00a0<\u00a00.5' : '';
+  const found = `${as} ${detection?.confidence.toFixed(2) ?? ''}${how}`;
+  const what = truth.missed ? 'missed' : truth.detected ? found : truth.fraction === 0 ? 'hidden' : 'not annotated';
   return [`${truth.depth.toFixed(0)} m`, seen, truth.fraction === 0 ? `hidden${by}` : what];
 }
+
+// What is wrong with a detection of a vessel.
+function wordsFor({ mislabelled, bad, off }) {
+  return [mislabelled && 'wrong class', off ? 'off its vessel' : bad && 'IoU below 0.5'].filter((word) => word);
+}
+
+function some(count, text) { return count ? `${count} ${text}` : ''; }
 
 // Never all or nothing where a part is seen.
 function percent(fraction) {
@@ -343,6 +384,36 @@ function element(tag, properties = {}, ...children) {
   const made = Object.assign(document.createElement(tag), properties);
   made.append(...children);
   return made;
+}
+
+// The marks of the picture, by what the timeline counts of them, and what they mean.
+const SYMBOLS = [
+  ['truth', 'truth (dashed: the whole silhouette)'], ['detection', 'detection, in its vessel’s colour'],
+  ['missed', 'missed'], ['false', 'false positive'], ['mislabelled', 'wrong class'], ['bad', 'IoU below 0.5'],
+  ['off', 'off its vessel: line to it'],
+];
+const BOX = '<rect x="4" y="3" width="22" height="12"';
+
+function symbolOf(kind, { alarm, truth, sea, ink, vessels: [vessel] }) {
+  const inside = {
+    truth: `${BOX} stroke="${truth}"/>`,
+    detection: `${BOX} stroke="${vessel}" stroke-width="2"/>`,
+    missed: `<path d="M3 7V2h6M21 2h6v5M27 11v5h-6M9 16H3v-5" stroke="${alarm}" stroke-width="2"/>`,
+    false: `${BOX} stroke="${alarm}" stroke-width="2" stroke-dasharray="4 2.5"/><path d="M4 3l22 12M4 15l22-12" stroke="${alarm}"/>`,
+    mislabelled: `${BOX} stroke="${vessel}" stroke-width="2"/><path d="M17 2h10v10z" fill="${alarm}" stroke="${ink}"/>`,
+    bad: `${BOX} stroke="${vessel}" stroke-width="2" stroke-dasharray="6 4"/>`,
+    off: `<rect x="21" y="2" width="7" height="6" stroke="${truth}"/><path d="M8 12l13-6" stroke="${alarm}" stroke-width="1.5"/>`
+      + `<circle cx="8" cy="12" r="3" fill="${alarm}"/>`,
+  };
+  const swatch = element('span', { className: 'symbol' });
+  swatch.innerHTML = `<svg viewBox="0 0 30 18" fill="none" aria-hidden="true"><path d="M0 0h30v18H0z" fill="${sea}"/>${inside[kind]}</svg>`;
+  return swatch;
+}
+
+function swatchOf(colour) {
+  const swatch = element('span', { className: 'swatch' });
+  swatch.style.background = colour;
+  return swatch;
 }
 
 try {

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
+from modsim3d.runs.outcomes import Outcome
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
@@ -109,6 +110,7 @@ def _detection_columns(rows: RunRows, frames: Indices, pages: int, quantum: floa
         "drawnVessel": np.where(rows.detection_vessel < 0, NONE, rows.detection_vessel)[drawn].astype(np.uint16),
         "label": indices(rows.detections, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
         "confidence": np.rint(1000 * numbers(rows.detections, "confidence")[drawn]).astype(np.uint16),
+        "outcome": rows.outcomes[drawn],
         "box": in_quanta(rows.detection_boxes_px()[drawn], quantum),
     }
 
@@ -127,6 +129,7 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
         "times": np.round(times_s[steps], 6).tolist(),
         "states": [state.name for state in scene.detector.states],
         "labels": list(scene.detector.labels),
+        "outcomes": {outcome.name: outcome.value for outcome in Outcome},
         "occluders": list(scene.occluder_names),
         "vessels": [{"name": v.name, "label": v.label} for v in scene.vessels],
         "cameras": [

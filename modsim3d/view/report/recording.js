@@ -89,16 +89,22 @@ class Recording {
 
   // What the detector put out.
   detections(index, camera) {
-    const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence } = this.columns, rows = [];
+    const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence, outcome } = this.columns, rows = [];
     for (let row = drawnStart[frame]; row < drawnStart[frame + 1]; row++) {
       this.rowsRead++;
       const vessel = drawnVessel[row];
       rows.push({
         vessel: vessel === NONE ? null : vessel, label: this.facts.labels[label[row]],
-        confidence: confidence[row] / 1000, box: this.box('box', row),
+        confidence: confidence[row] / 1000, box: this.box('box', row), ...this.mistakes(outcome[row]),
       });
     }
     return rows;
+  }
+
+  // What is wrong with a detection: another class than its vessel's, IoU below 0.5, a box that does not touch its vessel's.
+  mistakes(outcome) {
+    const { MISLABELLED, BELOW_HALF_IOU, OFF_VESSEL } = this.facts.outcomes;
+    return { mislabelled: (outcome & MISLABELLED) > 0, bad: (outcome & BELOW_HALF_IOU) > 0, off: (outcome & OFF_VESSEL) > 0 };
   }
 
   // x_min, y_min, x_max, y_max in pixels, or null.
@@ -107,13 +113,15 @@ class Recording {
     return sides[0] === NONE ? null : Array.from(sides, (side) => side * this.facts.quantum);
   }
 
-  // What the timeline shows of a camera: for each step counts, and for each vessel and step its visible fraction.
+  // What the timeline shows of a camera: for each step counts, and for each vessel and step its visible fraction and
+  // what went wrong.
   summary(camera) {
     const { columns, length } = this, vessels = this.facts.vessels.length;
     const summary = {
       state: new Uint8Array(length), seen: new Uint16Array(length), annotated: new Uint16Array(length), missed: new Uint16Array(length),
-      false: new Uint16Array(length), hidden: new Uint16Array(length),
+      false: new Uint16Array(length), mislabelled: new Uint16Array(length), bad: new Uint16Array(length), off: new Uint16Array(length),
       fraction: new Float32Array(vessels * length).fill(NaN), lost: new Uint8Array(vessels * length),
+      outcome: new Uint8Array(vessels * length),
       rows: [Infinity, -Infinity], // of the image: the least and the greatest that a vessel reaches
     };
     for (let index = 0; index < length; index++) {
@@ -129,10 +137,17 @@ class Recording {
         summary.missed[index] += missed ? 1 : 0;
         summary.rows[0] = Math.min(summary.rows[0], columns.full[4 * row + 1] * this.facts.quantum);
         summary.rows[1] = Math.max(summary.rows[1], columns.full[4 * row + 3] * this.facts.quantum);
-        summary.hidden[index] += fraction > 0 && fraction < WHOLE ? 1 : 0;
       }
       for (let row = columns.drawnStart[frame]; row < columns.drawnStart[frame + 1]; row++) {
-        if (columns.drawnVessel[row] === NONE) summary.false[index]++;
+        if (columns.drawnVessel[row] === NONE) {
+          summary.false[index]++;
+          continue;
+        }
+        const { mislabelled, bad, off } = this.mistakes(columns.outcome[row]);
+        summary.outcome[columns.drawnVessel[row] * length + index] = columns.outcome[row];
+        summary.mislabelled[index] += mislabelled ? 1 : 0;
+        summary.bad[index] += bad ? 1 : 0;
+        summary.off[index] += off ? 1 : 0;
       }
     }
     return summary;

@@ -19,13 +19,20 @@ from modsim3d.outputs.placing import write_files
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.page import heading, table
-from modsim3d.view.report.count_tables import STATE_HEADER, VESSEL_HEADER, CountTables, named_values
+from modsim3d.view.report.count_tables import (
+    CAMERA_HEADER,
+    STATE_HEADER,
+    VESSEL_HEADER,
+    CountTables,
+    DetectorCounts,
+    named_values,
+)
 from modsim3d.view.report.player_recording import recording
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
-SCRIPTS = ("recording.js", "picture.js", "timeline.js", "player.js")
+SCRIPTS = ("recording.js", "picture.js", "moments.js", "timeline.js", "player.js")
 """In the order in which they need each other; in the page they are one script."""
 
 
@@ -57,6 +64,7 @@ def write_report(
 
 def _page(run: StoredRun, every: int, out: Path, progress: Callable[[int], None]) -> str:
     rows = RunRows.of(run)
+    counts = CountTables(rows)
     frames = recording(rows, every, progress)
     index, columns = frames.packed()
     script = "\n".join(_part(name) for name in SCRIPTS)
@@ -69,7 +77,8 @@ def _page(run: StoredRun, every: int, out: Path, progress: Callable[[int], None]
         "style": _part("style.css"),
         "lead": html.escape(_lead(frames.facts)),
         "notes": _notes(run, every, out),
-        "tables": _tables(CountTables(rows), run.settings),
+        "result": _result(counts.total),
+        "tables": _tables(counts, run.settings),
         "facts": _json_in_html({**frames.facts, "columns": index}),
         "columns": columns,
         "script": script,
@@ -92,8 +101,8 @@ def _lead(facts: dict[str, Any]) -> str:
     cameras, vessels = _count(len(facts["cameras"]), "simulated camera"), _count(len(facts["vessels"]), "vessel")
     return (
         f"What {cameras} saw of {vessels} in {facts['times'][-1]:g} s, and what a "
-        "simulated vessel detector made of it. The truth is known exactly, so every miss and every false alarm is "
-        "marked."
+        "simulated vessel detector made of it. The truth is known exactly, so each mistake of the detector is counted "
+        "and marked."
     )
 
 
@@ -122,9 +131,27 @@ def _notes(run: StoredRun, every: int, out: Path) -> str:
     return "\n".join(notes)
 
 
+def _result(counts: DetectorCounts) -> str:
+    """The counts of what the detector did, and a warning where most of its boxes do not fit."""
+    tiles = "\n".join(
+        f"<div><dt>{html.escape(name)}</dt><dd>{count}</dd><dd>{html.escape(meaning)}</dd></div>"
+        for name, count, meaning in counts.named()
+    )
+    result = f"<dl class=result>\n{tiles}\n</dl>"
+    if not counts.mostly_off:
+        return result
+    return (
+        f"<p class=warning><strong>Most boxes do not fit their vessels:</strong> {counts.below_half_iou} of "
+        f"{counts.of_vessels} detections of vessels have IoU below 0.5 with the annotated box, and {counts.off_vessel} "
+        "do not touch it. An evaluation that matches boxes by IoU counts them as misses and false positives.</p>\n"
+        f"{result}"
+    )
+
+
 def _tables(counts: CountTables, settings: dict[str, Any]) -> str:
     parts = [
         ("What happened", counts.overall(), ()),
+        *([("By camera", cameras, CAMERA_HEADER)] if len(cameras := counts.by_camera()) > 1 else []),
         ("By performance state of the detector", counts.by_state(), STATE_HEADER),
         ("By vessel", counts.by_vessel(), VESSEL_HEADER),
         ("Settings and versions", named_values(settings), ()),

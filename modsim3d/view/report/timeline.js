@@ -1,6 +1,7 @@
-// The timeline of one camera: performance state, misses and false positives, visible fraction of each vessel.
+// The timeline of one camera: performance state, counts of what went wrong, visible fraction of each vessel.
 
-const STATE_PX = 18, BARS_PX = 22, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS_PX = 360;
+const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS_PX = 360, STRIPE_PX = 2;
+const BARS = [['missed', 'missed'], ['false', 'false'], ['mislabelled', 'wrong class'], ['bad', 'IoU < 0.5'], ['off', 'off vessel']];
 
 class Timeline {
   constructor(canvas, recording) {
@@ -17,10 +18,12 @@ class Timeline {
     this.summary = this.summaries[camera] ??= recording.summary(camera);
     this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.everSeen(vessel));
     const width = this.canvas.clientWidth;
-    this.left = Math.min(116, 0.3 * width);
+    this.left = Math.min(132, 0.3 * width);
     this.wide = width - this.left;
     this.rowPx = Math.min(16, Math.max(3, Math.floor(MOST_ROWS_PX / Math.max(this.vessels.length, 1))));
-    this.rowsTop = STATE_PX + 2 * (BARS_PX + GAP_PX) + 2 * GAP_PX;
+    // Misses and false positives always, the rest where there is some.
+    const bars = BARS.filter(([kind], i) => i < 2 || this.summary[kind].some((count) => count));
+    this.rowsTop = STATE_PX + bars.length * (BARS_PX + GAP_PX) + 2 * GAP_PX;
     this.height = this.rowsTop + this.vessels.length * this.rowPx + AXIS_PX;
     const ratio = this.ratio = window.devicePixelRatio || 1;
     for (const canvas of [this.canvas, this.still]) {
@@ -34,8 +37,7 @@ class Timeline {
     context.textBaseline = 'middle';
     this.columns = this.pixelColumns();
     this.states(context);
-    this.bars(context, STATE_PX + GAP_PX, 'missed', this.summary.missed);
-    this.bars(context, STATE_PX + 2 * GAP_PX + BARS_PX, 'false', this.summary.false);
+    bars.forEach(([kind, name], i) => this.bars(context, STATE_PX + GAP_PX + i * (BARS_PX + GAP_PX), name, this.summary[kind]));
     this.vessels.forEach((vessel, i) => this.strip(context, vessel, this.rowsTop + i * this.rowPx));
     this.axis(context);
   }
@@ -97,10 +99,10 @@ class Timeline {
     }
   }
 
-  // A vessel's visible fraction as the strength of its colour; missed below, in red.
+  // A vessel's visible fraction as the strength of its colour. In vermilion below: missed; in stripes where its box is off it,
+  // and lower ones where IoU is below 0.5. In vermilion above: wrong class.
   strip(context, vessel, top) {
-    const { facts, length } = this.recording, { fraction, lost } = this.summary, high = this.rowPx - (this.rowPx > 5 ? 2 : 0.5);
-    const hidden = channels(colourOf('--hidden')), alarm = channels(facts.colours.alarm), own = channels(facts.colours.vessels[vessel]);
+    const { facts, length } = this.recording, high = this.rowPx - (this.rowPx > 5 ? 2 : 0.5);
     if (this.rowPx >= 9) {
       context.font = `${Math.min(12, this.rowPx)}px system-ui, sans-serif`;
       this.text(context, facts.vessels[vessel].name, 0, top + high / 2, this.left - 6);
@@ -108,29 +110,41 @@ class Timeline {
     context.fillStyle = colourOf('--track');
     context.fillRect(this.left, top, this.wide, high);
     let from = null, painted = '';
-    const paint = (to) => {
-      if (!painted) return;
-      const [whole, lower] = painted.split('/');
-      context.fillStyle = whole;
-      context.fillRect(from, top, to - from, high);
-      if (!lower) return;
-      context.fillStyle = lower;
-      context.fillRect(from, top + 0.6 * high, to - from, 0.4 * high);
-    };
+    const paint = (to) => painted && painted.split('/').forEach((part) => {
+      const [colour, above, below] = part.split('@');
+      context.fillStyle = colour;
+      context.fillRect(from, top + above * high, to - from, (below - above) * high);
+    });
     for (const { first, stop, x } of this.columns) { // neighbours of one colour are painted in one go
-      let seen = 0, sum = 0, missed = 0;
-      for (let at = vessel * length + first; at < vessel * length + stop; at++) {
-        if (Number.isNaN(fraction[at])) continue;
-        seen++;
-        sum += fraction[at];
-        missed += lost[at];
-      }
-      const colours = !seen ? '' : `${mixed(hidden, own, sum / seen)}/${missed ? mixed(own, alarm, missed / seen) : ''}`;
-      if (colours === painted) continue;
+      const bands = this.bands(vessel, vessel * length + first, vessel * length + stop, x);
+      if (bands === painted) continue;
       paint(x);
-      [from, painted] = [x, colours];
+      [from, painted] = [x, bands];
     }
     paint(this.left + this.wide);
+  }
+
+  // What is painted over each other for a vessel in some frames, each as colour@top@bottom in parts of its strip.
+  bands(vessel, first, stop, x) {
+    const { fraction, lost, outcome } = this.summary, { facts } = this.recording, count = { seen: 0, sum: 0, missed: 0, mislabelled: 0, bad: 0, off: 0 };
+    for (let at = first; at < stop; at++) {
+      if (Number.isNaN(fraction[at])) continue;
+      count.seen++;
+      count.sum += fraction[at];
+      count.missed += lost[at];
+      for (const [kind, is] of Object.entries(this.recording.mistakes(outcome[at]))) count[kind] += is;
+    }
+    if (!count.seen) return '';
+    const hidden = channels(colourOf('--hidden')), alarm = channels(facts.colours.alarm), own = channels(facts.colours.vessels[vessel]);
+    const bands = [`${mixed(hidden, own, count.sum / count.seen)}@0@1`];
+    const add = (number, above, below) => number && bands.push(`${mixed(own, alarm, number / count.seen)}@${above}@${below}`);
+    if (Math.floor(x / STRIPE_PX) % 2) {
+      add(count.bad, 0.8, 1);
+      add(count.off, 0.6, 1);
+    }
+    add(count.missed, 0.6, 1);
+    add(count.mislabelled, 0, 0.3);
+    return bands.join('/');
   }
 
   axis(context) {

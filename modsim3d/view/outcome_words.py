@@ -1,0 +1,34 @@
+"""What is said of a detection in pictures and recordings."""
+
+from __future__ import annotations
+
+from modsim3d.runs.blocks import Frame
+from modsim3d.runs.outcomes import Outcome, frame_outcomes
+
+NAMES = {
+    Outcome.FALSE_POSITIVE: "false positive",
+    Outcome.MISLABELLED: "wrong class",
+    Outcome.BELOW_HALF_IOU: "IoU below 0.5",
+    Outcome.OFF_VESSEL: "off its vessel",
+}
+
+
+def is_a(label: str) -> str:
+    """What a wrongly labelled vessel is: `is a ferry`."""
+    return f"is {'an' if label[:1].lower() in 'aeiou' else 'a'} {label}"
+
+
+def fate(frame: Frame, vessel: str) -> str:
+    """What became of an annotated vessel in a frame: missed, or detected, and what is wrong with the detection."""
+    if not frame.truth.detected[frame.truth.vessels.index(vessel)]:
+        return "missed"
+    if vessel not in frame.detections.vessels:
+        return "detected, in one box with another"
+    index = frame.detections.vessels.index(vessel)
+    outcome, label = frame_outcomes(frame)[index], frame.detections.labels[index]
+    words = [f"detected as {label}" if outcome & Outcome.MISLABELLED else "detected"]
+    if outcome & Outcome.OFF_VESSEL:
+        words.append("by a box off the vessel")
+    elif outcome & Outcome.BELOW_HALF_IOU:
+        words.append("with IoU below 0.5")
+    return " ".join(words)
