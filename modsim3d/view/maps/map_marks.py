@@ -176,7 +176,7 @@ class CameraMark:
         self._name = None
         if len(self._birds_eye.cameras) > 1:
             self._name = sheet.names.add(self._camera.name, fontsize=8, color=CAMERA)
-    
+
     def show(self, moment: Moment) -> None:
         """Move the camera to where it is."""
         x0, x1, y0, y1 = self._birds_eye.extent_m
