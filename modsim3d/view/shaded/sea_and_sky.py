@@ -147,7 +147,7 @@ def _place(sine: Floats) -> NDArray[np.int32]:
 
 @cache
 def _tables(night: bool) -> tuple[Floats, Floats]:
-    """By the sine of the angle to the level: colours of the sea and then of the sky, and the share that the sea mirrors.
+    """Colours of the sea and then of the sky, and the share that the sea mirrors, by the sine of the angle to the level.
 
     Their shapes are (2 TABLE, 3) and (TABLE,).
     """
