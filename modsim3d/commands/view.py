@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from modsim3d.commands import view_options as options
+from modsim3d.commands.stopping import Stopped, stoppable
 from modsim3d.commands.terminal import say
 from modsim3d.commands.view_options import Film, Style
 from modsim3d.commands.view_output import claimed_file, claimed_folder, film_format
@@ -209,32 +210,25 @@ def _draw_film(
     out: Path | None,
     overwrite: bool,
 ) -> None:
-    from modsim3d.commands.progress import progress_bar
+    from modsim3d.commands.progress import progress
     from modsim3d.view.films.files import check_encoder
-    from modsim3d.view.films.film import draw_film
+    from modsim3d.view.films.film import Showing, draw_film
 
     if not 0 < speed < float("inf"):
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
     check_encoder(kind)
     path = out or selection.run.folder / (film.value if kind == "png" else f"{film.value}.{kind}")
     claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
-    try:
-        with claim, progress_bar() as bar:
-            task = bar.add_task(path.name, total=len(selection.steps))
-            drawn = draw_film(
-                selection,
-                plan,
-                kind,
-                path,
-                speed=speed,
-                workers=workers,
-                progress=lambda frames: bar.update(task, advance=frames, refresh=True),
-            )
-            bar.update(task, total=drawn.frames, refresh=True)
-    except KeyboardInterrupt:
-        say("\nmodsim3d: interrupted; no film was written", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    pace = ""
+    showing = Showing.of(selection, kind, speed)
+    pace = f"{len(showing.steps)} frames"
     if kind != "png":
-        pace = f", {drawn.timetable.duration_s:.1f} s at {float(drawn.timetable.rate):g} pictures/s"
-    say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {drawn.frames} frames{pace}")
+        pace += f", {showing.timetable.duration_s:.1f} s at {float(showing.timetable.rate):g} pictures/s"
+    try:
+        with stoppable(), claim:
+            say(f"{path.name}: {pace}", err=True)
+            with progress("drawn", len(showing.steps)) as advance:
+                drawn = draw_film(selection, plan, kind, path, speed=speed, workers=workers, progress=advance)
+    except KeyboardInterrupt as stop:
+        say("\nmodsim3d: interrupted; no film was written", err=True)
+        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
+    say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {pace}")

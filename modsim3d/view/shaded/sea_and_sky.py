@@ -147,7 +147,7 @@ def _place(sine: Floats) -> NDArray[np.int32]:
 
 @cache
 def _tables(night: bool) -> tuple[Floats, Floats]:
-    """Colours of the sea and then of the sky, and the share that the sea mirrors, by the sine of the angle to the level.
+    """Colours of the sea and then of the sky, and the share that the sea mirrors, by the sine of the angle.
 
     Their shapes are (2 TABLE, 3) and (TABLE,).
     """

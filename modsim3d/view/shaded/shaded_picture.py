@@ -104,7 +104,7 @@ class ShadedPictureRenderer:
         region: Region,
         samples: int,
     ) -> Floats:
-        """Draw the solids in a region; returns their depth in metres at each pixel, infinite elsewhere, shape (h, w)."""
+        """Draw the solids in a region; returns their depth in metres at each pixel, else infinity, shape (h, w)."""
         depth_m = np.full(rgb.shape[:2], np.inf, np.float32)
         if not region.width or not region.height:
             return depth_m
