@@ -16,8 +16,10 @@ from modsim3d.commands.shared import (
     VerboseOption,
     WorkersOption,
     out_file,
+    print_line,
 )
-from modsim3d.commands.terminal import say, tell_files, timed, warn
+from modsim3d.commands.stopping import Stopped, stoppable
+from modsim3d.commands.terminal import open_console, say, tell_files, timed, warn
 from modsim3d.commands.view_options import Film, Style
 from modsim3d.commands.view_output import claimed_file, claimed_folder, film_format
 from modsim3d.errors import ModsimError, RendererError
@@ -240,9 +242,9 @@ def _draw_film(
     out: Path | None,
     overwrite: bool,
 ) -> None:
-    from modsim3d.commands.progress import progress_bar
+    from modsim3d.commands.progress import progress
     from modsim3d.view.films.files import check_encoder
-    from modsim3d.view.films.film import draw_film
+    from modsim3d.view.films.film import Showing, draw_film
 
     if not 0 < speed < float("inf"):
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
@@ -250,23 +252,16 @@ def _draw_film(
     folder = selection.run.folder
     path = out or folder / film.value if kind == "png" else out_file(out, folder / f"{film.value}.{kind}")
     claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
-    try:
-        with timed("film"), claim, progress_bar() as bar:
-            task = bar.add_task(path.name, total=len(selection.steps))
-            drawn = draw_film(
-                selection,
-                plan,
-                kind,
-                path,
-                speed=speed,
-                workers=workers,
-                progress=lambda frames: bar.update(task, advance=frames, refresh=True),
-            )
-            bar.update(task, total=drawn.frames, refresh=True)
-    except KeyboardInterrupt:
-        say("\nmodsim3d: interrupted; no film was written", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    pace = ""
+    showing = Showing.of(selection, kind, speed)
+    pace = f"{len(showing.steps)} frames"
     if kind != "png":
-        pace = f", {drawn.timetable.duration_s:.1f} s at {float(drawn.timetable.rate):g} pictures/s"
-    say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {drawn.frames} frames{pace}")
+        pace += f", {showing.timetable.duration_s:.1f} s at {float(showing.timetable.rate):g} pictures/s"
+    try:
+        with stoppable(), timed("film"), claim:
+            print_line(open_console(stderr=True), f"{path.name}: {pace}")
+            with progress("drawn", len(showing.steps)) as advance:
+                drawn = draw_film(selection, plan, kind, path, speed=speed, workers=workers, progress=advance)
+    except KeyboardInterrupt as stop:
+        say("\nmodsim3d: interrupted; no film was written", err=True)
+        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
+    say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {pace}")

@@ -153,6 +153,9 @@ def _osmesa_context() -> Iterator[GetAddress]:
     try:
         if not osmesa.OSMesaMakeCurrent(context, window, GL.GL_UNSIGNED_BYTE, 8, 8):
             raise RendererError("OSMesa did not accept its context")
+        # PyOpenGL's own type is a new object at every call, and no two are equal: its tables and pyrender's programs,
+        # which are kept by context, would grow with every picture.
+        PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
         yield PLATFORM.OSMesa.OSMesaGetProcAddress
     finally:
         osmesa.OSMesaDestroyContext(context)

@@ -25,6 +25,21 @@ PALETTE_SAMPLES = 4
 IF_KILLED = "draw the film again, perhaps with fewer --workers"
 
 
+@dataclass(frozen=True, eq=False)
+class Showing:
+    """Which steps a film shows, ascending, and when."""
+
+    steps: tuple[int, ...]
+    timetable: Timetable
+
+    @classmethod
+    def of(cls, selection: Selection, kind: str, speed: float) -> Showing:
+        """The steps of a selection in a film of one of `FORMATS`; at a high speed some are left out."""
+        timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
+        shown = [step for step, repeats in zip(selection.steps, timetable.repeats, strict=True) if repeats]
+        return cls(selection.steps if kind == "png" else tuple(shown), timetable)
+
+
 @dataclass(frozen=True)
 class DrawnFilm:
     """A film that was drawn: its file or folder of PNG files, width and height, number of frames, and pace."""
@@ -67,21 +82,20 @@ def draw_film(
         progress: Called with the number of frames drawn since its last call.
     """
     scene = selection.run.scene
-    timetable = Timetable.of(selection.durations_s, speed, MOST_RATE[kind])
-    repeats = dict(zip(selection.steps, timetable.repeats.tolist(), strict=True))
-    drawn = [step for step in selection.steps if repeats[step] or kind == "png"]
+    showing = Showing.of(selection, kind, speed)
+    repeats = dict(zip(selection.steps, showing.timetable.repeats.tolist(), strict=True))
     with open_workers(workers, IF_KILLED, open_film_renderer, scene, plan) as renderers:
-        colours = _gif_palette(selection, drawn, renderers) if kind == "gif" else None
+        colours = _gif_palette(selection, showing.steps, renderers) if kind == "gif" else None
 
         def frames() -> Iterator[tuple[EncodedFrame, int]]:
-            jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(drawn)))
+            jobs = (_Job(kind, colours, piece) for piece in _pieces(selection, set(showing.steps)))
             for piece in renderers.map(_draw_job, jobs):
                 for frame in piece:
                     yield frame, repeats[frame.step]
                     progress(1)
 
-        write_film(kind, path, frames(), timetable.rate, colours)
-    return DrawnFilm(path, plan.layout(scene).size, len(drawn), timetable)
+        write_film(kind, path, frames(), showing.timetable.rate, colours)
+    return DrawnFilm(path, plan.layout(scene).size, len(showing.steps), showing.timetable)
 
 
 def _gif_palette(selection: Selection, steps: Sequence[int], renderers: Workers[FilmRenderer]) -> Image.Image:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from PIL import Image, ImageDraw
 
@@ -96,8 +96,13 @@ class FilmLayout:
         for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
             sheet.paste(panel, (x, y))
             if self.title_px:
-                strip = Image.new("RGB", (self.panel_width, self.title_px), palette.PAPER)  # cuts a title that is wider
-                place = self.text_px // 2, self.text_px // 4
-                ImageDraw.Draw(strip).text(place, title, fill=palette.INK, font=font(self.text_px))
-                sheet.paste(strip, (x, y - self.title_px))
+                sheet.paste(_title(title, (self.panel_width, self.title_px), self.text_px), (x, y - self.title_px))
         return sheet
+
+
+@lru_cache(maxsize=64)
+def _title(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
+    """A strip of paper with a title, which it cuts if it is wider; most titles stay for a whole film."""
+    strip = Image.new("RGB", size, palette.PAPER)
+    ImageDraw.Draw(strip).text((text_px // 2, text_px // 4), text, fill=palette.INK, font=font(text_px))
+    return strip

@@ -9,11 +9,12 @@ from dataclasses import replace
 from PIL import Image
 
 from modsim3d.render.plain_ids import AnyIdRenderer
+from modsim3d.runs.blocks import Frame
 from modsim3d.runs.selection import StepFrames
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import TITLES, FilmPlan
-from modsim3d.view.maps.map_picture import map_picture
+from modsim3d.view.maps.map_film import MapFilmRenderer
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.ids_picture import ids_picture
 from modsim3d.view.pictures.solids import open_id_renderer
@@ -38,20 +39,25 @@ class FilmRenderer:
         self._id_renderer = id_renderer
         self._shaded_renderer = shaded_renderer
         self._layout = plan.layout(scene)
-        self._birds_eye = plan.birds_eye(scene)
+        # Made here and not with the first map, so that all that stays is drawn before the first picture.
+        maps = (size for (_, kind), size in zip(plan.panels(), self._layout.panel_sizes, strict=True) if kind == "map")
+        self._map = next((MapFilmRenderer(plan.birds_eye(scene), size) for size in maps), None)
 
     def draw(self, step_frames: StepFrames) -> Image.Image:
         """The picture of a step, from what each camera of the plan shows."""
-        camera_views = [None if frame is None else CameraView.of(self._scene, frame) for frame in step_frames.frames]
-        sizes = self._layout.panel_sizes
+        kinds = {place: kind for place, kind in self._plan.panels() if kind != "map"}
+        views = {place: self._view(step_frames.frames[place]) for place in kinds}
         panels = [
-            map_picture(self._birds_eye, step_frames.step, size)
-            if kind == "map"
-            else self._panel(camera_views[place], kind, self._plan.window(self._scene, place, size))
-            for (place, kind), size in zip(self._plan.panels(), sizes, strict=True)
+            self._map.picture(step_frames.step)
+            if kind == "map" and self._map is not None
+            else self._panel(views[place], kind, self._plan.window(self._scene, place, size))
+            for (place, kind), size in zip(self._plan.panels(), self._layout.panel_sizes, strict=True)
         ]
         titles = [self._title(step_frames, place, kind) for place, kind in self._plan.panels()]
         return self._layout.compose(self._head(step_frames), titles, panels)
+
+    def _view(self, frame: Frame | None) -> CameraView | None:
+        return None if frame is None else CameraView.of(self._scene, frame)
 
     def _title(self, step_frames: StepFrames, place: int, kind: str) -> str:
         several = len(step_frames.frames) > 1 and kind != "map"

@@ -37,6 +37,12 @@ class BirdsEye:
         return np.unique(np.rint(np.linspace(0, self.steps - 1, min(self.steps, MOST_TRACK_POINTS))).astype(np.int64))
 
     @cached_property
+    def track_times_s(self) -> Array:
+        """The times of `track_steps`, shape (n,)."""
+        times: Array = self.scene.times_s(0, self.steps)[self.track_steps]
+        return times
+
+    @cached_property
     def tracks_m(self) -> Array:
         """w1 and w2 of each vessel at `track_steps`, NaN where it is absent, shape (n, V, 2)."""
         poses = self.scene.poses.poses(0, self.steps)

@@ -8,20 +8,56 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.text import Annotation
-    from matplotlib.transforms import Bbox
 
 GAP_PT = 2
 """Between a name and what it names."""
-PLACES = (
-    *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
-    *((1.0, 1.0), (-1.0, 1.0), (0.0, -2.2), (0.0, 2.2)),
+PLACES = np.array(
+    [
+        *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
+        *((1.0, 1.0), (-1.0, 1.0), (0.0, -2.2), (0.0, 2.2)),
+    ]
 )
 """Where a name is tried, in sides of what it names: on it, below, above, beside, ..."""
+
+
+@dataclass(eq=False)
+class MapName:
+    """The name of a thing on a map.
+
+    Attributes:
+        note: Its text.
+        vessel: Index of the vessel that has it, None for other things.
+        place_m: The middle of the thing, shape (2,); None if the thing is not on the map.
+        half_m: Half the size of the thing, shape (2,).
+        middle_px: Where the middle of the name was put, in whole pixels, shape (2,); None if there is no room for it.
+    """
+
+    note: Annotation
+    vessel: int | None
+    place_m: Array | None = None
+    half_m: Array = field(default_factory=lambda: np.zeros(2))
+    middle_px: Array | None = None
+    _around_px: Array | None = None
+
+    def extent_px(self) -> Array:
+        """The box of the name about its middle, shape (4,); it takes long to find, and stays."""
+        if self._around_px is None:
+            self.put(np.zeros(2))  # a hidden one has no extent
+            self._around_px = np.array(self.note.get_window_extent().extents)
+            self.put(None)
+        return self._around_px
+
+    def put(self, middle_px: Array | None) -> None:
+        """Put the middle of the name at a place on the picture, or hide the name."""
+        self.middle_px = middle_px
+        self.note.set_visible(middle_px is not None)
+        if middle_px is not None:
+            self.note.xy = tuple((middle_px * 72 / self.note.figure.dpi).tolist())  # points, which PDF and SVG keep
 
 
 @dataclass(eq=False)
@@ -30,55 +66,69 @@ class MapNames:
 
     Attributes:
         axes: The map, in metres.
+        names: The names, those that are placed first in front.
         bodies_m: Outline of what is drawn of each vessel by its index, shape (k, 2) each; names of others keep off it.
     """
 
     axes: Axes
+    names: list[MapName] = field(default_factory=list)
     bodies_m: dict[int, Array] = field(default_factory=dict)
-    _waiting: list[tuple[Annotation, Array, int | None]] = field(default_factory=list)
 
-    def add(self, text: str, place_m: Array, half_m: Array, vessel: int | None = None, **style: Any) -> None:
-        """Add the name of a thing, of which vessel if it is one; names added first are placed first.
-
-        The thing's middle and half its size have the shape (2,). The style is for matplotlib's `annotate`.
-        """
-        middle: dict[str, Any] = {"xytext": (0, 0), "textcoords": "offset points", "ha": "center", "va": "center"}
-        note = self.axes.annotate(text, (place_m[0], place_m[1]), zorder=9, **middle, **style)
-        self._waiting.append((note, half_m, vessel))
+    def add(self, text: str, vessel: int | None = None, **style: Any) -> MapName:
+        """Add the name of a thing, of which vessel if it is one; the style is for matplotlib's `annotate`."""
+        middle: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, "zorder": 9}
+        places: dict[str, Any] = {"xycoords": "figure points", "xytext": (0, 0), "textcoords": "offset points"}
+        note = self.axes.annotate(text, (0, 0), **places, **middle, **style)
+        note.set_in_layout(False)  # a name near the edge would otherwise move the map
+        self.names.append(MapName(note, vessel))
+        return self.names[-1]
 
     def place(self) -> None:
-        """Move each name so that none lies on another or on another vessel; leave out a name without such a place."""
-        point_px, frame = self.axes.figure.dpi / 72, self.axes.get_window_extent()
-        to_px = self.axes.transData.transform
+        """Put each name where it lies on no other and on no other vessel; hide a name without such a place."""
+        frame = np.array(self.axes.get_window_extent().extents)
+        to_px, gap_px = self.axes.transData.transform, GAP_PT * self.axes.figure.dpi / 72
         metre_px = float(np.ptp(to_px([(0, 0), (1, 0)])[:, 0]))
-        bodies = {vessel: shapely.Polygon(to_px(ring)) for vessel, ring in self.bodies_m.items()}
-        taken: list[Bbox] = []
-        for note, half_m, vessel in self._waiting:
-            box = note.get_window_extent()
-            others = [body for owner, body in bodies.items() if owner != vessel]
-            moves = _moves(box, frame, half_m * metre_px, GAP_PT * point_px)
-            free = (move for move in moves if _is_free(box.translated(*move), frame, others, taken))
-            move = next(free, None)
-            if move is None:
-                note.remove()
-            else:
-                note.set_position((move[0] / point_px, move[1] / point_px))
-                taken.append(box.translated(*move))
+        owners = np.array(list(self.bodies_m))
+        bodies = np.array([shapely.Polygon(to_px(ring)) for ring in self.bodies_m.values()])
+        taken = np.empty((0, 4))
+        for name in self.names:
+            name.put(None)
+            if name.place_m is None:
+                continue
+            here = to_px(name.place_m)
+            middles = _middles(here, name.extent_px(), name.half_m * metre_px, gap_px)
+            places = middles[:, [0, 1, 0, 1]] + name.extent_px()
+            free = _inside(places, frame) & ~_overlapping(places, taken)
+            for i in np.flatnonzero(free & _inside(here[[0, 1, 0, 1]][None], frame)).tolist():
+                if not shapely.intersects(shapely.box(*places[i]), bodies[owners != name.vessel]).any():
+                    name.put(middles[i])
+                    taken = np.vstack([taken, places[i]])
+                    break
 
 
-def _moves(name: Bbox, frame: Bbox, half_px: Array, gap_px: float) -> list[tuple[float, float]]:
-    """How a name may move from the middle of what it names, in pixels, the best place first; none outside the map."""
-    if not frame.contains((name.x0 + name.x1) / 2, (name.y0 + name.y1) / 2):
-        return []
-    text = np.array([name.width, name.height]) / 2
+def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> Array:
+    """Where the middle of a name may be, in whole pixels, the best place first, shape (n, 2).
+
+    Args:
+        thing_px: The middle of what it names, shape (2,).
+        name_px: The box of the name about its middle, shape (4,).
+        half_px: Half the size of what it names, shape (2,).
+        gap_px: Between the two.
+    """
+    text = (name_px[2:] - name_px[:2]) / 2
     within = not half_px.any() or bool((half_px > text + gap_px).all())
-    x, y = (np.array(PLACES if within else PLACES[1:]) * (text + half_px + gap_px)).T.tolist()
-    return list(zip(x, y, strict=True))
+    middles: Array = np.rint(thing_px + (PLACES if within else PLACES[1:]) * (text + half_px + gap_px))
+    return middles
 
 
-def _is_free(place: Bbox, frame: Bbox, bodies: list[shapely.Polygon], taken: list[Bbox]) -> bool:
-    """Whether a name may stand there: inside the map, on no other name and on no other vessel."""
-    inside = frame.x0 <= place.x0 and place.x1 <= frame.x1 and frame.y0 <= place.y0 and place.y1 <= frame.y1
-    if not inside or any(place.overlaps(other) for other in taken):
-        return False
-    return not shapely.intersects(shapely.box(*place.extents), bodies).any()
+def _inside(places: Array, frame: Array) -> Mask:
+    """Which boxes, shape (n, 4), lie inside another, shape (4,); shape (n,)."""
+    inside: Mask = (frame[:2] <= places[:, :2]).all(axis=1) & (places[:, 2:] <= frame[2:]).all(axis=1)
+    return inside
+
+
+def _overlapping(places: Array, taken: Array) -> Mask:
+    """Which boxes, shape (n, 4), overlap one of some others, shape (k, 4); shape (n,)."""
+    low, high = places[:, None, :2], places[:, None, 2:]
+    overlapping: Mask = ((low < taken[:, 2:]) & (taken[:, :2] < high)).all(axis=2).any(axis=1)
+    return overlapping

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -125,11 +125,17 @@ class Canvas:
 
     def plate(self, x: int, y: int, text: str, colour: Colour) -> None:
         """Text on a plate of a colour, its top-left corner at (x, y)."""
-        width, height = self.plate_size(text)
-        left, top, _, _ = text_size(text, self.text_px)
-        self.draw.rectangle((x, y, x + width - 1, y + height - 1), fill=colour)
-        place = x + self._pad - left, y + self._pad - top
-        self.draw.text(place, text, fill=ink_on(colour), font=font(self.text_px))
+        self.picture.paste(_plate(text, colour, self.text_px, *self.plate_size(text)), (x, y))
+
+
+@lru_cache(maxsize=1024)
+def _plate(text: str, colour: Colour, text_px: int, width: int, height: int) -> Image.Image:
+    """Text in the middle of a plate; a film shows the same ones again and again."""
+    plate = Image.new("RGB", (width, height), colour)
+    left, top, right, bottom = text_size(text, text_px)
+    place = (width - (right - left)) // 2 - left, (height - (bottom - top)) // 2 - top
+    ImageDraw.Draw(plate).text(place, text, fill=ink_on(colour), font=font(text_px))
+    return plate
 
 
 def _cut(line: Array, box: Box) -> Array | None:

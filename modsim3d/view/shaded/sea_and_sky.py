@@ -111,7 +111,7 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
         focal_px: Pixels of the picture for a radian, near its middle.
         style: Weather and time of day.
     """
-    up = (rays.camera.reshape(-1, 3) @ camera_R_world[:, 2].astype(np.float32)).reshape(rays.inside.shape)
+    up: Floats = (rays.camera.reshape(-1, 3) @ camera_R_world[:, 2].astype(np.float32)).reshape(rays.inside.shape)
     above = max(float(position_m[2]), 0.1)
     sea = up <= 0
     rows = np.flatnonzero(sea.any(axis=1))
@@ -121,13 +121,17 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
     world = rays.camera[wet] @ camera_R_world[:, :2].astype(np.float32)
     ripple[wet] = _ripple(world, above / down[wet], position_m, focal_px)
     # Seen along the surface, what counts is how waves are turned; their slopes make up for the angle.
-    turned = down[wet] + ROUGHNESS * (1 + 0.45 * ripple[wet])
-    sky, water, mirrors = _tables(style.night)
-    colour = sky[_place(up)]
+    turned = _place(down[wet] + ROUGHNESS * (1 + 0.45 * ripple[wet]))
+    colours, mirrors = _tables(style.night)
+    place = _place(up) + TABLE  # the sky's colours stand behind the sea's
+    place[wet] = np.where(sea[wet], turned, place[wet])
+    colour = colours.take(place, axis=0)
+    mirror[wet] = mirrors.take(turned)
     # A pixel on the horizon is part sea, part sky, so that the line has no steps.
-    share = np.clip(0.5 - up[wet, :, None] * focal_px, 0, 1)
-    colour[wet] += share * (water[_place(turned)] - colour[wet])
-    mirror[wet] = mirrors[_place(turned)]
+    i, j = np.nonzero(np.abs(up[wet]) < 0.5 / focal_px)
+    at = up[wet][i, j]
+    share = 0.5 - at[:, None] * np.float32(focal_px)
+    colour[wet][i, j] = colours[TABLE + _place(at)] * (1 - share) + colours[turned[i, j]] * share
     if style.extinction_per_m:
         # Through fog of some depth: along the sea all the way, upwards until it ends.
         through = np.where(sea, above / down, max(FOG_DEPTH_M - above, 1.0) / np.maximum(up, 1e-6))
@@ -142,15 +146,18 @@ def _place(sine: Floats) -> NDArray[np.int32]:
 
 
 @cache
-def _tables(night: bool) -> tuple[Floats, Floats, Floats]:
-    """Colours of the sky and of the sea, and the share that the sea mirrors, by the sine of the angle to the level."""
+def _tables(night: bool) -> tuple[Floats, Floats]:
+    """Colours of the sea and then of the sky, and the share that the sea mirrors, by the sine of the angle.
+
+    Their shapes are (2 TABLE, 3) and (TABLE,).
+    """
     colours = NIGHT if night else DAY
     sine = np.linspace(0, 1, TABLE, dtype=np.float32)
     low, high = np.array(colours.horizon, np.float32), np.array(colours.zenith, np.float32)
     sky: Floats = low + (1 - np.exp(-3.5 * sine))[:, None] * (high - low)
     mirror = (WATER_REFLECTS + (1 - WATER_REFLECTS) * (1 - sine) ** 5).astype(np.float32)  # Schlick (1994)
     water = np.array(colours.water, np.float32)
-    return sky, water + mirror[:, None] * (sky - water), mirror
+    return np.concatenate([water + mirror[:, None] * (sky - water), sky]), mirror
 
 
 def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style: RenderStyle) -> Floats:
@@ -173,14 +180,18 @@ def _ripple(world: Floats, distance: NDArray[np.floating], position_m: Array, fo
     finest = np.log2(np.maximum(distance * (RIPPLE_PX / focal_px), RIPPLE_M))
     level = np.floor(finest)
     share = finest - level
-    tile = _tile()
-    out = np.zeros(distance.shape, np.float32)
-    for step, weight in ((0, 1 - share), (1, share)):
-        cells = np.exp2(-(level + step)) * 4  # a tile's longest waves are some cells long
-        i, j = (np.floor(axis * cells).astype(np.int64) % TILE for axis in (x, y))
-        out += weight * tile[i, j]
+    cells = np.exp2(-level) * 4  # a tile's longest waves are some cells long
+    out = (1 - share) * _tile_at(x * cells, y * cells)
+    out += share * _tile_at(x * (cells / 2), y * (cells / 2))
     faded: Floats = (out / (1 + distance / FADE_M)).astype(np.float32)
     return faded
+
+
+def _tile_at(x: Floats, y: Floats) -> Floats:
+    """The tile, which repeats, at columns and rows of any size."""
+    i, j = (np.floor(axis).astype(np.int32) & (TILE - 1) for axis in (x, y))
+    values: Floats = _tile().take(i * TILE + j)
+    return values
 
 
 @cache

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.render.id_pass import SUBPIXELS, Region
 from modsim3d.render.shaded_pass import Lamp, Lit, LitFaces, ShadedRenderer
 from modsim3d.vessels.vessel import Vessel
@@ -44,7 +43,7 @@ class ShadedPictureRenderer:
         """Take the renderer, which lives as long as its context."""
         self.style = style
         self._renderer = renderer
-        self._behind: dict[tuple[Intrinsics, Window], tuple[Array, Backdrop]] = {}
+        self._grounds: dict[tuple[str, Intrinsics, Window], _Ground] = {}
 
     def picture(
         self, solids: Solids, window: Window, vessels: tuple[Vessel, ...] = (), samples: int = SAMPLES
@@ -57,31 +56,33 @@ class ShadedPictureRenderer:
             vessels: All vessels of the scene, whose lights are shown by night.
             samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
         """
-        poses, intrinsics = solids.sight.camera_poses, solids.intrinsics
-        rays = _rays(intrinsics, window)
-        behind = self._backdrop(rays, poses, intrinsics, window)
-        rgb = behind.colour.copy()
+        rays = _rays(solids.intrinsics, window)
+        ground = self._ground(rays, solids, window)
         faces = lit_faces(solids)
-        if len(faces.colours):
-            self._reflect(rgb, behind, faces, solids, window)
-            depth_m = self._stand(rgb, rays, faces, solids, window, samples)
-            if self.style.night and vessels:
-                self._lights(rgb, depth_m, solids, window, vessels)
-        rgb[~rays.inside] = np.array(palette.PAPER, np.float32) / 255
-        picture = Image.fromarray((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
+        mirrored = _mirrored(faces, solids)
+        regions = _region(faces, solids, window), _region(mirrored, solids, window, margin_px=2 * SMEAR)
+        rgb, rows = ground.begin(), _rows(regions)
+        self._reflect(rgb, ground.backdrop, mirrored, solids, window, regions[1])
+        depth_m = self._stand(rgb, rays, faces, solids, window, regions[0], samples)
+        if self.style.night and vessels:
+            rows = slice(0, window.size[1])
+            self._lights(rgb, depth_m, solids, window, vessels)
+        picture = Image.fromarray(ground.end(rows, rays.inside))
         if self.style.caption:
             _write(picture, self.style.caption)
         return picture
 
-    def _backdrop(self, rays: Rays, poses: CameraPoses, intrinsics: Intrinsics, window: Window) -> Backdrop:
-        """Sea and sky; kept from the last picture if the camera has not moved."""
+    def _ground(self, rays: Rays, solids: Solids, window: Window) -> _Ground:
+        """Sea and sky; kept from the last picture of the camera if it has not moved."""
+        poses = solids.sight.camera_poses
         pose = np.concatenate([poses.camera_R_world[0].ravel(), poses.positions_m[0]])
-        known = self._behind.get((intrinsics, window))
-        if known is None or not np.array_equal(known[0], pose):
-            focal_px = intrinsics.focal_px[0] * window.scale
+        key = solids.camera.name, solids.intrinsics, window
+        known = self._grounds.get(key)
+        if known is None or not np.array_equal(known.pose, pose):
+            focal_px = solids.intrinsics.focal_px[0] * window.scale
             behind = backdrop(rays, poses.camera_R_world[0], poses.positions_m[0], focal_px, self.style)
-            known = self._behind[intrinsics, window] = pose, behind
-        return known[1]
+            known = self._grounds[key] = _Ground(pose, behind)
+        return known
 
     def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
         """Faces in a region of a window."""
@@ -93,10 +94,18 @@ class ShadedPictureRenderer:
         pixels = to_picture @ solids.intrinsics.matrix
         return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
 
-    def _stand(self, rgb: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, samples: int) -> Floats:
-        """Draw the solids; returns their depth in metres at each pixel, infinite where there is none, shape (h, w)."""
+    def _stand(
+        self,
+        rgb: Floats,
+        rays: Rays,
+        faces: LitFaces,
+        solids: Solids,
+        window: Window,
+        region: Region,
+        samples: int,
+    ) -> Floats:
+        """Draw the solids in a region; returns their depth in metres at each pixel, else infinity, shape (h, w)."""
         depth_m = np.full(rgb.shape[:2], np.inf, np.float32)
-        region = _region(faces, solids, window)
         if not region.width or not region.height:
             return depth_m
         lit = self._lit(faces, solids, window, region, samples)
@@ -127,12 +136,10 @@ class ShadedPictureRenderer:
             radius = max(1.0, window.size[0] / 1280 * float(np.clip(400 / place[2], 1.2, 4)))
             glow(rgb, np.array([x, y]), colour * bright, radius)
 
-    def _reflect(self, rgb: Floats, behind: Backdrop, faces: LitFaces, solids: Solids, window: Window) -> None:
-        """Draw the reflections of the solids, moved by ripples."""
-        mirrored = _mirrored(faces, solids)
-        if not len(mirrored.colours):
-            return
-        region = _region(mirrored, solids, window, margin_px=2 * SMEAR)
+    def _reflect(
+        self, rgb: Floats, behind: Backdrop, mirrored: LitFaces, solids: Solids, window: Window, region: Region
+    ) -> None:
+        """Draw mirrored solids in a region, moved by ripples."""
         if not region.width or not region.height:
             return
         lit = self._lit(mirrored, solids, window, region, 1)
@@ -154,6 +161,42 @@ class ShadedPictureRenderer:
             share = share * np.exp(-self.style.extinction_per_m * depth)[:, None]
         pixels = rgb.reshape(-1, 3)
         pixels[target] = pixels.take(target, axis=0) * (1 - share) + seen * share
+
+
+class _Ground:
+    """Sea and sky as a camera sees them from one pose, on which pictures are drawn one after another."""
+
+    def __init__(self, pose: Array, behind: Backdrop) -> None:
+        """Begin with the first picture."""
+        self.pose = pose
+        self.backdrop = behind
+        self._rgb = behind.colour.copy()
+        self._changed = slice(0, 0)
+        self._used = False
+        self._shown: NDArray[np.uint8] | None = None
+
+    def begin(self) -> Floats:
+        """Nothing but sea and sky to draw on, sRGB from 0 to 1, shape (h, w, 3)."""
+        self._rgb[self._changed] = self.backdrop.colour[self._changed]
+        return self._rgb
+
+    def end(self, rows: slice, inside: Mask) -> NDArray[np.uint8]:
+        """The picture when some rows were drawn on, shape (h, w, 3), with paper outside the camera's image."""
+        self._changed = rows
+        if not self._used:  # by a camera that moves, only once
+            self._used = True
+            return _shown(self._rgb, inside)
+        if self._shown is None:
+            self._shown = _shown(self.backdrop.colour, inside)
+        picture = self._shown.copy()
+        picture[rows] = _shown(self._rgb[rows], inside[rows])
+        return picture
+
+
+def _shown(rgb: Floats, inside: Mask) -> NDArray[np.uint8]:
+    shown: NDArray[np.uint8] = (np.clip(rgb, 0, 1) * np.float32(255) + np.float32(0.5)).astype(np.uint8)
+    shown[~inside] = palette.PAPER
+    return shown
 
 
 _rays = lru_cache(maxsize=32)(Rays.of)
@@ -190,9 +233,18 @@ def _mirrored(faces: LitFaces, solids: Solids) -> LitFaces:
 
 def _region(faces: LitFaces, solids: Solids, window: Window, margin_px: int = 1) -> Region:
     """The pixels of a window that faces may touch."""
+    if not len(faces.colours):
+        return Region(0, 0, 0, 0)
     flat = faces.corners_camera @ solids.intrinsics.matrix.T
     pixels = window.to_picture(flat[..., :2] / flat[..., 2:]).reshape(-1, 2)
     return Region.around(np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]), window.size, margin_px)
+
+
+def _rows(regions: tuple[Region, ...]) -> slice:
+    """The rows of a window that regions touch."""
+    touched = [region for region in regions if region.width and region.height]
+    first = min((region.y for region in touched), default=0)
+    return slice(first, max((region.y + region.height for region in touched), default=0))
 
 
 def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:

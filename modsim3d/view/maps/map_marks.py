@@ -1,0 +1,258 @@
+"""What is drawn on a map: obstacles, cameras and vessels with their tracks, as artists that are moved step by step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+
+from modsim3d.arrays import Array
+from modsim3d.geometry.rotations import world_R_vehicle
+from modsim3d.motion.poses import Poses
+from modsim3d.view import palette
+from modsim3d.view.maps.birds_eye import BirdsEye, hull_m, ring_step, view_of
+from modsim3d.view.maps.map_names import MapNames
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Polygon
+
+TRAIL_S = 60.0
+"""The last part of a track, of this duration, is drawn bold."""
+RINGS = 5
+"""The most range rings from a camera to the farthest corner of the map."""
+MARKER_SHARE = 0.018
+"""A hull shorter than this share of the map's width has an arrowhead of that length around it."""
+CAMERA_NAME_SHARE = 0.06
+"""How far before a camera its name stands, as a share of the map's shorter side."""
+LAND, SHORE, SOIL = "#cfc8ba", "#8d8577", "#5c564b"
+CAMERA, RING = "#c0392b", "#6d7b85"
+_ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
+_NOWHERE = np.full((2, 2), np.nan)
+
+
+@dataclass(eq=False)
+class MapSheet:
+    """The axes of a map, on which artists are put.
+
+    Attributes:
+        axes: The map, in metres.
+        birds_eye: What it shows.
+        names: The names on it.
+        moving: The artists that differ from step to step, but for the names.
+    """
+
+    axes: Axes
+    birds_eye: BirdsEye
+    names: MapNames
+    moving: list[Artist] = field(default_factory=list)
+    _explained: set[str] = field(default_factory=set)
+
+    def once(self, text: str) -> str:
+        """A label for the legend, for the first of its kind only."""
+        said = text in self._explained
+        self._explained.add(text)
+        return "_" if said else text
+
+    def line(self, points: Array, *, moves: bool = False, **keys: Any) -> Line2D:
+        """A line through points, shape (n, 2)."""
+        (line,) = self.axes.plot(*points.T, **keys)
+        self.moving += [line] * moves
+        return line
+
+    def area(self, ring: Array, *, moves: bool = False, **keys: Any) -> Polygon:
+        """An area within corners, shape (n, 2)."""
+        from matplotlib.patches import Polygon
+
+        area = Polygon(ring, **keys)
+        self.axes.add_patch(area)
+        self.moving += [area] * moves
+        return area
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A step of a run, with the poses and rotations of all vessels then."""
+
+    birds_eye: BirdsEye
+    step: int
+
+    @cached_property
+    def poses(self) -> Poses:
+        """Poses of the vessels at the one step."""
+        return self.birds_eye.scene.poses.poses(self.step, self.step + 1)
+
+    @cached_property
+    def rotations(self) -> Array:
+        """Rotations VCF to WCF, waves included, shape (V, 3, 3)."""
+        rotations: Array = self.birds_eye.scene.motion.at(np.array([self.step])).world_R_vessel[0]
+        return rotations
+
+    @cached_property
+    def recent(self) -> slice:
+        """Those of the tracks' points that are drawn bold."""
+        times = self.birds_eye.track_times_s
+        (now,) = self.birds_eye.scene.times_s(self.step, self.step + 1)
+        end = int(np.searchsorted(self.birds_eye.track_steps, self.step, side="right"))
+        return slice(int(np.searchsorted(times[:end], now - TRAIL_S)), end)
+
+
+class VesselMark:
+    """A vessel with its track and its name."""
+
+    def __init__(self, sheet: MapSheet, index: int) -> None:
+        """Draw the whole track, and put the rest where `show` finds it."""
+        birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
+        self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]
+        own, colour = index in scene.own_ships, palette.unit_rgb(palette.vessel_colour(index))
+        weight = 2.2 if own else 0.7
+        self._track = birds_eye.tracks_m[:, index]
+        sheet.line(self._track, color=colour, lw=0.8, alpha=0.4, zorder=4, label=sheet.once("track in the run"))
+        trail = sheet.once(f"its last {TRAIL_S:g} s")
+        self._trail = sheet.line(_NOWHERE, moves=True, color=colour, lw=2.0, zorder=5, label=trail)
+        self._least_m = MARKER_SHARE * (birds_eye.extent_m[1] - birds_eye.extent_m[0])
+        self._arrow: Polygon | None = None
+        self._bow: Line2D | None = None
+        label = sheet.once("own ship" if own else "vessel, at its size")
+        filled: dict[str, Any] = {"facecolor": colour, "edgecolor": "black"}
+        if self._vessel.length_m < self._least_m:
+            self._arrow = sheet.area(_NOWHERE, moves=True, **filled, lw=0.7 * weight, zorder=6)
+            self._hull = sheet.area(_NOWHERE, moves=True, facecolor="none", edgecolor="black", lw=0.5, zorder=7)
+            sheet.area(_NOWHERE, **filled, lw=weight, label=label)  # for the legend
+        else:
+            self._bow = sheet.line(_NOWHERE, moves=True, color="black", lw=max(1.0, 0.6 * weight), zorder=6)
+            self._hull = sheet.area(_NOWHERE, moves=True, **filled, lw=weight, zorder=7, label=label)
+        self._name = sheet.names.add(self._vessel.name, index, fontsize=7.5, weight="bold" if own else "normal")
+
+    def show(self, moment: Moment) -> None:
+        """Move the vessel to where it is, or hide it while it is absent."""
+        present = bool(moment.poses.present[0, self._index])
+        for artist in (self._trail, self._hull, self._arrow, self._bow):
+            if artist is not None:
+                artist.set_visible(present)
+        self._name.place_m = None
+        if present:
+            self._move(moment)
+
+    def _move(self, moment: Moment) -> None:
+        here = moment.poses.positions_m[0, self._index, :2]
+        heading_rad = float(moment.poses.headings_rad[0, self._index])
+        self._trail.set_data(*np.concatenate([self._track[moment.recent], here[None]]).T)
+        body = hull_m(self._vessel, moment.rotations[self._index]) + here
+        half_m = np.ptp(body, axis=0) / 2
+        self._hull.set_xy(body)
+        if self._bow is not None:
+            ahead = np.array([np.cos(heading_rad), np.sin(heading_rad)])
+            bow = here + self._vessel.length_m / 2 * ahead
+            self._bow.set_data(*np.array([bow, bow + 0.8 * self._least_m * ahead]).T)
+        elif self._arrow is not None:
+            body = self._least_m * _ARROW @ world_R_vehicle(heading_rad)[:2, :2].T + here
+            half_m = np.full(2, 0.5 * self._least_m)
+            self._arrow.set_xy(body)
+        self._sheet.names.bodies_m[self._index] = body
+        self._name.place_m, self._name.half_m = here, half_m
+
+
+class CameraMark:
+    """A camera with its field of view."""
+
+    def __init__(self, sheet: MapSheet, index: int, *, moves: bool) -> None:
+        """Put the artists where `show` finds them; those of a map without cameras on board never move again."""
+        self._birds_eye, self._camera = sheet.birds_eye, sheet.birds_eye.scene.cameras[index]
+        first = index == self._birds_eye.cameras[0]
+        self._rings = RangeRings(sheet, moves=moves) if first else None
+        label = sheet.once("field of view")
+        self._seen = sheet.area(_NOWHERE, moves=moves, facecolor=CAMERA, alpha=0.09, lw=0, zorder=1, label=label)
+        edge = {"color": CAMERA, "lw": 0.7, "alpha": 0.8, "zorder": 4}
+        self._edges = [sheet.line(_NOWHERE, moves=moves, **edge) for _ in range(2)]
+        dot = {"marker": "o", "ls": "", "ms": 5 if self._camera.mount.vessel is None else 3.5, "mec": "white"}
+        label = sheet.once("camera")
+        self._dot = sheet.line(_NOWHERE[:1], moves=moves, color=CAMERA, mew=0.6, zorder=8, label=label, **dot)
+        self._name = None
+        if len(self._birds_eye.cameras) > 1:
+            self._name = sheet.names.add(self._camera.name, fontsize=8, color=CAMERA)
+
+    def show(self, moment: Moment) -> None:
+        """Move the camera to where it is."""
+        x0, x1, y0, y1 = self._birds_eye.extent_m
+        at, view = view_of(self._birds_eye.scene, self._camera, moment.step)
+        corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+        farthest = float(np.linalg.norm(corners - at, axis=1).max())
+        if self._rings is not None:
+            self._rings.show(at, farthest)
+        edge = at + 2 * farthest * view
+        self._seen.set_xy(np.concatenate([at[None], edge]))
+        for line, end in zip(self._edges, (edge[0], edge[-1]), strict=True):
+            line.set_data(*np.array([at, end]).T)
+        self._dot.set_data(*at[None].T)
+        if self._name is not None:
+            self._name.place_m = at + CAMERA_NAME_SHARE * min(x1 - x0, y1 - y0) * view[len(view) // 2]
+
+
+class RangeRings:
+    """Circles of round radii about the first camera, each with its radius where there is sea for it."""
+
+    def __init__(self, sheet: MapSheet, *, moves: bool) -> None:
+        """Put as many rings as there may be where `show` finds them."""
+        self._extent_m = sheet.birds_eye.extent_m
+        self._rings = []
+        for _ in range(RINGS):
+            label = sheet.once("range from camera")
+            ring = {"color": RING, "lw": 0.5, "ls": (0, (4, 4)), "zorder": 1.5, "label": label}
+            text = {"fontsize": 6.5, "color": RING, "ha": "center", "va": "bottom", "zorder": 3}
+            self._rings.append((sheet.line(_NOWHERE, moves=moves, **ring), sheet.axes.text(0, 0, "", **text)))
+            sheet.moving += [self._rings[-1][1]] * moves
+
+    def show(self, at: Array, farthest_m: float) -> None:
+        """Draw the rings about a place, out to a distance."""
+        x0, x1, y0, y1 = self._extent_m
+        middle, room = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 - 0.04 * (x1 - x0)
+        step = ring_step(farthest_m / RINGS)
+        radii = np.arange(step, farthest_m, step).tolist()
+        angles = np.linspace(0, 2 * np.pi, 361)
+        unit = np.column_stack([np.cos(angles), np.sin(angles)])
+        for i, (line, text) in enumerate(self._rings):
+            circle = at + radii[i] * unit if i < len(radii) else _NOWHERE
+            line.set_data(*circle.T)
+            free = circle[(np.abs(circle - middle) < room).all(axis=1)]
+            text.set_text(f"{radii[i]:g} m" if len(free) else "")
+            if len(free):
+                text.set_position(tuple(free[np.argmin(free[:, 1])].tolist()))
+
+
+def draw_circles(sheet: MapSheet) -> None:
+    """Draw the circles of vessels in circular motion."""
+    for index, circle in enumerate(sheet.birds_eye.circles_m):
+        colour = palette.unit_rgb(palette.vessel_colour(index))
+        sheet.line(circle, color=colour, lw=0.7, ls=":", zorder=3, label=sheet.once("circle"))
+
+
+def vessel_marks(sheet: MapSheet) -> list[VesselMark]:
+    """The vessels; own ships are drawn first, then the longest, so that no other hides a short one."""
+    scene = sheet.birds_eye.scene
+    order = sorted(range(len(scene.vessels)), key=lambda i: (i not in scene.own_ships, -scene.vessels[i].length_m))
+    return [VesselMark(sheet, index) for index in order]
+
+
+def camera_marks(sheet: MapSheet) -> list[CameraMark]:
+    """The cameras; they move where one of them is on board."""
+    cameras, scene = sheet.birds_eye.cameras, sheet.birds_eye.scene
+    on_board = any(scene.cameras[index].mount.vessel is not None for index in cameras)
+    return [CameraMark(sheet, index, moves=on_board) for index in cameras]
+
+
+def draw_obstacles(sheet: MapSheet) -> None:
+    """Draw the footprint and the name of each obstacle, which stay."""
+    for obstacle, shape in zip(sheet.birds_eye.scene.obstacles, sheet.birds_eye.land, strict=True):
+        for part in shapely.get_parts(shape).tolist():
+            label = sheet.once("obstacle")
+            ring = shapely.get_coordinates(part.exterior)
+            sheet.area(ring, facecolor=LAND, edgecolor=SHORE, lw=0.6, zorder=2, label=label)
+        middle, (x0, y0, x1, y1) = shape.representative_point(), shape.bounds
+        name = sheet.names.add(obstacle.name, fontsize=7, color=SOIL)
+        name.place_m, name.half_m = np.array([middle.x, middle.y]), np.array([x1 - x0, y1 - y0]) / 2
