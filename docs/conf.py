@@ -1,0 +1,101 @@
+"""Settings of the site that `script/docs` builds with Sphinx out of the Markdown of this repository.
+
+The front page is README.md. A page that is missing from MENU is an error, as is any warning.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from importlib import import_module
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+
+import modsim3d
+
+ROOT = Path(__file__).resolve().parent.parent
+
+MENU = {
+    "First steps": ["README", "docs/limits"],
+    "Build a scene": ["docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
+    "Look at it": ["docs/pictures", "docs/report"],
+    "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
+    "Check it": ["docs/verify", "docs/reliability", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
+    "From Python": ["docs/python", "docs/api", "docs/plugins"],
+    "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING"],
+    "About": ["docs/thesis", "docs/architecture", "CONTRIBUTING", "CHANGELOG"],
+}
+CAMPAIGNS = ["compare", "fuzz", "learn_coverage", "mutants", "platforms", "verify_changes", "verify_seeds"]
+
+project = "modsim3d"
+root_doc = "README"
+include_patterns = ["*.md", "docs/**.md", "benchmarks/*.md"]
+exclude_patterns = [".*", "build", "modsim3d", "runs", "tests"]
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_heading_anchors = 4
+smartquotes_action = "D"
+highlight_language = "text"
+
+default_role = "code"
+add_module_names = False
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_preserve_defaults = True
+autodoc_typehints_format = "short"
+napoleon_use_ivar = True
+python_maximum_signature_line_length = 80
+
+html_theme = "furo"
+html_title = "modsim3d"
+html_copy_source = False
+html_show_copyright = False
+
+
+def add_menu(app: Sphinx, page: str, source: list[str]) -> None:
+    """Add the menu to the front page, and the campaigns' pages to that of which they are the evidence."""
+    if page == root_doc:
+        for caption, pages in MENU.items():
+            source[0] += _toctree(pages, caption)
+    elif page == "docs/reliability":
+        source[0] += _toctree([f"docs/campaigns/{name}" for name in CAMPAIGNS])
+
+
+def _toctree(pages: list[str], caption: str = "") -> str:
+    """Entries of the menu for those of some pages that exist."""
+    existing = [page for page in pages if (ROOT / f"{page}.md").is_file()]
+    entries = ["Start here <self>" if page == root_doc else f"/{page}" for page in existing]
+    options = [":hidden:", f":caption: {caption}"] if caption else [":hidden:"]
+    return "\n\n" + "\n".join(["```{toctree}", *options, "", *entries, "```", ""])
+
+
+def add_docstrings(app: Sphinx, page: str, source: list[str]) -> None:
+    """Add the docstrings of the names in the tables of docs/api.md below them.
+
+    Raises:
+        ExtensionError: A name of `modsim3d.__all__` is not in a table, or one in a table does not exist.
+    """
+    if page != "docs/api":
+        return
+    names = re.findall(r"^\| `(modsim3d\.[\w.]+)`", source[0], flags=re.MULTILINE)
+    if missing := [name for name in modsim3d.__all__ if f"modsim3d.{name}" not in names]:
+        raise ExtensionError(f"docs/api.md: no table has modsim3d.{missing[0]}, which modsim3d.__all__ lists")
+    source[0] += "\n\n```{eval-rst}\n" + "\n".join(map(_directive, names)) + "\n```\n"
+
+
+def _directive(name: str) -> str:
+    """The directive that shows a name's docstring."""
+    module, _, attribute = name.rpartition(".")
+    try:
+        value = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise ExtensionError(f"docs/api.md: there is no {name}: {error}") from error
+    kind = "function" if not inspect.isclass(value) else "exception" if issubclass(value, Exception) else "class"
+    return f".. auto{kind}:: {name}"
+
+
+def setup(app: Sphinx) -> None:
+    """Let the functions above change the pages as they are read; the files stay plain Markdown."""
+    app.connect("source-read", add_menu)
+    app.connect("source-read", add_docstrings)
