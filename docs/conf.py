@@ -11,10 +11,11 @@ from importlib import import_module
 from pathlib import Path
 
 from sphinx.application import Sphinx
-from sphinx.errors import ExtensionError
+from sphinx.util.logging import getLogger
 
 import modsim3d
 
+LOGGER = getLogger(__name__)
 ROOT = Path(__file__).resolve().parent.parent
 
 MENU = {
@@ -43,7 +44,9 @@ default_role = "code"
 add_module_names = False
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", "Indices", "Mask")}
 autodoc_typehints_format = "short"
+napoleon_attr_annotations = False  # the signature has the types
 napoleon_use_ivar = True
 python_maximum_signature_line_length = 80
 
@@ -54,12 +57,14 @@ html_show_copyright = False
 
 
 def add_menu(app: Sphinx, page: str, source: list[str]) -> None:
-    """Add the menu to the front page, and the campaigns' pages to that of which they are the evidence."""
+    """Add the menu to the front page, and the campaigns, which the search leaves out, to the page that they are for."""
     if page == root_doc:
         for caption, pages in MENU.items():
             source[0] += _toctree(pages, caption)
     elif page == "docs/reliability":
         source[0] += _toctree([f"docs/campaigns/{name}" for name in CAMPAIGNS])
+    elif page.startswith("docs/campaigns/"):
+        source[0] = "---\nnosearch: true\n---\n\n" + source[0]
 
 
 def _toctree(pages: list[str], caption: str = "") -> str:
@@ -71,16 +76,18 @@ def _toctree(pages: list[str], caption: str = "") -> str:
 
 
 def add_docstrings(app: Sphinx, page: str, source: list[str]) -> None:
-    """Add the docstrings of the names in the tables of docs/api.md below them.
+    """Add the docstrings of the names in the tables of docs/api.md at its end, and links to them.
 
-    Raises:
-        ExtensionError: A name of `modsim3d.__all__` is not in a table, or one in a table does not exist.
+    A name that does not exist is warned of, and so is one of `modsim3d.__all__` that no table has.
     """
     if page != "docs/api":
         return
-    names = re.findall(r"^\| `(modsim3d\.[\w.]+)`", source[0], flags=re.MULTILINE)
-    if missing := [name for name in modsim3d.__all__ if f"modsim3d.{name}" not in names]:
-        raise ExtensionError(f"docs/api.md: no table has modsim3d.{missing[0]}, which modsim3d.__all__ lists")
+    row = re.compile(r"^\| `(modsim3d\.[\w.]+)`", flags=re.MULTILINE)
+    names = row.findall(source[0])
+    for name in modsim3d.__all__:
+        if f"modsim3d.{name}" not in names:
+            LOGGER.warning("no table has modsim3d.%s, which modsim3d.__all__ lists", name, location=page)
+    source[0] = row.sub(r"| {py:obj}`\1`", source[0])
     source[0] += "\n\n```{eval-rst}\n" + "\n".join(map(_directive, names)) + "\n```\n"
 
 
@@ -90,12 +97,20 @@ def _directive(name: str) -> str:
     try:
         value = getattr(import_module(module), attribute)
     except (ImportError, AttributeError) as error:
-        raise ExtensionError(f"docs/api.md: there is no {name}: {error}") from error
+        LOGGER.warning("there is no %s: %s", name, error, location="docs/api")
+        return ""
     kind = "function" if not inspect.isclass(value) else "exception" if issubclass(value, Exception) else "class"
     return f".. auto{kind}:: {name}"
 
 
+def warn_of_colon(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Warn of a property that napoleon garbles: it takes what stands before a colon for the property's type."""
+    if what == "property" and ": " in lines[0]:
+        LOGGER.warning("%s: the first line of a property's docstring takes no colon", name, location="docs/api")
+
+
 def setup(app: Sphinx) -> None:
-    """Let the functions above change the pages as they are read; the files stay plain Markdown."""
+    """Let the functions above look at pages and docstrings as they are read; the files stay plain Markdown."""
+    app.connect("autodoc-process-docstring", warn_of_colon, priority=0)
     app.connect("source-read", add_menu)
     app.connect("source-read", add_docstrings)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 import modsim3d
 
@@ -75,3 +77,11 @@ def test_names_of_the_page_on_python_are_those_of_the_package(site: Path, names:
     finished = build(site)
     assert finished.returncode != 0
     assert problem in finished.stderr
+
+
+def test_citation_says_of_the_package_what_its_metadata_say() -> None:
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert citation["title"].startswith(f"{project['name']}: ")
+    assert (citation["license"], citation["keywords"]) == (project["license"], project["keywords"])
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()  # what the format asks for
