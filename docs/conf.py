@@ -103,14 +103,17 @@ def _directive(name: str) -> str:
     return f".. auto{kind}:: {name}"
 
 
-def warn_of_colon(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Warn of a property that napoleon garbles: it takes what stands before a colon for the property's type."""
-    if what == "property" and ": " in lines[0]:
-        LOGGER.warning("%s: the first line of a property's docstring takes no colon", name, location="docs/api")
+def prepare_docstring(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Let what is plain text in a docstring stay so: indented blocks become code, and colons in properties text."""
+    for index in range(len(lines) - 1, 1, -1):
+        if lines[index].startswith("    ") and not lines[index - 1] and lines[index - 2][:1].strip():
+            lines[index:index] = ["::", ""]
+    if what == "property":
+        lines[:0] = ["..", ""]  # a comment; without it napoleon takes text before a colon for the property's type
 
 
 def setup(app: Sphinx) -> None:
     """Let the functions above look at pages and docstrings as they are read; the files stay plain Markdown."""
-    app.connect("autodoc-process-docstring", warn_of_colon, priority=0)
+    app.connect("autodoc-process-docstring", prepare_docstring, priority=0)
     app.connect("source-read", add_menu)
     app.connect("source-read", add_docstrings)

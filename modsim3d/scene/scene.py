@@ -74,7 +74,7 @@ class Scene:
 
     @property
     def occluder_names(self) -> tuple[str, ...]:
-        """Names of all that can hide a vessel, the vessels before the obstacles."""
+        """Names of all that can hide a vessel: the vessels, then the obstacles."""
         return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
 
     @property

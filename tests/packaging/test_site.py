@@ -50,6 +50,7 @@ def test_sound_pages_make_a_site_that_fetches_nothing_from_elsewhere(site: Path)
     pages = {page: page.read_text(encoding="utf-8") for page in folder.rglob("*.html")}
     assert 'href="docs/limits.html#below"' in pages[folder / "index.html"]
     assert 'id="modsim3d.load_scene"' in pages[folder / "docs" / "api.html"]
+    assert "Names of all that can hide a vessel: the vessels" in pages[folder / "docs" / "api.html"]
     fetched = [text for text in pages.values() if 'src="http' in text or '<link href="http' in text]
     assert not fetched
 
