@@ -19,14 +19,15 @@ LOGGER = getLogger(__name__)
 ROOT = Path(__file__).resolve().parent.parent
 
 MENU = {
-    "First steps": ["README", "docs/limits"],
-    "Build a scene": ["docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
+    "First steps": ["README", "docs/run", "docs/limits"],
+    "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
-    "Check it": ["docs/verify", "docs/reliability", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
+    "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/api", "docs/plugins"],
     "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING"],
-    "About": ["docs/thesis", "docs/architecture", "CONTRIBUTING", "CHANGELOG"],
+    "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
+    "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
 CAMPAIGNS = ["compare", "fuzz", "learn_coverage", "mutants", "platforms", "verify_changes", "verify_seeds"]
 
