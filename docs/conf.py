@@ -40,6 +40,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_heading_anchors = 4
 smartquotes_action = "D"
 highlight_language = "text"
+suppress_warnings = ["misc.highlighting_failure"]  # a fence without colours is no fault
 
 default_role = "code"
 add_module_names = False
