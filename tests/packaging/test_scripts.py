@@ -38,17 +38,19 @@ def test_test_runs_all_checks_and_lists_at_the_end_which_passed(tmp_path: Path) 
     script = Path(shutil.copy(REPOSITORY / "script" / "test", tmp_path / "script"))
     commands = tmp_path / ".venv" / "bin"
     commands.mkdir(parents=True)
-    for command in (tmp_path / "script" / "setup", *(commands / name for name in CHECKS)):
+    scripts = [tmp_path / "script" / name for name in ("setup", "docs")]
+    for command in (*scripts, *(commands / name for name in CHECKS)):
         command.write_text(f"#!/bin/sh\n[ {command.name} != mypy ]\n")
         command.chmod(0o755)
     finished = subprocess.run([script], capture_output=True, text=True)
     assert finished.returncode == 1
-    said = finished.stdout.splitlines()[-5:]
+    said = finished.stdout.splitlines()[-6:]
     assert said == [
         "passed  ruff check",
         "passed  ruff format",
         "FAILED  mypy",
         "passed  import-linter",
+        "passed  docs",
         "passed  pytest",
     ]
 
