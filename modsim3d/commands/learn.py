@@ -14,7 +14,7 @@ import typer
 from modsim3d.commands.learn_json import learn_json
 from modsim3d.commands.shared import JsonOption, OverwriteOption, QuietOption, VerboseOption, out_file, print_line
 from modsim3d.commands.tables import print_prose, print_table
-from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
+from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
 from modsim3d.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from modsim3d.formats.labelled import LabelledSet
+    from modsim3d.formats.matching import Rule
     from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.report import Report
 
@@ -78,9 +79,21 @@ def learn_command(
     interval: Annotated[
         float | None, typer.Option(metavar="S", help="Seconds between two lines of --sequence.")
     ] = None,
-    match: Annotated[Match, typer.Option(help="How boxes are matched.")] = Match.confidence,
-    iou: Annotated[float, typer.Option(min=0.01, max=1, help="Least IoU of a match.")] = 0.5,
-    distance: Annotated[float, typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.")] = 50.0,
+    match: Annotated[
+        Match | None,
+        typer.Option(
+            help="How boxes are matched. [default: provenance for --run, which knows what each detection is of; "
+            "confidence for files]"
+        ),
+    ] = None,
+    iou: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=1, help="Least IoU, for --match confidence and optimal.", show_default="0.5"),
+    ] = None,
+    distance: Annotated[
+        float | None,
+        typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.", show_default="50"),
+    ] = None,
     confidence: Annotated[
         float, typer.Option(min=0, max=1, metavar="P", help="Least confidence of a detection that counts.")
     ] = 0.2,
@@ -134,7 +147,6 @@ def learn_command(
 
     Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
     """
-    from modsim3d.formats.matching import Rule
     from modsim3d.inputs.text_files import read_text
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import Settings
@@ -146,11 +158,16 @@ def learn_command(
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
     options = _read_options(labels, image_size, skip_bad, frame_rate, category_offset)
+    if match is None and truth and run:
+        raise ModsimError(
+            "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
+            "centre for both, or learn from each alone"
+        )
     with timed("reading"):
         labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
     interval = run_interval if interval is None else interval
     order = read_text(sequence, "sequence") if sequence else None
-    settings = Settings(Rule(match.value, iou, distance), confidence, replicates, seed, clutter.value)
+    settings = Settings(_rule(labelled, match, iou, distance), confidence, replicates, seed, clutter.value)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
     read = [*(truth or ()), *(detections or ()), *([sequence] if sequence else ())]
     read += [path for folder in run or () for path in read_of_run(folder)]
@@ -174,6 +191,19 @@ def _read_options(
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
     size_px = None if image_size is None else _size_px(image_size)
     return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset)
+
+
+def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:
+    """The matching rule: the asked method or the usual one, and limits that it knows."""
+    from modsim3d.formats.matching import Rule, usual_method
+
+    method = usual_method(labelled) if match is None else match.value
+    usual = "" if match else ", which a run is matched by unless --match says otherwise"
+    if iou is not None and method not in ("confidence", "optimal"):
+        raise ModsimError(f"--iou is for --match confidence or optimal, not for {method}{usual}")
+    if distance is not None and method != "centre":
+        raise ModsimError(f"--distance is for --match centre, not for {method}")
+    return Rule(method, 0.5 if iou is None else iou, 50.0 if distance is None else distance)
 
 
 def _size_px(text: str) -> tuple[float, float]:
@@ -231,6 +261,7 @@ def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
     learned = report.bias.corrected() if correct and report.bias else report.learned
     comments = [f"Learned by modsim3d learn. {lead(report)}"]
     comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
+    comments += [f"Warning: {report.warning}"] if report.warning else []
     comments += [f"Remark: {remark}" for remark in report.remarks]
     comments += ["Corrected once for the bias of the matching."] if correct else []
     comments += [f"Left simple: {note}" for note in report.learned.notes]
@@ -253,6 +284,8 @@ def _show(report: Report, out: Path, page: Path) -> None:
     print_line(console, "")
     print_prose(console, NEVER_LEARNED)
     print_line(console, f"\nwritten\n  {out}\n  {page}")
+    if report.warning:
+        warn(report.warning)
 
 
 _BREAKS: tuple[Callable[[str], str], ...] = (

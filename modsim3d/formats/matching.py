@@ -8,7 +8,7 @@ What COCO ignores (crowds, `ignore`) is matched only by detections that match no
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -52,6 +52,20 @@ class Rule:
             return f"centres at most {self.most_distance_px:g} px apart, in order of confidence"
         order = "optimal assignment" if self.method == "optimal" else "in order of confidence"
         return f"IoU at least {self.least_iou:g}, {order}"
+
+    @property
+    def for_average_precision(self) -> Rule:
+        """The same rule label by label; in order of confidence in place of the optimal assignment.
+
+        Average precision is of the most confident detections at every threshold, and an optimal assignment of all
+        detections may give an annotation to a less confident one.
+        """
+        return replace(self, method="confidence" if self.method == "optimal" else self.method, by_label=True)
+
+
+def usual_method(labelled: LabelledSet) -> str:
+    """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU."""
+    return "confidence" if labelled.results.origin is None else "provenance"
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +153,7 @@ def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> M
     """
     takes_part = labelled.results.confidence >= least_confidence
     if rule.method == "provenance":
-        matches = _by_provenance(labelled, takes_part)
+        matches = _by_provenance(labelled, takes_part, rule)
     else:
         assign = _optimal if rule.method == "optimal" else _greedy
         matches = assign(labelled, _candidates(labelled, takes_part, rule))
@@ -147,10 +161,20 @@ def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> M
     return Matched(np.where(ignored, NOBODY, matches), takes_part & ~ignored, ~labelled.annotations.ignored)
 
 
-def _by_provenance(labelled: LabelledSet, takes_part: Mask) -> Indices:
+def _by_provenance(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Indices:
+    origin = _origins(labelled)
+    rows = np.flatnonzero(takes_part & (origin >= 0))
+    good, _ = fits(labelled, rows, origin[rows], rule)
+    matches = np.full(len(origin), NOBODY)
+    matches[rows[good]] = origin[rows[good]]
+    return matches
+
+
+def _origins(labelled: LabelledSet) -> Indices:
+    """Row of the annotation that each detection is of, −1 for none, shape (D,)."""
     if labelled.results.origin is None:
         raise ModsimError("matching by provenance needs simulated runs (--run): files do not say whose a detection is")
-    return np.where(takes_part, labelled.results.origin, NOBODY)
+    return labelled.results.origin
 
 
 def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
@@ -162,7 +186,7 @@ def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidat
     rows, images = np.flatnonzero(takes_part), len(labelled.images)
     kept, count = [(rows[:0], rows[:0], np.empty(0))], 0
     for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):
-        good, quality = _quality(labelled, rows[first], second, rule)
+        good, quality = fits(labelled, rows[first], second, rule)
         kept.append((rows[first][good], second[good], quality[good]))
         count += len(kept[-1][0])
         if count > MAX_PAIRS:
@@ -174,11 +198,24 @@ def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidat
     return Candidates(*(np.concatenate(column) for column in zip(*kept, strict=True)))
 
 
-def _quality(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> tuple[Mask, Array]:
-    """Whether pairs of rows may match, and how well they do, shapes (n,)."""
+def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> tuple[Mask, Array]:
+    """Whether pairs of rows in the same image may match by a rule, and how well they do, the more the better.
+
+    Args:
+        labelled: The set; with the origins of its detections if the rule is `provenance`.
+        detection: Rows of the detections, shape (n,).
+        annotation: Rows of the annotations, shape (n,).
+        rule: The rule.
+
+    Returns:
+        Shapes (n,).
+    """
     results, annotations = labelled.results, labelled.annotations
     a_px, b_px = results.boxes_px[detection], annotations.boxes_px[annotation]
-    if rule.method == "centre":
+    if rule.method == "provenance":
+        good = _origins(labelled)[detection] == annotation
+        quality = good.astype(np.float64)
+    elif rule.method == "centre":
         quality = -np.hypot(*(centres(a_px) - centres(b_px)).T)
         good = quality >= -rule.most_distance_px
     else:

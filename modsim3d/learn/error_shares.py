@@ -1,9 +1,12 @@
 """What average precision is lost to, one kind of error at a time (after Bolya et al. (2020), "TIDE").
 
-A false detection is classed by its largest overlap with annotations: `classification` (well placed, another label),
+A false detection is classed by the annotation that it fits best: `classification` (well placed, another label),
 `localisation` (right label, badly placed), `both`, `duplicate` (of what a more confident one has detected) or
 `background`. An annotation that no detection comes near is `missed`. The gain of a kind is how much mean average
 precision would rise if errors of that kind alone were corrected.
+
+Well placed is what the matching rule lets match. By provenance every detection of a vessel is well placed, wherever its
+box is; a second box of a vessel counts as `background`.
 """
 
 from __future__ import annotations
@@ -13,9 +16,9 @@ from enum import Enum
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Indices, Mask
 from modsim3d.formats.labelled import NOBODY, LabelledSet
-from modsim3d.formats.matching import Matched, image_pairs, overlap
+from modsim3d.formats.matching import Matched, Rule, fits, image_pairs, overlap
 from modsim3d.learn.average_precision import Curve
 
 
@@ -51,34 +54,40 @@ class ErrorShares:
     shares: tuple[ErrorShare, ...]
 
 
+_FAR, _NEAR, _FITS = range(3)
+
+
 @dataclass(frozen=True, eq=False)
 class _Nearest:
-    """The best annotation of the same and of another label for each of n detections, with their IoU, shapes (n,)."""
+    """The best annotation of the same and of another label for each of n detections, −1 for none, shapes (n,).
+
+    Beside each stands whether it fits by the rule, is only near or is far: `_FITS`, `_NEAR` or `_FAR`.
+    """
 
     same: Indices
-    same_iou: Array
+    same_place: Indices
     other: Indices
-    other_iou: Array
+    other_place: Indices
 
-    def kinds(self, least_iou: float) -> Indices:
+    def kinds(self) -> Indices:
         """Index into `ErrorKind` of each, shape (n,); a localisation error comes before one of the label."""
-        duplicate, localisation = self.same_iou >= least_iou, self.same_iou >= BACKGROUND_IOU
-        classification, both = self.other_iou >= least_iou, self.other_iou >= BACKGROUND_IOU
+        duplicate, localisation = self.same_place == _FITS, self.same_place >= _NEAR
+        classification, both = self.other_place == _FITS, self.other_place >= _NEAR
         order = ErrorKind.DUPLICATE, ErrorKind.LOCALISATION, ErrorKind.CLASSIFICATION, ErrorKind.BOTH
         places = [_KINDS.index(kind) for kind in order]
         background = _KINDS.index(ErrorKind.BACKGROUND)
         return np.select([duplicate, localisation, classification, both], places, default=background)
 
 
-def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_iou: float = 0.5) -> ErrorShares:
-    """The shares over some images, shape (I,), of matches label by label, by IoU in order of confidence."""
+def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, rule: Rule) -> ErrorShares:
+    """The shares over some images, shape (I,), of matches label by label by a rule."""
     results, annotations = labelled.results, labelled.annotations
     counts = by_label.counts & images[results.image]
     sought = by_label.sought & images[annotations.image]
     right = counts & (by_label.annotation >= 0)
     false = np.flatnonzero(counts & ~right)
-    near = _nearest(labelled, false, sought)
-    kinds = near.kinds(least_iou)
+    near = _nearest(labelled, false, sought, replace(rule, by_label=False))
+    kinds = near.kinds()
     taken = np.zeros(len(annotations), dtype=bool)
     taken[by_label.annotation[right]] = True
     mislabelled, misplaced = (kinds == _KINDS.index(kind) for kind in _KINDS[:2])
@@ -97,20 +106,31 @@ def error_shares(labelled: LabelledSet, by_label: Matched, images: Mask, least_i
     return ErrorShares(plain, tuple(map(ErrorShare, _KINDS, numbers, gains)))
 
 
-def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask) -> _Nearest:
-    """Best annotations for some rows of the results (n,); −1 where nothing overlaps."""
+def _nearest(labelled: LabelledSet, rows: Indices, sought: Mask, rule: Rule) -> _Nearest:
+    """Best annotations for some rows of the results (n,)."""
     results, annotations, size = labelled.results, labelled.annotations, len(rows)
-    best = {same: (np.full(size, NOBODY), np.zeros(size)) for same in (True, False)}
+    best = {same: (np.full(size, NOBODY), np.full(size, _FAR)) for same in (True, False)}
     columns = np.flatnonzero(sought)
     for first, second in image_pairs(results.image[rows], annotations.image[columns], len(labelled.images)):
-        target = columns[second]
-        value = overlap(results.boxes_px[rows[first]], annotations.boxes_px[target], annotations.crowd[target])
-        equal = results.label[rows[first]] == annotations.label[target]
+        detection, target = rows[first], columns[second]
+        good, quality = fits(labelled, detection, target, rule)
+        place = np.where(good, _FITS, np.where(_is_near(labelled, detection, target, rule), _NEAR, _FAR))
+        equal = results.label[detection] == annotations.label[target]
         for same, (where, how) in best.items():
-            ours = np.flatnonzero((equal == same) & (value > 0))
-            order = ours[np.argsort(value[ours], kind="stable")]
-            where[first[order]], how[first[order]] = target[order], value[order]  # the last, largest one stays
+            ours = np.flatnonzero((equal == same) & (place > _FAR))
+            order = ours[np.lexsort((quality[ours], place[ours]))]
+            where[first[order]], how[first[order]] = target[order], place[order]  # the last, best one stays
     return _Nearest(*best[True], *best[False])
+
+
+def _is_near(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> Mask:
+    """Whether boxes overlap so much that one may be meant for the other, pair by pair, shape (n,)."""
+    if rule.method == "provenance":
+        return np.zeros(len(detection), dtype=bool)
+    annotations = labelled.annotations
+    a_px, b_px = labelled.results.boxes_px[detection], annotations.boxes_px[annotation]
+    near: Mask = overlap(a_px, b_px, annotations.crowd[annotation]) >= BACKGROUND_IOU
+    return near
 
 
 @dataclass(frozen=True, eq=False)

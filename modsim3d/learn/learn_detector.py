@@ -15,6 +15,7 @@ from modsim3d.formats.matching import Matched, Rule, match
 from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.gate_bias import bias_of
+from modsim3d.learn.gate_losses import gate_warning
 from modsim3d.learn.learned import Settings, check_size, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.report import Report
@@ -55,7 +56,8 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
     matched = match(labelled, settings.rule, settings.threshold)
     if not matched.sought.any():
         raise ModsimError("no annotation is there to be detected: nothing can be learned")
-    by_label = match(labelled, Rule(least_iou=settings.rule.least_iou, by_label=True))
+    curve_rule = settings.rule.for_average_precision
+    by_label = match(labelled, curve_rule)
     state_map = _state_map(labelled, matched, options)
     image_state = state_map.of_images(labelled.images, labelled.conditions)
     observed = Observed(labelled, matched, state_map.names, image_state, settings.threshold)
@@ -68,11 +70,13 @@ def learn_detector(labelled: LabelledSet, settings: Settings, options: LearnOpti
         states=[matches.figures(name, image_state == k) for k, name in enumerate(state_map.names)],
         state_map=state_map,
         learned=learned,
-        shares=error_shares(labelled, by_label, image_state >= 0, settings.rule.least_iou),
+        shares=error_shares(labelled, by_label, image_state >= 0, curve_rule),
         bias=bias_of(learned, settings) if options.bias else None,
         level=options.level,
         beta=options.beta,
         matched_by=str(settings.rule),
+        curves_matched_by=str(curve_rule),
+        warning=gate_warning(labelled, matched, settings.rule),
         remarks=(*labelled.notes, *_remarks(observed, settings.rule)),
     )
 
@@ -136,7 +140,11 @@ def _remarks(observed: Observed, rule: Rule) -> Iterator[str]:
     if rule.method in ("confidence", "optimal"):
         gate = rule.least_iou + _NEAR_THE_GATE
         near = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]) < gate
-        yield from _remarks_on_gate(observed, near, observed.image_state[labelled.annotations.image[annotation]], gate)
+        state = observed.image_state[labelled.annotations.image[annotation]]
+        other = "--match provenance cuts off none"
+        if labelled.results.origin is None:
+            other = "--match centre, at a distance that is large against the errors, cuts off less"
+        yield from _remarks_on_gate(observed, near, state, gate, other)
 
 
 def _remarks_on_labels(shift: Indices) -> Iterator[str]:
@@ -149,14 +157,16 @@ def _remarks_on_labels(shift: Indices) -> Iterator[str]:
             )
 
 
-def _remarks_on_gate(observed: Observed, near: Mask, state: Indices, gate: float) -> Iterator[str]:
-    """A remark for each state of which many matches are near the least IoU, given state and nearness of each (m,)."""
+def _remarks_on_gate(observed: Observed, near: Mask, state: Indices, gate: float, other: str) -> Iterator[str]:
+    """A remark for each state of which many matches are near the least IoU, given state and nearness of each (m,).
+
+    `other` says which rule cuts off less.
+    """
     for k, name in enumerate(observed.states):
         share = float(near[state == k].mean()) if np.any(state == k) else 0.0
         if share > _MANY_NEAR:
             yield (
                 f"{share:.0%} of the matches{f' in {name}' if len(observed.states) > 1 else ''} have an IoU of less "
                 f"than {gate:.2g}: larger errors were cut off, and count as a miss and a false detection each (--bias "
-                "says how much that does; --match centre, at a distance that is large against the errors, cuts off "
-                "less)"
+                f"says how much that does; {other})"
             )

@@ -14,10 +14,11 @@ from modsim3d.view.pages import charts, page
 def page_text(report: Report) -> str:
     """The page, in one file."""
     body = [page.paragraph(lead(report), "lead"), f"<style>{_STYLE}</style>"]
+    body += [page.paragraph(f"Warning: {report.warning}.", "bad")] if report.warning else []
     body += [page.paragraph(f"{remark}.") for remark in report.remarks]
     states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
     body.append(page.paragraph(f"Performance states: {states}."))
-    body += [page.heading("Precision against recall"), *_curve_pictures(report)]
+    body += [page.heading(f"Precision against recall, matched by {report.curves_matched_by}"), *_curve_pictures(report)]
     body += [page.heading("Box errors"), *_scatter(report)]
     body += [page.heading("Confusion matrices"), *_matrices(report)]
     gains = {each.kind.value: max(each.gain_points, 0.0) for each in report.shares.shares}

@@ -27,14 +27,16 @@ class Report:
     """Everything that is reported.
 
     Attributes:
-        by_label: Matches label by label, for curves.
+        by_label: Matches label by label, for average precision and its curves.
         conditions: Figures of each condition, the largest F1 first.
         shares: What average precision is lost to.
         bias: By how much matching shifts the numbers; None where that was not asked for.
         level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
         matched_by: The matching rule in words.
+        curves_matched_by: The rule of average precision in words.
         remarks: What the numbers have to be read with: entries left out, what matching hides.
+        warning: That most matches are lost to the rule, so that the numbers mean little; None where they are not.
     """
 
     labelled: LabelledSet
@@ -48,7 +50,9 @@ class Report:
     level: float
     beta: float
     matched_by: str
+    curves_matched_by: str
     remarks: tuple[str, ...] = ()
+    warning: str | None = None
 
     @property
     def states_differ(self) -> bool:
@@ -200,7 +204,7 @@ def _curves(report: Report, groups: Sequence[Figures]) -> Table:
         columns = [*figures.mean_average_precision, *entropies]
         rows.append((report.name(figures), *(_cell(column, report.level, figures.units, 3) for column in columns)))
     extra = ("confidence cross-entropy", *(("label cross-entropy",) if groups[0].label_entropy else ()))
-    title = "Mean average precision over labels, every detection counted"
+    title = f"Mean average precision over labels, every detection counted, matched by {report.curves_matched_by}"
     return Table(title, ("condition", *_AVERAGE_PRECISIONS, *extra), tuple(rows))
 
 
@@ -223,7 +227,8 @@ def _confusion(report: Report, figures: Figures) -> Table:
 
 def _shares(report: Report) -> Table:
     rows = tuple((each.kind.value, str(each.count), f"{each.gain_points:.2f}") for each in report.shares.shares)
-    title = f"What mean average precision, {100 * report.shares.average_precision:.1f} points, is lost to"
+    points = f"{100 * report.shares.average_precision:.1f} points"
+    title = f"What mean average precision, {points}, is lost to, matched by {report.curves_matched_by}"
     return Table(title, ("error", "number", "points gained if corrected"), rows)
 
 

@@ -260,7 +260,7 @@ def test_error_shares_name_each_kind():
     labelled = LabelledSet(("a", "b"), ("all",), images(1, (9999, 999)), truth([0] * 6, [0] * 6, boxes),
                         found([0] * 6, [label for _, label, _ in seen], [box for box, _, _ in seen],
                               [score for _, _, score in seen]))  # fmt: skip
-    shares = error_shares(labelled, match(labelled, Rule(by_label=True)), np.ones(1, dtype=bool))
+    shares = error_shares(labelled, match(labelled, Rule(by_label=True)), np.ones(1, dtype=bool), Rule())
     assert {each.kind: each.count for each in shares.shares} == dict.fromkeys(ErrorKind, 1) | {ErrorKind.MISSED: 3}
     gains = {each.kind.value: each.gain_points for each in shares.shares}
     assert shares.average_precision == pytest.approx(1 / 6)

@@ -20,7 +20,9 @@ from modsim3d.errors import ModsimError
 from modsim3d.formats.reading import builder
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
-from tests.commands.bad_input.builders import Call
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.commands.bad_input.builders import Call, Inputs
 
 TRUTH: dict[str, Any] = {
     "images": [
@@ -284,3 +286,24 @@ def test_many_problems_are_counted_and_not_kept() -> None:
         problems.add("line")
     assert len(problems.lines) == builder.MOST_PROBLEMS
     assert problems.settle() == ["file: 50000 entries left out, the first because line"]
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (("--truth", "gt.json", "--detections", "dt.json"), "--run and --truth are matched differently unless --match"),
+        (("--iou", "0.3"), "--iou is for --match confidence or optimal, not for provenance"),
+        (("--match", "centre", "--iou", "0.3"), "--iou is for --match confidence or optimal, not for centre"),
+        (("--distance", "9"), "--distance is for --match centre, not for provenance"),
+        (("--match", "optimal", "--distance", "9"), "--distance is for --match centre, not for optimal"),
+    ],
+    ids=" ".join,
+)
+def test_a_matching_rule_that_is_not_clear_is_refused(
+    inputs: Inputs, call: Call, tmp_path: Path, options: tuple[str, ...], part: str
+) -> None:
+    run_scene(load_scene(inputs.write()), tmp_path / "run")
+    status, said = call("learn", "--run", tmp_path / "run", *options, "--out", tmp_path / "d.yaml")
+    assert status == 2 and "Traceback" not in said
+    assert part in said and len(said.splitlines()) == 1
+    assert not (tmp_path / "d.yaml").exists()

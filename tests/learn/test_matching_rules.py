@@ -1,0 +1,195 @@
+"""Which rule matches what is learned from, that average precision follows it, and what is said where it loses most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modsim3d.cli import app
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.error_shares import ErrorKind, error_shares
+from modsim3d.learn.learn_detector import LearnOptions, learn_detector
+from modsim3d.learn.learned import Settings
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.learn.round_trip import simulate
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Three labels, with errors that are small against the boxes."""
+    return simulate("simulation_1", tmp_path_factory.mktemp("run"), mode=0, steps=150)
+
+
+@pytest.fixture(scope="module")
+def far_off(tmp_path_factory):
+    """A run whose boxes hardly touch their vessels."""
+    folder = tmp_path_factory.mktemp("far") / "run"
+    run_scene(load_scene("simulation_1", steps=120, source="analytic"), folder)
+    return folder
+
+
+def command(name, *parts):
+    return CliRunner().invoke(app, [name, *map(str, parts)], catch_exceptions=False, env={"COLUMNS": "300"})
+
+
+def learn(tmp_path, *parts):
+    result = command("learn", *parts, "--out", tmp_path / "d.yaml", "--overwrite", "--replicates", 20)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def pair(labelled, rule, d, t):
+    """Whether a detection may match an annotation, and how well it does, for one pair."""
+    ours, theirs = labelled.results.boxes_px[d].tolist(), labelled.annotations.boxes_px[t].tolist()
+    if rule.method == "provenance":
+        return labelled.results.origin[d] == t, 1.0
+    if rule.method == "centre":
+        middle = [[(box[0] + box[2]) / 2, (box[1] + box[3]) / 2] for box in (ours, theirs)]
+        away = ((middle[0][0] - middle[1][0]) ** 2 + (middle[0][1] - middle[1][1]) ** 2) ** 0.5
+        return away <= rule.most_distance_px, -away
+    width = min(ours[2], theirs[2]) - max(ours[0], theirs[0])
+    height = min(ours[3], theirs[3]) - max(ours[1], theirs[1])
+    common = max(width, 0) * max(height, 0)
+    area = [(box[2] - box[0]) * (box[3] - box[1]) for box in (ours, theirs)]
+    share = common / (area[0] + area[1] - common)
+    return share >= rule.least_iou, share
+
+
+def slow_average_precision(labelled, rule, label, of_image):
+    """Area under the interpolated curve of a label, one detection after another; None with nothing to detect."""
+    there = labelled.annotations
+    sought = [t for t in range(len(there)) if there.label[t] == label and of_image[there.image[t]]]
+    if not sought:
+        return None
+    results = labelled.results
+    rows = [d for d in range(len(results)) if results.label[d] == label and of_image[results.image[d]]]
+    taken, points = set(), []
+    for number, d in enumerate(sorted(rows, key=lambda d: (-results.confidence[d], d)), start=1):
+        same_image = [t for t in sought if there.image[t] == results.image[d] and t not in taken]
+        fitting = [(how, t) for t in same_image for good, how in [pair(labelled, rule, d, t)] if good]
+        taken |= {max(fitting)[1]} if fitting else set()
+        points.append((len(taken) / len(sought), len(taken) / number))
+    area, before = 0.0, 0.0
+    for k, (recall, _) in enumerate(points):
+        area += (recall - before) * max(precision for _, precision in points[k:])
+        before = recall
+    return area
+
+
+@pytest.mark.parametrize("near", [True, False], ids=["near", "far off"])
+@pytest.mark.parametrize("rule", [Rule("provenance"), Rule("centre", most_distance_px=9), Rule(least_iou=0.6)], ids=str)
+def test_average_precision_follows_the_rule_as_a_slow_count_has_it(rule, near, run, far_off):
+    labelled, _ = labelled_run(run if near else far_off)
+    labels = range(len(labelled.labels))
+    report = learn_detector(labelled, Settings(rule, replicates=20), LearnOptions())
+    for figures in report.states:
+        of_image = labelled.images.condition == labelled.conditions.index(figures.name)
+        slow = [slow_average_precision(labelled, rule, k, of_image) for k in labels]
+        ours = figures.average_precision.all_points.estimate
+        assert ours == pytest.approx([np.nan if each is None else each for each in slow], abs=1e-12, nan_ok=True)
+        assert (np.nanmean(ours) > 0.1) == (near or rule.method == "provenance")
+
+
+def test_an_optimal_assignment_ranks_by_confidence_for_average_precision_and_says_so(run, tmp_path):
+    labelled, _ = labelled_run(run)
+    asked = [
+        learn_detector(labelled, Settings(Rule(m), replicates=20), LearnOptions()) for m in ("optimal", "confidence")
+    ]
+    for first, second in zip(asked[0].states, asked[1].states, strict=True):
+        np.testing.assert_array_equal(
+            first.average_precision.all_points.values, second.average_precision.all_points.values
+        )
+    said = learn(tmp_path, "--run", run, "--match", "optimal")
+    assert "matched by IoU at least 0.5, optimal assignment, confidence at least" in said
+    assert "every detection counted, matched by IoU at least 0.5, in order of confidence" in said
+    assert "in order of confidence</h2>" in (tmp_path / "d.html").read_text()
+
+
+def test_by_provenance_a_false_detection_has_another_label_or_is_of_nothing(run):
+    labelled, _ = labelled_run(run)
+    results, there = labelled.results, labelled.annotations
+    everything, rule = np.ones(len(labelled.images), dtype=bool), Rule("provenance", by_label=True)
+    shares = error_shares(labelled, match(labelled, rule), everything, rule)
+    own = results.origin >= 0
+    other = int((results.label[own] != there.label[results.origin[own]]).sum())
+    expected = {ErrorKind.CLASSIFICATION: other, ErrorKind.BACKGROUND: int((~own).sum()),
+                ErrorKind.MISSED: len(there) - int(own.sum())}  # fmt: skip
+    assert other > 10
+    assert {each.kind: each.count for each in shares.shares} == dict.fromkeys(ErrorKind, 0) | expected
+
+
+def test_by_centres_an_error_is_well_placed_where_the_centres_are_near():
+    boxes = [[1000.0 * k, 0, 1000.0 * k + 100, 100] for k in range(4)]
+    seen = [([60, 0, 160, 100], 0), ([1060, 0, 1160, 100], 1), ([2080, 0, 2180, 100], 0), ([3600, 0, 3700, 100], 0)]
+    labelled = replace(
+        random_set(1, 1, 2), images=images(1, (9999, 999)), annotations=truth([0] * 4, [0] * 4, boxes),
+        results=found([0] * 4, [label for _, label in seen], [box for box, _ in seen], [0.9, 0.8, 0.7, 0.6]),
+    )  # fmt: skip
+    rule = Rule("centre", most_distance_px=70, by_label=True)
+    shares = error_shares(labelled, match(labelled, rule), np.ones(1, dtype=bool), rule)
+    named = {each.kind.value: each.count for each in shares.shares if each.count}
+    assert named == {"classification": 1, "localisation": 1, "background": 1, "missed": 1}
+
+
+def test_a_run_is_matched_by_provenance_unless_asked_otherwise(far_off, tmp_path):
+    usual, asked = (learn(tmp_path, "--run", far_off, *options) for options in ((), ("--match", "provenance")))
+    assert usual == asked
+    assert "matched by provenance" in usual and usual.splitlines()[-1].startswith("written")
+    page = (tmp_path / "d.html").read_text()
+    assert "Precision against recall, matched by provenance" in page
+    assert "IoU at least" in learn(tmp_path, "--run", far_off, "--match", "confidence")
+
+
+@pytest.mark.parametrize(
+    ("rule", "options"),
+    [(Rule(), ()), (Rule("optimal", 0.4), ("--iou", 0.4)), (Rule("centre", 0.5, 5.0), ("--distance", 5))],
+    ids=str,
+)
+def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, options, far_off, tmp_path):
+    said = learn(tmp_path, "--run", far_off, "--match", rule.method, *options)
+    labelled, _ = labelled_run(far_off)
+    own = np.flatnonzero(labelled.results.origin >= 0)
+    lost = sum(not pair(labelled, rule, d, labelled.results.origin[d])[0] for d in own)
+    last = said.splitlines()[-1]
+    assert last.startswith(f"WARNING: {lost:,} of {len(own):,} detections have ")
+    assert last.endswith("counts them as missed. Use --match provenance.")
+    recall = len(match(labelled, rule, 0.2).pairs[0]) / len(labelled.annotations)
+    assert f": recall {recall:.3f} counts" in last
+    for text in ((tmp_path / "d.yaml").read_text(), (tmp_path / "d.html").read_text()):
+        assert f"Warning: {lost:,} of {len(own):,} detections" in text
+
+
+def test_the_last_line_says_so_of_files_too_as_far_as_they_show_it(far_off, run, tmp_path):
+    for name, folder in (("far", far_off), ("near", run)):
+        command("export", folder, "--coco", tmp_path / name)
+    files = {name: ("--truth", tmp_path / name / "gt.json", "--detections", tmp_path / name / "dt.json")
+             for name in ("far", "near")}  # fmt: skip
+    last = learn(tmp_path, *files["far"]).splitlines()[-1]
+    assert last.startswith("WARNING: ") and "missed annotations overlap a false detection, and only" in last
+    assert "Use --match centre" in last
+    assert learn(tmp_path, *files["near"]).splitlines()[-1].startswith("written")
+
+
+def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(tmp_path):
+    boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(20)]
+    labelled = replace(
+        random_set(1, 1, 1), images=images(1, (9999, 999)), annotations=truth([0] * 20, [0] * 20, boxes),
+        results=found([0] * 12, [0] * 12, [*boxes[:2], *([60.0 + 100 * k, 0, 90.0 + 100 * k, 50] for k in range(10))],
+                      [0.9] * 12),
+    )  # fmt: skip
+    report = learn_detector(labelled, Settings(replicates=20), LearnOptions())
+    assert report.states[0].any_label.recall.estimate == pytest.approx(0.1)
+    assert report.warning is None
+
+
+def test_files_and_runs_are_learned_together_by_a_rule_that_both_know(far_off, tmp_path):
+    command("export", far_off, "--coco", tmp_path / "coco")
+    both = ("--run", far_off, "--truth", tmp_path / "coco" / "gt.json", "--detections", tmp_path / "coco" / "dt.json")
+    said = learn(tmp_path, *both, "--match", "confidence")
+    assert said.startswith("240 images")
