@@ -11,6 +11,7 @@ import typer
 from modsim3d.commands.ais import ais_command
 from modsim3d.commands.compare import compare_command
 from modsim3d.commands.detect import detect_command
+from modsim3d.commands.guess import guess_command
 from modsim3d.commands.learn import export_command, learn_command
 from modsim3d.commands.repeat import repeat_command
 from modsim3d.commands.report import report_command, rerun_command
@@ -58,6 +59,8 @@ app = typer.Typer(
 
   modsim3d learn --truth gt.json --detections dt.json --out detector.yaml    a detector file from real results
 
+  modsim3d guess detector.yaml --from noon_clear --to foggy_cloudy --out in_fog.yaml    the detector in fog: a guess
+
   modsim3d scenes                             the shipped scenes""",
 )
 
@@ -72,6 +75,7 @@ app.command("check")(check_command)
 app.command("compare")(compare_command)
 app.command("ais")(ais_command)
 app.command("learn")(learn_command)
+app.command("guess")(guess_command)
 app.command("export")(export_command)
 app.command("scenes")(scenes_command)
 

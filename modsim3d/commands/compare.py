@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.progress import progress
-from modsim3d.commands.shared import EveryOption, OverwriteOption, SceneArgument, StepsOption, print_line, print_rows
+from modsim3d.commands.shared import (
+    EveryOption,
+    OverwriteOption,
+    SceneArgument,
+    SetOption,
+    StepsOption,
+    print_line,
+    print_rows,
+)
 from modsim3d.commands.terminal import open_console
 from modsim3d.errors import ModsimError
 
@@ -21,6 +29,7 @@ if TYPE_CHECKING:
 def compare_command(
     scene: SceneArgument,
     steps: StepsOption = None,
+    settings: SetOption = None,
     every: EveryOption = 1,
     supersample: Annotated[
         int | None, typer.Option(min=1, max=8, help="Buffer pixels per image pixel and axis, in place of the scene's.")
@@ -38,10 +47,13 @@ def compare_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
     from modsim3d.verify.sources import report as compare_report
     from modsim3d.verify.sources.compare import compare_sources
 
-    loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
+    loaded = load_scene(
+        scene, steps=steps, source="rendered", supersample=supersample, settings=read_settings(settings or ())
+    )
     written = [out / name for name in compare_report.FILES] if out is not None else []
     read = [loaded.path, *loaded.copy.files.values()]
     with claimed(written, overwrite=overwrite, inputs=read), open_renderer(loaded) as renderer:

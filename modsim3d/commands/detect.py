@@ -9,7 +9,14 @@ import typer
 
 from modsim3d.commands.progress import progress
 from modsim3d.commands.run_summary import print_summary
-from modsim3d.commands.shared import FinishedRunArgument, OverwriteOption, WorkersOption
+from modsim3d.commands.shared import (
+    FinishedRunArgument,
+    FromOption,
+    OverwriteOption,
+    SetOption,
+    StateOption,
+    WorkersOption,
+)
 
 
 def detect_command(
@@ -17,6 +24,9 @@ def detect_command(
     out: Annotated[Path, typer.Option(help="Run directory to write.")],
     detector: Annotated[Path | None, typer.Option(help="Detector file, in place of the run's.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the detector, in place of the run's.")] = None,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
     overwrite: OverwriteOption = False,
     workers: WorkersOption = 1,
 ) -> None:
@@ -26,10 +36,20 @@ def detect_command(
     """
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.scene.settings import read_settings
 
     stored = open_run(run)
     with progress(stored.scene.name, stored.scene.steps) as advance:
         result = detect_run(
-            stored, out, detector=detector, seed=seed, overwrite=overwrite, workers=workers, progress=advance
+            stored,
+            out,
+            detector=detector,
+            seed=seed,
+            settings=read_settings(settings or ()),
+            state=state,
+            state_from=state_from,
+            overwrite=overwrite,
+            workers=workers,
+            progress=advance,
         )
     print_summary(stored.scene, result, sheet=False)

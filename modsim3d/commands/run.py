@@ -12,7 +12,16 @@ import typer
 
 from modsim3d.commands.progress import progress
 from modsim3d.commands.run_summary import print_summary
-from modsim3d.commands.shared import INTERRUPTED, OverwriteOption, SceneArgument, StepsOption, WorkersOption
+from modsim3d.commands.shared import (
+    INTERRUPTED,
+    FromOption,
+    OverwriteOption,
+    SceneArgument,
+    SetOption,
+    StateOption,
+    StepsOption,
+    WorkersOption,
+)
 from modsim3d.commands.terminal import say
 
 
@@ -44,6 +53,9 @@ def run_command(
     mode: Annotated[int | None, typer.Option(min=0, max=2, help="Annotation mode, in place of the scene's.")] = None,
     source: Annotated[Source | None, typer.Option(help="Source of the truth, in place of the scene's.")] = None,
     steps: StepsOption = None,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
     render: Annotated[Render | None, typer.Option(help="Render only where vessels overlap, or whole images.")] = None,
     workers: WorkersOption = 1,
     sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw contact_sheet.png.")] = True,
@@ -54,6 +66,7 @@ def run_command(
     """
     from modsim3d.runs.run import run_scene
     from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
 
     loaded = load_scene(
         scene,
@@ -64,6 +77,9 @@ def run_command(
         mode=mode,
         source=source.value if source else None,
         render=render.value if render else None,
+        settings=read_settings(settings or ()),
+        state=state,
+        state_from=state_from,
     )
     folder = out if out is not None else Path("runs") / loaded.name
     total = None if loaded.live else loaded.steps
