@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,7 +58,7 @@ def guess_command(
     if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
         print_line(console, f"Remark: {_STRANGE}", style="bold")
     print_line(console, f"{_guess(detector, measured_in, wanted_in)}\n")
-    print_rows(console, "in each state", [row for name in result["states"] for row in _rows(name, content, result)])
+    print_rows(console, "In each state", list(_rows(content, result)))
     print_line(console, f"\nwritten  {out}")
 
 
@@ -81,15 +82,12 @@ def _comments(detector: Path, measured_in: str, wanted_in: str, change: Conditio
     return [line for text in texts for line in textwrap.wrap(text, 110)]
 
 
-def _rows(name: str, before: dict[str, Any], after: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Numbers of a state before and after the change."""
-    states = before["states"][name], after["states"][name]
-    misses = [f"{max(state['confusion'][-1]):.1%}" for state in states]
-    false = [f"{state['false_discovery_rate']:.1%}" for state in states]
-    widths = [f"{state['box_error']['covariance'][2][2] ** 0.5:.3g}" for state in states]
-    unit = states[0]["box_error"]["unit"]
-    return [
-        (name, "missed, of the label missed most", " → ".join(misses)),
-        ("", "false, of all detections", " → ".join(false)),
-        ("", f"standard deviation of the width, {unit}", " → ".join(widths)),
-    ]
+def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Numbers of each state before and after the change."""
+    for name, was in before["states"].items():
+        now, unit = after["states"][name], was["box_error"]["unit"]
+        for label, old, new in zip(before["labels"], was["confusion"][-1], now["confusion"][-1], strict=True):
+            yield name, f"{label} missed", f"{old:.1%} → {new:.1%}"
+        yield name, "false detections", f"{was['false_discovery_rate']:.1%} → {now['false_discovery_rate']:.1%}"
+        old, new = (state["box_error"]["covariance"][2][2] ** 0.5 for state in (was, now))
+        yield name, "width error, standard deviation", f"{old:.3g} → {new:.3g} {'' if unit == 'relative' else 'px'}"
