@@ -57,7 +57,7 @@ def guess_command(
     console = open_console()
     if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
         print_line(console, f"Remark: {_STRANGE}", style="bold")
-    print_line(console, f"{_guess(detector, measured_in, wanted_in)}\n")
+    print_line(console, f"{_guess(detector, measured_in, wanted_in)}")
     print_rows(console, "In each state", list(_rows(content, result)))
     print_line(console, f"\nwritten  {out}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from tests.commands.bad_input.conftest import call
 
 __all__ = ["call"]  # a fixture
 CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "conditions.md"
 RICH = data_folder("scenes") / "detectors" / "rich.yaml"
 NAMES = sorted(name for name in CONDITIONS if "experiment" not in name)
 
@@ -187,6 +189,15 @@ def test_a_precision_recall_curve_is_refused() -> None:
     content["states"]["good"]["confidence"] = {"precision_recall": [[0.849, 0.887]]}
     with pytest.raises(InputError, match=r"states.good:\n  confidence: a precision-recall curve cannot be shifted"):
         guessed(content, change("noon_clear", "night_cloudy"), "detector mine")
+
+
+def test_the_table_of_the_page_has_the_rates_of_the_conditions() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)% \| ([\d.]+)% \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    states = {name: CONDITIONS[name][1].states[0] for name in NAMES}
+    assert {name: (missed, false) for name, missed, false in rows} == {
+        name: (f"{state.confusion[-1, 0]:.1%}"[:-1], f"{state.false_discovery_rate:.1%}"[:-1])
+        for name, state in states.items()
+    }
 
 
 # ---- the command -------------------------------------------------------------------------------------------------
