@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any
 
 from modsim3d.errors import InputError
@@ -42,9 +43,15 @@ def find_scene(scene: str | Path) -> Path:
     """
     path, shipped = Path(scene), shipped_scenes()
     try:
-        exists, folder = path.exists(), path.is_dir()
-    except OSError as error:
-        raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {error.strerror}"]) from None
+        exists, folder = (
+            True,
+            S_ISDIR(path.stat().st_mode),
+        )  # not `exists()`, which hides some errors from Python 3.14 on
+    except (FileNotFoundError, NotADirectoryError):
+        exists, folder = False, False
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"scene {shown(str(scene))}", [f"cannot be read: {why}"]) from None
     if exists and not (folder and str(scene) in shipped):
         return path
     if str(scene) in shipped:
