@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
 from modsim3d.detector.file.schema import DetectorFile
@@ -138,7 +139,12 @@ class Settings:
 
 def settings_of(values: Mapping[str, object]) -> list[Setting]:
     """The settings that the option `--set` gives, from keys with dots to values."""
-    return [Setting(str(key), value, f"--set {key}") for key, value in values.items()]
+    return [Setting(str(key), plain(value), f"--set {key}") for key, value in values.items()]
+
+
+def plain(value: Any) -> Any:
+    """A value as a YAML file would have it: NumPy's arrays and numbers are lists and numbers."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def read_settings(texts: Sequence[str]) -> dict[str, object]:

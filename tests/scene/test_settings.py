@@ -6,6 +6,7 @@ import copy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given
@@ -95,6 +96,12 @@ def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(scene: Path) 
     assert [vessel.length_m for vessel in loaded.vessels] == [8.0, 9.5]
     assert loaded.detector.states[0].false_discovery_rate == 0.3
     assert loaded.detector.gates.max_range_m == 500
+
+
+def test_values_may_be_those_of_numpy(scene: Path) -> None:
+    settings = {"seed": np.int64(7), "cameras.C0.image_size_px": np.array([600, 400])}
+    loaded = load_scene(scene, settings=settings)
+    assert (loaded.seed, loaded.cameras[0].intrinsics.image_size_px) == (7, (600, 400))
 
 
 def test_a_key_replaces_the_keys_that_cannot_stand_beside_it(tmp_path: Path) -> None:
