@@ -13,6 +13,7 @@ from modsim3d.commands.ais import ais_command
 from modsim3d.commands.compare import compare_command
 from modsim3d.commands.detect import detect_command
 from modsim3d.commands.export import export_command
+from modsim3d.commands.guess import guess_command
 from modsim3d.commands.help_text import Command, Group
 from modsim3d.commands.learn import learn_command
 from modsim3d.commands.repeat import repeat_command
@@ -52,6 +53,7 @@ COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (CHECK, "compare", compare_command, "Does the rendered truth agree with exact geometry?"),
     (MAKE, "ais", ais_command, "A scene from real traffic, out of AIS logs."),
     (MAKE, "learn", learn_command, "A detector file from a detector's results on labelled images."),
+    (MAKE, "guess", guess_command, "A guess of a detector in other weather."),
     (MAKE, "export", export_command, "A run in another program's format."),
 )
 """Group, name, function and short help of each command."""

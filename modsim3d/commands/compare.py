@@ -15,6 +15,7 @@ from modsim3d.commands.shared import (
     OverwriteOption,
     QuietOption,
     SceneArgument,
+    SetOption,
     StepsOption,
     VerboseOption,
     print_line,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 def compare_command(
     scene: SceneArgument,
     steps: StepsOption = None,
+    settings: SetOption = None,
     every: EveryOption = 1,
     supersample: Annotated[
         int | None,
@@ -57,11 +59,14 @@ def compare_command(
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
     from modsim3d.verify.sources import report as compare_report
     from modsim3d.verify.sources.compare import compare_sources
 
     with timed("reading the scene"):
-        loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
+        loaded = load_scene(
+            scene, steps=steps, source="rendered", supersample=supersample, settings=read_settings(settings or ())
+        )
     written = [out / name for name in compare_report.FILES] if out is not None else []
     read = [loaded.path, *loaded.copy.files.values()]
     tell_files(read)

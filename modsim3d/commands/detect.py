@@ -12,9 +12,12 @@ from modsim3d.commands.run_json import run_json
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import (
     FinishedRunArgument,
+    FromOption,
     JsonOption,
     OverwriteOption,
     QuietOption,
+    SetOption,
+    StateOption,
     VerboseOption,
     WorkersOption,
 )
@@ -28,6 +31,9 @@ def detect_command(
     seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's.")
     ] = None,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
     overwrite: OverwriteOption = False,
     workers: WorkersOption = 1,
     quiet: QuietOption = False,
@@ -40,13 +46,23 @@ def detect_command(
     """
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.scene.settings import read_settings
 
     with timed("opening the run"):
         stored = open_run(run)
     tell_files([run, *([detector] if detector else [])])
     with timed("detections and files"), progress(stored.scene.name, stored.scene.steps) as advance:
         result = detect_run(
-            stored, out, detector=detector, seed=seed, overwrite=overwrite, workers=workers, progress=advance
+            stored,
+            out,
+            detector=detector,
+            seed=seed,
+            settings=read_settings(settings or ()),
+            state=state,
+            state_from=state_from,
+            overwrite=overwrite,
+            workers=workers,
+            progress=advance,
         )
     print_summary(stored.scene, result, sheet=False)
     say_json(run_json("detect", stored.scene, result, sheet=False))

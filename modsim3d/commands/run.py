@@ -15,10 +15,13 @@ from modsim3d.commands.run_json import run_json, tell_backend
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import (
     INTERRUPTED,
+    FromOption,
     JsonOption,
     OverwriteOption,
     QuietOption,
     SceneArgument,
+    SetOption,
+    StateOption,
     StepsOption,
     VerboseOption,
     WorkersOption,
@@ -75,6 +78,9 @@ def run_command(
         Render | None,
         typer.Option(metavar="PART", help="What is rendered: regions where vessels overlap, or full images."),
     ] = None,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
     workers: WorkersOption = 1,
     no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
     quiet: QuietOption = False,
@@ -87,6 +93,7 @@ def run_command(
     """
     from modsim3d.runs.run import run_scene
     from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
 
     with timed("reading the scene"):
         loaded = load_scene(
@@ -98,6 +105,9 @@ def run_command(
             mode=mode,
             source=source.value if source else None,
             render=render.value if render else None,
+            settings=read_settings(settings or ()),
+            state=state,
+            state_from=state_from,
         )
     tell_files([loaded.path, *loaded.copy.files.values()])
     folder = out if out is not None else Path("runs") / loaded.name

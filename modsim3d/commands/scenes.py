@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from modsim3d.commands.shared import JsonOption, QuietOption, SceneArgument, VerboseOption, print_line, print_rows
+from modsim3d.commands.shared import (
+    FromOption,
+    JsonOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    StateOption,
+    VerboseOption,
+    print_line,
+    print_rows,
+)
 from modsim3d.commands.tables import print_prose
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
 
@@ -13,7 +23,13 @@ if TYPE_CHECKING:
 
 
 def check_command(
-    scene: SceneArgument, quiet: QuietOption = False, verbose: VerboseOption = False, json: JsonOption = False
+    scene: SceneArgument,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
 ) -> None:
     """Read a scene and every file that it names, and list everything that is wrong.
 
@@ -23,9 +39,10 @@ def check_command(
     """
     from modsim3d.runs.blind_cameras import blind_at_first
     from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
 
     with timed("reading the scene"):
-        loaded = load_scene(scene)
+        loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
     tell_files([loaded.path, *loaded.copy.files.values()])
     console = open_console()
     print_line(console, f"{loaded.path}: no problems found")
@@ -62,10 +79,11 @@ def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
 
 
 def scenes_command(json: JsonOption = False) -> None:
-    """List the shipped scenes.
+    """List the shipped scenes, and the detection conditions for --state NAME --from conditions.
 
     Example: modsim3d scenes
     """
+    from modsim3d.inputs.shipped import CONDITIONS, conditions_in
     from modsim3d.scene.reading import shipped_scenes
 
     console, entries = open_console(), []
@@ -76,4 +94,6 @@ def scenes_command(json: JsonOption = False) -> None:
         print_line(console, name, "bold")
         print_prose(console, title, indent=4)
         print_line(console, f"    {path}", "dim")
-    say_json({"format": 1, "command": "scenes", "scenes": entries})
+    print_line(console, f"--from {CONDITIONS}", "bold")
+    print_prose(console, ", ".join(conditions_in()), indent=4)
+    say_json({"format": 1, "command": "scenes", "scenes": entries, "conditions": list(conditions_in())})

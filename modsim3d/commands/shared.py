@@ -47,6 +47,17 @@ WorkersOption = Annotated[
 StepsOption = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Number of time steps, in place of the scene's.")
 ]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the scene or, below detector., of its detector."),
+]
+StateOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Keep the detector in one of its performance states.")
+]
+FromOption = Annotated[
+    str | None,
+    typer.Option("--from", metavar="DIR", help="Take --state from the detectors of a folder; conditions: shipped."),
+]
 EveryOption = Annotated[int, typer.Option(min=1, metavar="K", help="Take every K-th time step only.")]
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", callback=ask_quiet, help="Print nothing but warnings and errors.")

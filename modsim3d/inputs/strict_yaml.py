@@ -95,15 +95,20 @@ _Yaml12.yaml_implicit_resolvers = {
     for first, resolvers in Resolver.yaml_implicit_resolvers.items()
 }
 _Yaml12.add_implicit_resolver(f"{_CORE}bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
-_Yaml12.add_implicit_resolver(f"{_CORE}int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
-_Yaml12.add_implicit_resolver(
-    f"{_CORE}float",
-    re.compile(
-        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+NUMBERS = (
+    (f"{_CORE}int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789")),
+    (
+        f"{_CORE}float",
+        re.compile(
+            r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+            r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+        ),
+        list("-+.0123456789"),
     ),
-    list("-+.0123456789"),
 )
+"""Tag, pattern and first characters of the texts that are numbers."""
+for _number in NUMBERS:
+    _Yaml12.add_implicit_resolver(*_number)
 
 
 def _construct_int(loader: _Yaml12, node: yaml.ScalarNode) -> int:
@@ -175,7 +180,15 @@ def load_yaml(path: Path, what: str) -> Any:
     Raises:
         InputError: The file cannot be read, exceeds a budget or is not valid YAML; the message names line and column.
     """
-    text, source = read_text(path, what, budgets.MAX_YAML_BYTES), f"{what} {path}"
+    return parse_yaml(read_text(path, what, budgets.MAX_YAML_BYTES), f"{what} {path}")
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """The content of a text of YAML, as `load_yaml` has that of a file; messages call the text `source`.
+
+    Raises:
+        InputError: The text exceeds a budget or is not valid YAML.
+    """
     try:
         return _parsed(text)
     except yaml.MarkedYAMLError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import reprlib
 from collections.abc import Iterable
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -31,7 +31,13 @@ Rate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e6, le=1e6)
 
 
 class Strict(BaseModel):
-    """A section of an input file: unknown keys are errors, values cannot be changed."""
+    """A section of an input file: unknown keys are errors, values cannot be changed.
+
+    Attributes:
+        alternatives: Groups of keys of which only one may be there. Setting a key removes those of the other groups.
+    """
+
+    alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -54,8 +60,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
 
 
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The valid keys of the section at a location."""
+def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """The model of the section at a location; None where there is none."""
     current: Any = model
     for part in location:
         if get_origin(current) is dict:
@@ -63,11 +69,11 @@ def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[st
         elif part in getattr(current, "model_fields", {}):
             current = current.model_fields[part].annotation
         else:
-            return []
+            return None
         options = [option for option in get_args(current) if hasattr(option, "model_fields")]
         if get_origin(current) is not dict and len(options) == 1:
             (current,) = options  # `MountKeys | None`
-    return list(getattr(current, "model_fields", ()))
+    return current if hasattr(current, "model_fields") else None
 
 
 _PLAIN_WORDS = {
@@ -135,7 +141,8 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             path = join_path(*prefix, *map(str, location[:-1]))
             lines.append(f"{path}: a name must be text: put it in quotes")
         elif item["type"] == "extra_forbidden":
-            hint = nearest(str(location[-1]), _keys_at(model, location[:-1]))
+            section = model_at(model, location[:-1])
+            hint = nearest(str(location[-1]), section.model_fields if section else ())
             lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
         elif item["type"] == "missing":
             lines.append(f"{path}: missing")

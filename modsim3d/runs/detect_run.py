@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-from modsim3d.errors import RunDirectoryError
+from modsim3d.errors import InputError, RunDirectoryError
 from modsim3d.paths import StrPath, as_path
 from modsim3d.processes import WorkerCount
 from modsim3d.runs.run import RunResult, settings_of, write_run
@@ -22,6 +23,9 @@ def detect_run(
     *,
     detector: StrPath | None = None,
     seed: int | None = None,
+    settings: Mapping[str, object] | None = None,
+    state: str | None = None,
+    state_from: Path | str | None = None,
     overwrite: bool = False,
     workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda steps: None,
@@ -35,6 +39,9 @@ def detect_run(
         folder: The new run directory.
         detector: A detector file or the name of a shipped detector, in place of the run's.
         seed: Seed of the detector, in place of the run's.
+        settings: Keys below `detector`, as those of `load_scene`.
+        state: As that of `load_scene`.
+        state_from: As that of `load_scene`.
         overwrite: Replace a run that is there.
         workers: Number of processes, or `auto` for one for each CPU; the bytes of the files do not depend on it.
         progress: Called with the number of steps done since its last call.
@@ -47,21 +54,24 @@ def detect_run(
     run.finished_tables.check_checksums()
     if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(run.folder)):
         raise RunDirectoryError(f"{folder} is, or is in, the run that the truth is read from: choose another folder")
-    scene = with_detector(run, detector, seed)
-    settings = settings_of(scene, run.settings["backend"])
-    if settings["versions"] != run.settings["versions"]:
-        settings["truth_versions"] = run.settings["versions"]
+    scene = _with_detector(run, seed, detector=detector, settings=settings or {}, state=state, state_from=state_from)
+    facts = settings_of(scene, run.settings["backend"])
+    if facts["versions"] != run.settings["versions"]:
+        facts["truth_versions"] = run.settings["versions"]
     block_workers = open_block_workers(scene, workers, truth_run=run.folder)
-    return write_run(scene, folder, block_workers, lambda _: settings, overwrite=overwrite, progress=progress)
+    return write_run(scene, folder, block_workers, lambda _: facts, overwrite=overwrite, progress=progress)
 
 
-def with_detector(run: StoredRun, detector: StrPath | None = None, seed: int | None = None) -> Scene:
-    """A run's scene with another detector file or another seed of the detector.
+def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:
+    """A run's scene with another detector or another seed of it.
 
     The seed of the scene changes too, unless the truth depends on it.
 
     Raises:
-        InputError: The detector file is wrong, or does not know the label of a vessel.
+        InputError: The detector is wrong or does not know the label of a vessel, or a setting is not of the detector.
     """
+    for key in settings:
+        if key.partition(".")[0] not in ("detector", "detector_seed"):
+            raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])
     scene_seed = None if run.scene.truth_has_seed else seed
-    return load_scene(run.scene.path, detector=detector, seed=scene_seed, detector_seed=seed)
+    return load_scene(run.scene.path, seed=scene_seed, detector_seed=seed, settings=settings, **detector)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import orjson
 from pydantic import BaseModel
 
+from modsim3d.detector.file.writing import detector_text
 from modsim3d.motion.poses import LivePoses
 from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
@@ -26,11 +27,13 @@ class SceneCopy:
         name: Name of the scene.
         document: Content of the scene file with what the caller set, and with the paths of the copy.
         files: Path in the copy → original file.
+        changed: Path in the copy → content, of the files that the caller has changed.
     """
 
     name: str
     document: Mapping[str, Any]
     files: Mapping[str, Path]
+    changed: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -43,7 +46,10 @@ class SceneCopy:
         folder.mkdir(parents=True, exist_ok=True)
         for name, source in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, folder / name)
+            if name in self.changed:
+                (folder / name).write_bytes(self.changed[name])
+            else:
+                shutil.copyfile(source, folder / name)
         path = folder / self.names[0]
         path.write_bytes(self._scene_file())
         return path
@@ -53,7 +59,8 @@ class SceneCopy:
         digest = hashlib.sha256(hashlib.sha256(self._scene_file()).digest())
         for name, source in sorted(self.files.items()):
             digest.update(hashlib.sha256(name.encode()).digest())
-            digest.update(hashlib.sha256(source.read_bytes()).digest())
+            content = self.changed[name] if name in self.changed else source.read_bytes()
+            digest.update(hashlib.sha256(content).digest())
         return digest.hexdigest()
 
     def _scene_file(self) -> bytes:
@@ -62,7 +69,11 @@ class SceneCopy:
 
 def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     """A copy in which each file that the scene names lies beside it under a plain name; a copy's copy is the same."""
-    detector = f"detector{Path(keys.detector).suffix}"
+    changed, suffix = {}, Path(keys.detector).suffix
+    if parts.changed_detector is not None:
+        suffix = ".yaml"
+        changed[f"detector{suffix}"] = detector_text(parts.changed_detector).encode()
+    detector = f"detector{suffix}"
     vessels = parts.meshes.copied_all(parts.vessel_entries or {}, parts.vessels_at.folder)
     document = {**parts.data, "vessels": vessels, "detector": detector}
     if "obstacles" in document:
@@ -81,7 +92,7 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
     if isinstance(document.get("annotation"), dict):
         document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
-    return SceneCopy(parts.scene_name, _ordered(document, SceneKeys), files)
+    return SceneCopy(parts.scene_name, _ordered(document, SceneKeys), files, changed)
 
 
 def _pose_file(number: int, file: str) -> str:

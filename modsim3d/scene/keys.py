@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import shapely
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
@@ -78,6 +78,8 @@ class DistortionKeys(Strict):
 class CameraKeys(Strict):
     """A camera: lens, sensor, and either `pose` or `mount`."""
 
+    alternatives: ClassVar = (("pose",), ("mount",))
+
     focal_length_m: Lens
     pixel_size_m: tuple[Lens, Lens]
     principal_point_px: tuple[Pixels, Pixels]
@@ -123,6 +125,12 @@ class AxisKeys(Strict):
 
 class WavesKeys(Strict):
     """Waves: a named level, the coefficients of each axis, or a spectrum."""
+
+    alternatives: ClassVar = (
+        ("level",),
+        ("roll", "pitch", "yaw"),
+        ("spectrum", "significant_height_m", "peak_period_s", "direction_rad", "peakedness"),
+    )
 
     level: str | None = None
     roll: AxisKeys | None = None

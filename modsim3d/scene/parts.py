@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -12,15 +12,17 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from modsim3d.detector.file.reading import load_detector
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.inputs.plugins import Plugin
+from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import MOST_PROBLEMS, describe, join_path, nearest
 from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
 from modsim3d.motion.waves.levels import Axes, find_level
 from modsim3d.scene.keys import SceneKeys
 from modsim3d.scene.meshes import SceneMeshes, read_obstacle
+from modsim3d.scene.settings import Setting, Settings
 from modsim3d.vessels.obstacles import Obstacle
 from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
 
@@ -53,7 +55,9 @@ class SceneParts:
 
     Attributes:
         path: The scene file.
-        data: Content of the scene file, with what the caller set in place of it.
+        settings: What the caller sets in place of what is written in the files.
+        data: Content of the scene file with the settings.
+        changed_detector: Content of the detector file with the settings; None if there are none.
         problems: Every problem, one line each.
         keys: The content, validated.
         vessel_entries: The mapping of vessels as in its file.
@@ -62,9 +66,11 @@ class SceneParts:
         obstacles: The obstacles that could be read.
     """
 
-    def __init__(self, path: Path, data: dict[str, Any]) -> None:
+    def __init__(self, path: Path, data: dict[str, Any], settings: Iterable[Setting] = ()) -> None:
         """Read all parts."""
-        self.path, self.data = path, data
+        self.path, self.settings = path, Settings(settings)
+        self.data = self.settings.in_scene(data)
+        self.changed_detector: dict[str, Any] | None = None
         self.folder = path.resolve().parent
         self.problems: list[str] = []
         self.meshes = SceneMeshes()
@@ -80,6 +86,7 @@ class SceneParts:
         self.wave_level = self._wave_level()
         self.obstacles = self._obstacles()
         self.vessels = None if boxes is None else tuple(self._with_mesh(vessel) for vessel in boxes)
+        self.problems = self.settings.problems + self.settings.named(self.problems)
 
     @property
     def scene_name(self) -> str:
@@ -136,7 +143,8 @@ class SceneParts:
     def _vessel_entries(self) -> dict[Any, Any] | None:
         entry = self.data.get("vessels")
         if isinstance(entry, str):
-            return self._collect(lambda: load_mapping(self.folder / entry))
+            read = partial(load_mapping, self.folder / entry)
+            return self._collect(lambda: self.settings.in_file("vessels", read(), self.vessels_at.source))
         return entry if isinstance(entry, dict) else None  # validation of the keys reports it
 
     def _boxes(self) -> tuple[Vessel, ...] | None:
@@ -163,7 +171,13 @@ class SceneParts:
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")
-        return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
+        return self._collect(lambda: self._read_detector(self.folder / entry)) if isinstance(entry, str) else None
+
+    def _read_detector(self, file: Path) -> DetectorModel:
+        content, source = load_yaml(file, "detector"), f"detector {file}"
+        if self.settings.changes_file("detector") and isinstance(content, dict):
+            content = self.changed_detector = self.settings.in_file("detector", content, source)
+        return parse_detector(content, source)
 
     def _source(self) -> NamedSource | None:
         """The keys of the pose source; None for one that needs the scene's times, where the scene gives none."""
@@ -215,14 +229,27 @@ class SceneParts:
             if isinstance(vessel, str) and vessel not in names:
                 yield f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})"
 
+    def _vessel_labels(self) -> Iterator[tuple[Any, str]]:
+        """Names and labels of the vessels that have one."""
+        for name, entry in (self.vessel_entries or {}).items():
+            if isinstance(entry, dict) and isinstance(entry.get("label"), str):
+                yield name, entry["label"]
+
     def _label_problems(self) -> Iterator[str]:
-        if self.vessel_entries is None or self.detector is None:
+        if self.detector is None:
             return
         labels, place = self.detector.labels, self.vessels_at
+        unknown = sorted({label for _, label in self._vessel_labels() if label not in labels})
+        if unknown and (option := self.settings.option_of("detector")):
+            yield (
+                f"{option}: this detector has the labels {', '.join(labels)}, and the scene's vessels have "
+                f"{', '.join(unknown)}. To change the scene's own detector as much as two conditions differ, use "
+                "modsim3d guess"
+            )
+            return
         where = "" if place.path else f"{place.source}: "
-        for name, entry in self.vessel_entries.items():
-            label = entry.get("label") if isinstance(entry, dict) else None
-            if isinstance(label, str) and label not in labels:
+        for name, label in self._vessel_labels():
+            if label not in labels:
                 yield (
                     f"{where}{join_path(*place.path, str(name))}.label: '{label}' is not one of the detector's labels "
                     f"({nearest(label, labels)})"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.geometry.lens import Distortion
-from modsim3d.inputs.shipped import data_folder
+from modsim3d.inputs.shipped import data_folder, find_condition
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import kind_of, nearest, shown
@@ -29,6 +30,7 @@ from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SCENE_FILE, SceneParts
 from modsim3d.scene.scene import Scene
+from modsim3d.scene.settings import Setting, settings_of
 from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.vessel import Vessel
 
@@ -48,9 +50,13 @@ def find_scene(scene: StrPath) -> Path:
     path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
     name = os.fspath(scene)
     try:
-        exists, folder = path.exists(), path.is_dir()
-    except OSError as error:
-        raise InputError(f"scene {shown(name)}", [f"cannot be read: {error.strerror}"]) from None
+        # Not `exists()`, which hides some errors from Python 3.14 on.
+        exists, folder = True, S_ISDIR(path.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError):
+        exists, folder = False, False
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"scene {shown(name)}", [f"cannot be read: {why}"]) from None
     if exists and not (folder and name in shipped):
         return path / SCENE_FILE if folder and (path / SCENE_FILE).is_file() else path
     if name in shipped:
@@ -70,6 +76,9 @@ def load_scene(
     render: str | None = None,
     detector: StrPath | None = None,
     detector_seed: int | None = None,
+    settings: Mapping[str, object] | None = None,
+    state: str | None = None,
+    state_from: Path | str | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -86,6 +95,12 @@ def load_scene(
         render: What the rendered source draws: `regions` or `full`.
         detector: A detector file, relative to the working directory, or the name of a shipped detector.
         detector_seed: Seed of the detector.
+        settings: Any keys of the scene, and below `detector` of the detector file, such as
+            `{"waves.level": "large", "detector.states.clear.false_discovery_rate": 0.2}`; a list's items have their
+            index as key. Files in the values are relative to the scene.
+        state: The performance state that the detector is in for the whole scene.
+        state_from: A folder of detector files, of which `state` names one that replaces the scene's detector;
+            `conditions` is the shipped folder. Or a detector file, which replaces it and has the state.
 
     Raises:
         InputError: With every problem found, each with its path in the file.
@@ -96,31 +111,40 @@ def load_scene(
     if not isinstance(data, dict):
         needed = f"a mapping of keys is needed (got {kind_of(data)})"
         raise InputError(f"scene {path}", ["the file is empty" if data is None else needed])
-    overrides: dict[tuple[str, ...], object] = {
-        ("seed",): seed,
-        ("steps",): steps,
-        ("annotation", "mode"): mode,
-        ("annotation", "source"): source,
-        ("annotation", "supersample"): supersample,
-        ("annotation", "render"): render,
-        ("detector",): None
-        if detector is None
-        else str(find_detector(detector).resolve()),  # not relative to the scene
-        ("detector_seed",): detector_seed,
+    given: dict[str, object] = {
+        "seed": seed,
+        "steps": steps,
+        "annotation.mode": mode,
+        "annotation.source": source,
+        "annotation.supersample": supersample,
+        "annotation.render": render,
+        # Absolute, since a scene's paths are relative to it; not resolved, since a pipe resolves to what is no path.
+        "detector": None if detector is None else str(find_detector(detector).absolute()),
+        "detector_seed": detector_seed,
     }
-    for keys, value in overrides.items():
-        if value is not None:
-            _override(data, keys, value.item() if isinstance(value, np.generic) else value)
-    return _assembled(SceneParts(path, data))
+    wanted = [
+        Setting(key, value.item() if isinstance(value, np.generic) else value)
+        for key, value in given.items()
+        if value is not None
+    ]
+    wanted += _state_settings(state, state_from, detector)
+    return _assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
 
 
-def _override(data: dict[str, Any], keys: tuple[str, ...], value: object) -> None:
-    for key in keys[:-1]:
-        inner = data.get(key)
-        data[key] = dict(inner) if isinstance(inner, dict) else {} if inner is None else inner
-        data = data[key]
-    if isinstance(data, dict):
-        data[keys[-1]] = value
+def _state_settings(state: str | None, place: Path | str | None, detector: Path | None) -> list[Setting]:
+    """What puts the detector into one state for the whole scene."""
+    if place is not None and (state is None or detector is not None):
+        problem = "--state says which one to take from there: give both" if state is None else "so is --detector"
+        raise InputError(f"--from {place}", ["is a detector in place of the scene's: " + problem])
+    if state is None:
+        return []
+    forced = Setting("detector.performance.schedule", [[0, state]], "--state")
+    if place is None:
+        return [forced]
+    if Path(place).is_file():
+        return [Setting("detector", str(Path(place).resolve()), f"--from {place}"), forced]
+    file = find_condition(state, place)
+    return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
 
 
 def _assembled(parts: SceneParts) -> Scene:
@@ -153,7 +177,7 @@ def _assembled(parts: SceneParts) -> Scene:
     if keys.imu is not None and not scene.own_ships:
         problems.insert(0, "imu: no camera is mounted on a vessel, so there is no own ship to measure")
     if problems:
-        raise InputError(parts.name, problems)
+        raise InputError(parts.name, parts.settings.named(problems))
     return scene
 
 

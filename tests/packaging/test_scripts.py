@@ -14,6 +14,8 @@ import pytest
 from tests.view.report import browser
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+SETUP = REPOSITORY / "script" / "setup"
+KNOWN_PYTHONS = re.search(r"known_pythons=\((.*)\)", SETUP.read_text())[1].split()
 CHECKS = ("ruff", "mypy", "lint-imports", "pytest")
 IN_BASH = [path for path in (*(REPOSITORY / "script").iterdir(), REPOSITORY / ".ci" / "run") if path.is_file()]
 IN_BASH = [path for path in IN_BASH if path.read_text().startswith("#!/usr/bin/env bash\n")]
@@ -75,15 +77,46 @@ def test_setup_refuses_an_unusable_python_in_one_line_and_leaves_nothing_behind(
         [copy_of_setup(tmp_path)], env={**os.environ, "PYTHON": "/bin/false"}, capture_output=True, text=True
     )
     assert finished.returncode == 1
-    assert finished.stderr == ("script/setup: PYTHON=/bin/false does not run or is not Python 3.11, 3.12 or 3.13\n")
+    assert finished.stderr == ("script/setup: PYTHON=/bin/false does not run or is not Python 3.11 or newer\n")
     assert not (tmp_path / ".venv").exists()
 
 
 def test_setup_accepts_the_pythons_that_the_package_does() -> None:
     asked = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["requires-python"]
-    lowest, above = re.findall(r"3\.\d+", asked)
-    accepted = f"({lowest.replace('.', ', ')}) <= sys.version_info[:2] <= (3, {int(above.split('.')[1]) - 1})"
-    assert accepted in (REPOSITORY / "script" / "setup").read_text()
+    lowest = asked.removeprefix(">=")
+    assert f"sys.version_info < ({lowest.replace('.', ', ')})" in SETUP.read_text()
+    assert lowest == KNOWN_PYTHONS[-1]
+
+
+def test_the_classifiers_are_the_pythons_that_setup_knows() -> None:
+    classifiers = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["classifiers"]
+    named = [text.rpartition(" ")[2] for text in classifiers if text.startswith("Programming Language :: Python :: 3.")]
+    assert named == KNOWN_PYTHONS[::-1]
+
+
+@pytest.mark.parametrize(
+    ("there", "taken"),
+    [
+        (("python3.15", "python3.14", "python3.11", "python3"), "python3.14"),  # python3 is 3.15
+        (("python3.15", "python3.12", "python3"), "python3.12"),
+        (("python3.15", "python3"), "python3"),
+        (("python3.10",), ""),
+    ],
+)
+def test_setup_takes_the_newest_python_that_it_knows(there: tuple[str, ...], taken: str, tmp_path: Path) -> None:
+    """A Python that is too new for the libraries is taken only where there is no other."""
+    for name in there:
+        python = tmp_path / name
+        python.write_text(f"#!/bin/sh\n{'exit 1' if name == 'python3.10' else ''}\n")
+        python.chmod(0o755)
+    text = SETUP.read_text()
+    parts = [re.search(r"^readonly known_pythons=.*$", text, re.MULTILINE)[0]]
+    for function in ("right_version", "can_make_venv", "find_python"):
+        parts.append(re.search(rf"^{function}\(\) {{.*?^}}", text, re.DOTALL | re.MULTILINE)[0])
+    command = ["/bin/bash", "-c", "\n".join([*parts, "find_python"])]
+    found = subprocess.run(command, env={"PATH": str(tmp_path)}, capture_output=True, text=True, check=False)
+    assert found.stdout.strip() == (str(tmp_path / taken) if taken else "")
+    assert (found.returncode == 0) == bool(taken)
 
 
 def test_setup_looks_for_the_browsers_that_the_tests_do() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
@@ -158,6 +158,8 @@ def _quantiles(value: list[float]) -> list[float]:
 class ScoreSection(Strict):
     """A distribution of confidence: normal, or by its quantiles."""
 
+    alternatives: ClassVar = (("mean", "std"), ("quantiles",))
+
     mean: Number | None = None
     std: NotNegative | None = None
     quantiles: Annotated[list[Probability], Field(min_length=2), AfterValidator(_quantiles)] | None = None
@@ -199,6 +201,8 @@ Curve = Annotated[
 
 class ConfidenceKeys(Strict):
     """Confidence: one normal distribution, two of any kind, or a precision-recall curve."""
+
+    alternatives: ClassVar = (("mean", "std"), ("true", "false"), ("precision_recall",))
 
     mean: Probability | None = None
     std: NotNegative | None = None

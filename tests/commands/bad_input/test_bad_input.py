@@ -290,7 +290,7 @@ WRONG_TEXTS: list[tuple[str, bytes, tuple[str, ...]]] = [
     ("vessels", b"{}", ("vessels.json: top level: no vessels; a scene needs at least one",)),
     ("vessels", b"[]", ("vessels.json: top level: a mapping of vessel ID to vessel is needed",)),
     ("vessels", b"null", ("vessels.json: top level: a mapping of vessel ID to vessel is needed",)),
-    ("vessels", b'{"vehicle1": {"beam_m": 4,}}', ("vessels.json: line 1, column 27:", "property name")),
+    ("vessels", b'{"vehicle1": {"beam_m" 4}}', ("vessels.json: line 1, column 24:", "Expecting ':' delimiter")),
     ("vessels", b"\xff\xfe{", ("vessels.json: is not UTF-8 text (byte 0)",)),
     ("poses", b"", ("poses.json: the file is empty",)),
     ("poses", b"{}", ("poses.json: a mapping of timestamp to vessels is needed, with at least one timestamp",)),

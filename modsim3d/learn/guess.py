@@ -1,0 +1,183 @@
+"""A guess of how a detector performs in another condition, from how another detector changed between two conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modsim3d.arrays import Array
+from modsim3d.detector.confidence import NormalScores, QuantileScores, Scores
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import DetectorModel
+from modsim3d.errors import InputError
+from modsim3d.learn.entries import columns_of_one, digits, nested
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionChange:
+    """How a detector changed from one condition to another.
+
+    Attributes:
+        miss_odds: Ratio of the odds of a miss.
+        false_odds: Ratio of the odds that a detection is false.
+        false_per_image: Ratio of the numbers of false positives per image, over the same vessels.
+        spread: Ratios of the standard deviations of e_x, e_y, e_w, e_h, shape (4,).
+        confidence: Differences of the log-odds of the mean confidence of true and of false detections.
+    """
+
+    miss_odds: float
+    false_odds: float
+    false_per_image: float
+    spread: Array
+    confidence: tuple[float, float]
+
+    @classmethod
+    def between(cls, before: tuple[str, DetectorModel], after: tuple[str, DetectorModel]) -> ConditionChange:
+        """The change between two conditions, each a name and a detector of one label and one state.
+
+        Raises:
+            InputError: A condition is none, or has a rate that no ratio can be taken of.
+        """
+        for name, model in (before, after):
+            _check_condition(name, model)
+        first, second = before[1].states[0], after[1].states[0]
+        if first.box_error.unit != second.box_error.unit:
+            problem = f"its box errors are in {second.box_error.unit}, and those of {before[0]} {first.box_error.unit}"
+            raise InputError(f"condition {after[0]}", [problem])
+        found, now_found = (1 - float(state.confusion[-1, 0]) for state in (first, second))
+        false_odds = _odds(second.false_discovery_rate) / _odds(first.false_discovery_rate)
+        variances = np.diag(second.box_error.covariance) / np.diag(first.box_error.covariance)
+        pairs = ((second.confidence.true, first.confidence.true), (second.confidence.false, first.confidence.false))
+        true, false = (_log_odds(_mean(now)) - _log_odds(_mean(then)) for now, then in pairs)
+        return cls(
+            miss_odds=_odds(1 - now_found) / _odds(1 - found),
+            false_odds=false_odds,
+            false_per_image=false_odds * now_found / found,
+            spread=np.sqrt(variances),
+            confidence=(true, false),
+        )
+
+
+def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "detector") -> dict[str, Any]:
+    """The content of a detector file after a change of condition, with every state changed by it.
+
+    Of a probability p the odds p/(1 − p) are multiplied, so that it stays below 1; the classes of what is detected keep
+    their shares. Standard deviations of box errors are multiplied, and their means and correlations stay. Confidence
+    is shifted by its log-odds. Everything else stays.
+
+    Args:
+        content: A detector file's content.
+        change: The change.
+        source: What to call the detector in messages.
+
+    Raises:
+        InputError: The detector is wrong before or after the change, or its confidence cannot be shifted.
+    """
+    parse_detector(content, source)
+    states = {name: _state(state, change, f"{source}: states.{name}") for name, state in content["states"].items()}
+    result = {**content, "states": states}
+    clutter = content.get("false_positives") or {}
+    if clutter.get("rate") is not None:
+        result["false_positives"] = {**clutter, "rate": digits(clutter["rate"] * change.false_per_image)}
+    parse_detector(result, f"{source}, changed")
+    return result
+
+
+def _check_condition(name: str, model: DetectorModel) -> None:
+    """Refuse a condition that no ratio can be taken of."""
+    if len(model.states) != 1 or len(model.labels) != 1:
+        found = f"{len(model.states)} states and {len(model.labels)} labels"
+        raise InputError(f"condition {name}", [f"a condition is a detector with one state and one label (got {found})"])
+    state = model.states[0]
+    numbers = {
+        "probability of a miss": state.confusion[-1, 0],
+        "false_discovery_rate": state.false_discovery_rate,
+        "mean confidence of true detections": _mean(state.confidence.true),
+        "mean confidence of false detections": _mean(state.confidence.false),
+    }
+    problems = [
+        f"its {what} is {value:g}: a ratio needs one between 0 and 1"
+        for what, value in numbers.items()
+        if not 0 < value < 1
+    ]
+    if not np.all(np.diag(state.box_error.covariance) > 0):
+        problems.append("the variance of one of its box errors is 0: no ratio can be taken of it")
+    if problems:
+        raise InputError(f"condition {name}", problems)
+
+
+def _state(state: Mapping[str, Any], change: ConditionChange, where: str) -> dict[str, Any]:
+    """A state's section after the change."""
+    confusion = np.array(state["confusion"], dtype=np.float64)
+    missed = _with_odds(confusion[-1], change.miss_odds)
+    found = np.where(confusion[-1] < 1, (1 - missed) / np.maximum(1 - confusion[-1], np.finfo(float).tiny), 0)
+    result = {
+        **state,
+        "confusion": columns_of_one(np.vstack([confusion[:-1] * found, missed])),
+        "false_discovery_rate": digits(_with_odds(state["false_discovery_rate"], change.false_odds)),
+        "box_error": _box_error(state["box_error"], change.spread),
+        "confidence": _confidence(state["confidence"], change.confidence, where),
+    }
+    if state.get("false_positives_per_image") is not None:
+        result["false_positives_per_image"] = digits(state["false_positives_per_image"] * change.false_per_image)
+    return result
+
+
+def _box_error(section: Mapping[str, Any], spread: Array) -> dict[str, Any]:
+    """A section of box errors with other standard deviations, and with its mean and correlations."""
+    covariance = np.array(section["covariance"], dtype=np.float64) * np.outer(spread, spread)
+    result = {**section, "covariance": [[float(f"{value:.10g}") for value in row] for row in covariance]}
+    if section.get("growth") is not None:
+        result["growth"] = nested(np.array(section["growth"], dtype=np.float64) * spread)
+    return result
+
+
+def _confidence(section: Mapping[str, Any], shift: tuple[float, float], where: str) -> dict[Any, Any]:
+    """A section of confidence, shifted; `shift` is that of true and of false detections."""
+    if section.get("precision_recall") is not None:
+        problem = "a precision-recall curve cannot be shifted: give mean and std, or true and false"
+        raise InputError(where, [f"confidence: {problem}"])
+    true, false = shift
+    if "mean" in section:
+        return _shifted(section, true, where)
+    shifts = {"true": true, True: true, "false": false, False: false}
+    return {key: _shifted(part, shifts[key], where) if key in shifts else part for key, part in section.items()}
+
+
+def _shifted(section: Mapping[Any, Any], shift: float, where: str) -> dict[Any, Any]:
+    """A distribution of confidence, shifted by log-odds."""
+    if not shift:
+        return dict(section)
+    if section.get("quantiles") is not None:
+        return {**section, "quantiles": nested(_with_odds(section["quantiles"], np.exp(shift)))}
+    if not 0 < section["mean"] < 1:
+        raise InputError(
+            where, [f"confidence: its mean is {section['mean']:g}: only one between 0 and 1 can be shifted"]
+        )
+    return {**section, "mean": digits(_with_odds(section["mean"], np.exp(shift)))}
+
+
+def _mean(scores: Scores) -> float:
+    """The mean of a distribution of confidence, before it is clipped."""
+    if isinstance(scores, NormalScores):
+        return scores.mean
+    if not isinstance(scores, QuantileScores):
+        raise TypeError(f"no mean is known of {type(scores).__name__}")
+    return float(np.mean((scores.quantiles[1:] + scores.quantiles[:-1]) / 2))
+
+
+def _odds(probability: float) -> float:
+    return probability / (1 - probability)
+
+
+def _log_odds(probability: float) -> float:
+    return float(np.log(_odds(probability)))
+
+
+def _with_odds(probability: Any, ratio: float) -> Array:
+    """Probabilities of any shape with their odds multiplied: r·p / (1 − p + r·p)."""
+    values = np.array(probability, dtype=np.float64)
+    return ratio * values / (1 - values + ratio * values)

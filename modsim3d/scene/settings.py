@@ -1,0 +1,242 @@
+"""Keys of a scene, and of the files that it names, that the caller sets in place of what is written there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from modsim3d.detector.file.schema import DetectorFile
+from modsim3d.errors import InputError
+from modsim3d.inputs.strict_yaml import parse_yaml
+from modsim3d.inputs.validation import join_path, kind_of, model_at, nearest
+from modsim3d.scene.keys import SceneKeys
+
+Path = tuple[str | int, ...]
+FILE_SECTIONS = ("vessels", "detector")
+"""Sections of a scene that may be the name of a file with what could also stand in their place."""
+_INDEX = re.compile(r"\[(\d+)\]")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A key and its new value.
+
+    Attributes:
+        key: The keys that lead to it, with dots between them; those of the detector file are below `detector`.
+        value: What stands there from now on, as a YAML file would have it.
+        option: What messages call it in place of the key, such as `--set waves.level`; empty: the key.
+    """
+
+    key: str
+    value: Any
+    option: str = ""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The keys that lead to it; an item of a list has its index as text."""
+        return tuple(_INDEX.sub(r".\1", self.key).split("."))
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return self.option or self.key
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a setting is in the files.
+
+    Attributes:
+        file: What problems say before the path, which is in the scene file if this is empty.
+        path: The path in the file.
+        option: The option.
+    """
+
+    file: str
+    path: Path
+    option: str
+
+    def named(self, problem: str) -> str:
+        """A problem of the value under the name of the option; empty if it is of something else."""
+        place = self.file + join_path(*self.path)
+        inside = problem.startswith(place) and problem[len(place) :][:1] in (":", ".", "[")
+        return self.option + problem[len(place) :] if inside else ""
+
+    def named_around(self, problem: str) -> str:
+        """A problem of a section that holds the value, and the option; empty if it is of something else."""
+        sections = (self.file + join_path(*self.path[:length]) for length in range(1, len(self.path)))
+        return f"{problem} (after {self.option})" if any(problem.startswith(f"{name}: ") for name in sections) else ""
+
+
+class Settings:
+    """Settings of a scene and of the files that it names.
+
+    Attributes:
+        problems: What is wrong with the settings themselves, one line each.
+    """
+
+    def __init__(self, settings: Iterable[Setting]) -> None:
+        """Take the settings; those with fewer keys come first, so that the others go into what they set."""
+        self.problems: list[str] = []
+        self._settings = sorted(settings, key=lambda setting: len(setting.parts))
+        self._of_files: dict[str, list[Setting]] = {section: [] for section in FILE_SECTIONS}
+        self._places: list[_Place] = []
+
+    def in_scene(self, data: Any) -> Any:
+        """The content of the scene file with the settings; those of files that it names are kept for `in_file`."""
+        for setting in self._settings:
+            section, *inside = setting.parts
+            if inside and section in self._of_files and isinstance(data.get(section), str):
+                self._of_files[section].append(setting)
+            else:
+                data = self._changed(data, setting)
+        return data
+
+    def in_file(self, section: str, content: Any, source: str) -> Any:
+        """The content of a file that a section of the scene names, with the settings.
+
+        Args:
+            section: The section.
+            content: The file's content.
+            source: What errors call the file.
+        """
+        for setting in self._of_files[section]:
+            content = self._changed(content, setting, source, section)
+        return content
+
+    def changes_file(self, section: str) -> bool:
+        """Whether a file that a section names is changed."""
+        return bool(self._of_files[section])
+
+    def option_of(self, key: str) -> str:
+        """The option that sets a key of the scene; empty if none does."""
+        return next((setting.option for setting in reversed(self._settings) if setting.key == key), "")
+
+    def named(self, problems: Iterable[str]) -> list[str]:
+        """Problems with the option that the caller gave, where they are about what it has set."""
+        return [self._named(problem) for problem in problems]
+
+    def _named(self, problem: str) -> str:
+        inside = (place.named(problem) for place in self._places)
+        around = (place.named_around(problem) for place in self._places)
+        return next(filter(None, (*inside, *around)), problem)
+
+    def _changed(self, content: Any, setting: Setting, file: str = "", *prefix: str) -> Any:
+        try:
+            content, path = changed(content, setting.parts[len(prefix) :], setting, prefix)
+        except InputError as error:
+            self.problems += [f"{error.source}: {problem}" for problem in error.problems]
+            return content
+        if setting.option:
+            self._places.append(_Place(f"{file}: " if file else "", path[len(prefix) :], setting.option))
+        return content
+
+
+def settings_of(values: Mapping[str, object]) -> list[Setting]:
+    """The settings that the option `--set` gives, from keys with dots to values."""
+    return [Setting(str(key), plain(value), f"--set {key}") for key, value in values.items()]
+
+
+def plain(value: Any) -> Any:
+    """A value as a YAML file would have it: NumPy's arrays and numbers are lists and numbers."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def read_settings(texts: Sequence[str]) -> dict[str, object]:
+    """Keys and values from texts such as `waves.level=large`; values are YAML, and the last one of a key counts.
+
+    Raises:
+        InputError: A text has no key or no `=`, or its value is not YAML.
+    """
+    values: dict[str, object] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise InputError(f"--set {text}", ["a key and a value are needed, as in waves.level=large"])
+        values[key.strip()] = parse_yaml(value, f"--set {key}")
+    return values
+
+
+def changed(content: Any, parts: Sequence[str], setting: Setting, where: Path = ()) -> tuple[Any, Path]:
+    """The content with the new value in it, and the path to it; the given content stays as it is.
+
+    A key that replaces others, as `level` replaces the `spectrum` of waves, removes them.
+
+    Args:
+        content: A scene file's content, or that of a part of it.
+        parts: The keys that lead from there to the value.
+        setting: The setting.
+        where: The path that leads to the content in the scene.
+
+    Raises:
+        InputError: No such key can be set.
+    """
+    if not parts:
+        return setting.value, where
+    if isinstance(content, list):
+        index = _index(content, parts[0], setting, where)
+        inner, path = changed(content[index], parts[1:], setting, (*where, index))
+        return [*content[:index], inner, *content[index + 1 :]], path
+    if content is None:
+        content = {}
+    if not isinstance(content, dict):
+        problem = f"{join_path(*where)} is {kind_of(content)}, which has no keys that could be set"
+        raise InputError(setting.name, [problem])
+    key, rest = _split(content, parts)
+    model = _model_at(where)
+    if key not in content:
+        _check_new(content, key, bool(rest), model, setting, where)
+    inner, path = changed(content.get(key), rest, setting, (*where, _text(key)))
+    replaced = _others(model, _text(key)) if setting.value is not None else ()
+    return {**{name: value for name, value in content.items() if _text(name) not in replaced}, key: inner}, path
+
+
+def _text(key: object) -> str:
+    """A key as text; YAML reads `true` as a truth value."""
+    return ("true" if key else "false") if isinstance(key, bool) else str(key)
+
+
+def _split(content: Mapping[Any, Any], parts: Sequence[str]) -> tuple[Any, Sequence[str]]:
+    """The first key and the parts after it; names of vessels and cameras may have dots in them."""
+    texts = {_text(name): name for name in content}
+    for count in range(1, len(parts) + 1):
+        if (text := ".".join(parts[:count])) in texts:
+            return texts[text], parts[count:]
+    return parts[0], parts[1:]
+
+
+def _index(content: Sequence[Any], part: str, setting: Setting, where: Path) -> int:
+    if part.isdecimal() and int(part) < len(content):
+        return int(part)
+    problem = f"{join_path(*where)} is a list of {len(content)}: its items are 0 to {len(content) - 1} (got '{part}')"
+    raise InputError(setting.name, [problem])
+
+
+def _model_at(where: Path) -> type[BaseModel] | None:
+    """The keys that a section may have; None for one whose keys are names, or depend on plug-ins."""
+    if where[:1] == ("detector",):
+        return model_at(DetectorFile, where[1:])
+    return model_at(SceneKeys, where)
+
+
+def _check_new(
+    content: Mapping[Any, Any], key: str, inside: bool, model: type[BaseModel] | None, setting: Setting, where: Path
+) -> None:
+    """Refuse a key that the section cannot have, and a value inside a name that the section has not."""
+    if model is not None and key not in model.model_fields:
+        hint = nearest(key, model.model_fields)
+        raise InputError(setting.name, [f"unknown key {join_path(*where, key)} ({hint})"])
+    if model is None and inside:
+        raise InputError(setting.name, [f"{join_path(*where)} has no '{key}' ({nearest(key, content)})"])
+
+
+def _others(model: type[BaseModel] | None, key: str) -> set[str]:
+    """The keys that a key replaces."""
+    groups: tuple[tuple[str, ...], ...] = getattr(model, "alternatives", ())
+    own = {name for group in groups if key in group for name in group}
+    return {name for group in groups for name in group} - own if own else set()

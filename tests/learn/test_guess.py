@@ -1,0 +1,260 @@
+"""A detector in another condition: rates stay rates, covariances stay covariances, and there and back is nothing."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.detector import DetectorModel, load_detector, parse_detector
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.errors import InputError
+from modsim3d.inputs.shipped import conditions_in, data_folder
+from modsim3d.inputs.strict_yaml import load_yaml
+from modsim3d.learn.guess import ConditionChange, guessed
+from tests.commands.bad_input.builders import Call
+from tests.commands.bad_input.conftest import call
+
+__all__ = ["call"]  # a fixture
+CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "conditions.md"
+RICH = data_folder("scenes") / "detectors" / "rich.yaml"
+NAMES = sorted(name for name in CONDITIONS if "experiment" not in name)
+
+
+def content_of(name: str = "rich") -> dict[str, Any]:
+    content: dict[str, Any] = load_yaml(RICH.with_name(f"{name}.yaml"), "detector")
+    return content
+
+
+def change(before: str, after: str) -> ConditionChange:
+    return ConditionChange.between(CONDITIONS[before], CONDITIONS[after])
+
+
+def condition(**keys: Any) -> tuple[str, DetectorModel]:
+    """A condition of one's own."""
+    state = {
+        "confusion": [[0.8], [0.2]],
+        "false_positive_labels": [1.0],
+        "false_discovery_rate": 0.1,
+        "box_error": {"unit": "relative", "mean": [0, 0, 0, 0], "covariance": np.diag([4.0, 1, 9, 1]).tolist()},
+        "confidence": {"mean": 0.6, "std": 0.1},
+        **keys,
+    }
+    whole = {"confidence_threshold": 0.2, "initial_state": "it", "transition_matrix": [[1.0]], "labels": ["boat"]}
+    return "it", parse_detector({**whole, "states": {"it": state}})
+
+
+def test_the_detector_of_one_condition_becomes_that_of_another() -> None:
+    """The guess is exact for the detector that the two conditions were measured with, but for means of errors."""
+    for after in NAMES:
+        content: dict[str, Any] = load_yaml(conditions_in()["noon_clear"], "detector")
+        content["states"]["noon_clear"]["box_error"]["covariance"] = np.diag([2352.25, 392.04, 5402.25, 1225]).tolist()
+        result = guessed(content, change("noon_clear", after))["states"]["noon_clear"]
+        wanted = CONDITIONS[after][1].states[0]
+        np.testing.assert_allclose(result["confusion"], wanted.confusion, atol=1e-7)
+        assert result["false_discovery_rate"] == pytest.approx(wanted.false_discovery_rate, rel=1e-5)
+        variances = np.diag(result["box_error"]["covariance"])
+        np.testing.assert_allclose(variances, np.diag(wanted.box_error.covariance), rtol=1e-9)
+
+
+def test_odds_by_hand() -> None:
+    """Noon clear to foggy cloudy: misses 0.133 to 0.381, false discoveries 0.089 to 0.255 (Table 8.7)."""
+    found = change("noon_clear", "foggy_cloudy")
+    assert found.miss_odds == pytest.approx((0.381 / 0.619) / (0.133 / 0.867))
+    assert found.false_odds == pytest.approx((0.255 / 0.745) / (0.089 / 0.911))
+    assert found.false_per_image == pytest.approx(found.false_odds * 0.619 / 0.867)
+    state = guessed(content_of("three_labels"), found)["states"]
+    before = content_of("three_labels")["states"]
+    for name in before:
+        missed, was = np.array(state[name]["confusion"])[-1], np.array(before[name]["confusion"])[-1]
+        np.testing.assert_allclose(missed / (1 - missed), found.miss_odds * was / (1 - was), rtol=1e-4)
+
+
+@given(st.sampled_from(NAMES), st.sampled_from(NAMES), st.sampled_from(["rich", "thesis", "three_labels"]))
+@settings(max_examples=25, deadline=None)
+def test_a_guess_is_a_detector_and_the_way_back_undoes_it(before: str, after: str, name: str) -> None:
+    content = content_of(name)
+    there = guessed(content, change(before, after))
+    model = parse_detector(there)  # refuses probabilities out of range, columns, covariances
+    for state in model.states:
+        assert 0 < state.confusion[-1].min() <= state.confusion[-1].max() < 1
+        assert 0 < state.false_discovery_rate < 1
+        assert np.linalg.eigvalsh(state.box_error.covariance).min() > 0
+    back, original = parse_detector(guessed(there, change(after, before))), parse_detector(content)
+    for found, wanted in zip(back.states, original.states, strict=True):
+        np.testing.assert_allclose(found.confusion, wanted.confusion, atol=2e-6)
+        np.testing.assert_allclose(found.box_error.covariance, wanted.box_error.covariance, rtol=1e-8, atol=1e-12)
+        assert found.false_discovery_rate == pytest.approx(wanted.false_discovery_rate, rel=2e-5)
+
+
+def test_what_no_condition_says_stays() -> None:
+    content, found = content_of(), guessed(content_of(), change("noon_clear", "foggy_cloudy"))
+    changed = {"confusion", "false_discovery_rate", "box_error", "confidence"}
+    assert {key: value for key, value in found.items() if key != "states"} == {
+        key: value for key, value in content.items() if key != "states"
+    }
+    for name, state in content["states"].items():
+        assert found["states"][name]["box_error"]["mean"] == state["box_error"]["mean"]
+        assert {k: v for k, v in found["states"][name].items() if k not in changed} == {
+            k: v for k, v in state.items() if k not in changed
+        }
+
+
+def test_classes_keep_their_shares_and_correlations_stay() -> None:
+    content, found = content_of(), guessed(content_of(), change("noon_clear", "night_cloudy"))
+    for name in content["states"]:
+        was, now = (np.array(each["states"][name]["confusion"])[:-1] for each in (content, found))
+        np.testing.assert_allclose(now / now.sum(axis=0), was / was.sum(axis=0), atol=1e-5)
+        was, now = (np.array(each["states"][name]["box_error"]["covariance"]) for each in (content, found))
+        scale = [np.sqrt(np.diag(each)) for each in (was, now)]
+        np.testing.assert_allclose(now / np.outer(scale[1], scale[1]), was / np.outer(scale[0], scale[0]), atol=1e-8)
+    growth = found["states"]["haze"]["box_error"]["growth"]
+    np.testing.assert_allclose(
+        growth, [0.05, 0.05, 0.08, 0.08] * change("noon_clear", "night_cloudy").spread, rtol=1e-5
+    )
+
+
+def test_rates_per_image_follow_the_number_of_false_positives() -> None:
+    content = content_of()
+    content["false_positives"] |= {"model": "per_image", "rate": 0.4}
+    content["states"]["haze"]["false_positives_per_image"] = 2
+    by = change("noon_clear", "foggy_cloudy")
+    found = guessed(content, by)
+    assert found["false_positives"]["rate"] == pytest.approx(0.4 * by.false_per_image, rel=1e-5)
+    assert found["states"]["haze"]["false_positives_per_image"] == pytest.approx(2 * by.false_per_image, rel=1e-5)
+
+
+def test_confidence_is_shifted_by_its_log_odds() -> None:
+    content = content_of()
+    by = ConditionChange.between(condition(), condition(confidence={"mean": 0.5, "std": 0.1}))
+    ratio = (0.5 / 0.5) / (0.6 / 0.4)
+    clear, haze = (guessed(content, by)["states"][name]["confidence"] for name in ("clear", "haze"))
+    before = content["states"]["clear"]["confidence"]
+    for found, was in zip(clear.values(), before.values(), strict=True):
+        if isinstance(was, dict):
+            assert found["mean"] / (1 - found["mean"]) == pytest.approx(
+                ratio * was["mean"] / (1 - was["mean"]), rel=1e-4
+            )
+            assert found["std"] == was["std"]
+        else:
+            assert found == was
+    quantiles = np.array(next(iter(haze.values()))["quantiles"])
+    was = np.array([0.2, 0.4, 0.55, 0.65, 0.95])
+    np.testing.assert_allclose(quantiles / (1 - quantiles), ratio * was / (1 - was), rtol=1e-4)
+
+
+def test_a_detector_that_misses_all_or_nothing_still_does() -> None:
+    content = content_of("thesis")
+    content["states"]["good"]["confusion"] = [[1.0], [0.0]]
+    content["states"]["bad"]["confusion"] = [[0.0], [1.0]]
+    states = guessed(content, change("noon_clear", "foggy_cloudy"))["states"]
+    assert (states["good"]["confusion"], states["bad"]["confusion"]) == ([[1.0], [0.0]], [[0.0], [1.0]])
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"confusion": [[1.0], [0.0]]}, "its probability of a miss is 0"),
+        ({"false_discovery_rate": 0}, "its false_discovery_rate is 0"),
+        ({"confidence": {"mean": 1, "std": 0}}, "its mean confidence of true detections is 1"),
+        (
+            {"box_error": {"unit": "relative", "mean": [0] * 4, "covariance": np.zeros((4, 4)).tolist()}},
+            "the variance of one of its box errors is 0",
+        ),
+        (
+            {"box_error": {"unit": "px", "mean": [0] * 4, "covariance": np.eye(4).tolist()}},
+            "its box errors are in px, and those of it relative",
+        ),
+    ],
+    ids=lambda value: "" if isinstance(value, dict) else value[:30],
+)
+def test_a_condition_without_a_ratio_is_refused(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        ConditionChange.between(condition(), condition(**keys))
+
+
+def test_a_detector_of_several_states_is_no_condition() -> None:
+    with pytest.raises(InputError, match=r"one state and one label \(got 4 states and 1 labels\)"):
+        ConditionChange.between(CONDITIONS["noon_clear"], ("thesis", load_detector(RICH.with_name("thesis.yaml"))))
+
+
+def test_a_precision_recall_curve_is_refused() -> None:
+    content = content_of("thesis")
+    content["states"]["good"]["confidence"] = {"precision_recall": [[0.849, 0.887]]}
+    with pytest.raises(InputError, match=r"states.good:\n  confidence: a precision-recall curve cannot be shifted"):
+        guessed(content, change("noon_clear", "night_cloudy"), "detector mine")
+
+
+def test_the_table_of_the_page_has_the_rates_of_the_conditions() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)% \| ([\d.]+)% \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    states = {name: CONDITIONS[name][1].states[0] for name in NAMES}
+    assert {name: (missed, false) for name, missed, false in rows} == {
+        name: (f"{state.confusion[-1, 0]:.1%}"[:-1], f"{state.false_discovery_rate:.1%}"[:-1])
+        for name, state in states.items()
+    }
+
+
+# ---- the command -------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "in_fog.yaml"
+    arguments = ("guess", str(RICH), "--from", "noon_clear", "--to", "foggy_cloudy", "--out", str(out))
+    status, said = call(*arguments)
+    assert status == 0, said
+    assert "A guess, not a measurement: rich.yaml in foggy_cloudy" in said
+    assert "Remark" not in said
+    comments = [line for line in out.read_text().splitlines() if line.startswith("#")]
+    assert "Written by modsim3d guess. A guess, not a measurement" in comments[0]
+    assert "noon_clear" in " ".join(comments)
+    assert "odds of a miss by 4.01" in " ".join(comments)
+    assert max(map(len, comments)) <= 120
+    assert load_detector(out).labels == load_detector(RICH).labels
+    status, said = call(*arguments)
+    assert (status, "exists" in said) == (2, True)
+
+
+def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_path: Path) -> None:
+    between = ("--from", "noon_clear", "--to", "real_world_experiment_1", "--out", str(tmp_path / "real.yaml"))
+    status, said = call("guess", str(RICH), *between)
+    assert status == 0
+    assert "Remark: the box errors of the two conditions differ by more than a factor of four" in said
+
+
+def test_the_detector_itself_is_never_written_over(call: Call, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_bytes(RICH.read_bytes())
+    between = ("--from", "noon_clear", "--to", "foggy_cloudy", "--out", str(mine), "--overwrite")
+    status, _ = call("guess", str(mine), *between)
+    assert (status, mine.read_bytes()) == (2, RICH.read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("detector", "before", "after", "part"),
+    [
+        (RICH, "noon_clear", "rain", "there is no 'rain' (known: afternoon_cloudy_rain, evening_cloudy_rain"),
+        (RICH, "non_clear", "foggy_clear", "did you mean 'noon_clear'?"),
+        (RICH, RICH, "foggy_clear", "got 2 states and 3 labels"),
+        ("nothing.yaml", "noon_clear", "foggy_clear", "nothing.yaml: no such file"),
+    ],
+    ids=["rain", "spelling", "states", "missing"],
+)
+def test_what_cannot_be_guessed_from_is_one_error(
+    call: Call, tmp_path: Path, detector: Path | str, before: Path | str, after: str, part: str
+) -> None:
+    out = tmp_path / "out.yaml"
+    status, said = call("guess", str(detector), "--from", str(before), "--to", after, "--out", str(out))
+    assert status == 2
+    assert part in " ".join(said.split())
+    assert "Traceback" not in said
+    assert not out.exists()
+
+
+def test_the_error_components_are_those_of_the_comment() -> None:
+    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as commands/guess.py writes them

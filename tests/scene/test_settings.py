@@ -1,0 +1,292 @@
+"""Keys that the caller sets: in the scene, in its detector and in its vessels, and what the copy in a run holds."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from modsim3d.detector import load_detector
+from modsim3d.detector.confidence import NormalScores
+from modsim3d.detector.file.writing import detector_text
+from modsim3d.errors import InputError
+from modsim3d.inputs.shipped import conditions_in, data_folder
+from modsim3d.inputs.strict_yaml import load_yaml, parse_yaml
+from modsim3d.runs.detect_run import detect_run
+from modsim3d.runs.repeat_run import repeat_run
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run, read_finished
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.settings import Setting, changed, read_settings
+from tests.commands.bad_input.builders import GOOD, Inputs
+
+RICH = data_folder("scenes") / "detectors" / "rich.yaml"
+DETECTOR_RATE = "detector.states.clear.false_discovery_rate"
+
+
+def inputs_in(folder: Path) -> Inputs:
+    return Inputs(folder / "in", copy.deepcopy(GOOD))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    return inputs_in(tmp_path).write()
+
+
+def problems(scene: Path | str, **options: Any) -> tuple[str, ...]:
+    with pytest.raises(InputError) as caught:
+        load_scene(scene, **options)
+    return caught.value.problems
+
+
+# ---- values ------------------------------------------------------------------------------------------------------
+
+
+def test_values_of_options_are_yaml() -> None:
+    texts = ["a=large", "b.c=0.1", "d=[1, 2]", "e={f: true}", "g=", "h=x=y", "a=small"]
+    assert read_settings(texts) == {
+        "a": "small",
+        "b.c": 0.1,
+        "d": [1, 2],
+        "e": {"f": True},
+        "g": None,
+        "h": "x=y",
+    }
+
+
+@pytest.mark.parametrize("key", ["cameras.C0.skew", "annotation.mode", "seed", "cameras.C0.image_size_px.1"])
+def test_a_setting_leaves_the_content_that_it_is_given_as_it_is(key: str) -> None:
+    content = copy.deepcopy(GOOD["scene"])
+    setting = Setting(key, 5)
+    result, _ = changed(content, setting.parts, setting)
+    assert content == GOOD["scene"]
+    assert result != content
+
+
+def test_a_setting_does_not_change_what_an_alias_repeats() -> None:
+    content = parse_yaml("cameras: {a: &lens {skew: 0}, b: *lens}", "here")
+    setting = Setting("cameras.a.skew", 3)
+    assert changed(content, setting.parts, setting)[0] == {"cameras": {"a": {"skew": 3}, "b": {"skew": 0}}}
+
+
+# ---- every part of a scene ---------------------------------------------------------------------------------------
+
+
+def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(scene: Path) -> None:
+    loaded = load_scene(
+        scene,
+        settings={
+            "seed": 7,
+            "cameras.C0.mount.pitch_rad": 0.1,
+            "cameras.C0.image_size_px[0]": 600,
+            "vessels.vehicle2.length_m": 9.5,
+            DETECTOR_RATE: 0.3,
+            "detector.gates.max_range_m": 500,
+        },
+    )
+    assert loaded.seed == 7
+    assert loaded.cameras[0].mount.pitch_rad == 0.1
+    assert loaded.cameras[0].intrinsics.image_size_px == (600, 480)
+    assert [vessel.length_m for vessel in loaded.vessels] == [8.0, 9.5]
+    assert loaded.detector.states[0].false_discovery_rate == 0.3
+    assert loaded.detector.gates.max_range_m == 500
+
+
+def test_values_may_be_those_of_numpy(scene: Path) -> None:
+    settings = {"seed": np.int64(7), "cameras.C0.image_size_px": np.array([600, 400])}
+    loaded = load_scene(scene, settings=settings)
+    assert (loaded.seed, loaded.cameras[0].intrinsics.image_size_px) == (7, (600, 400))
+
+
+def test_a_key_replaces_the_keys_that_cannot_stand_beside_it(tmp_path: Path) -> None:
+    assert load_scene("strait").copy.document["waves"]["spectrum"] == "jonswap"
+    waves = load_scene("strait", settings={"waves.level": "large"}).copy.document["waves"]
+    assert waves == {"level": "large", "apply_to": "all"}
+    inputs = inputs_in(tmp_path)
+    inputs.data["detector"] = load_yaml(RICH, "detector")
+    for entry in inputs.data["vessels"].values():
+        entry["label"] = "ferry"
+    confidence = {"detector.states.clear.confidence.mean": 0.6, "detector.states.clear.confidence.std": 0.1}
+    found = load_scene(inputs.write(), settings=confidence).detector.states[0].confidence
+    assert (found.true, found.false) == (NormalScores(0.6, 0.1), NormalScores(0.6, 0.1))
+
+
+def test_a_section_that_is_not_there_is_made(scene: Path) -> None:
+    assert load_scene(scene, settings={"waves.level": "large"}).waves is not None
+
+
+def test_the_more_exact_key_counts_whatever_the_order(scene: Path) -> None:
+    whole = {"detector": str(RICH), "vessels.vehicle1.label": "ferry", "vessels.vehicle2.label": "ferry"}
+    loaded = load_scene(scene, settings={DETECTOR_RATE: 0.3, **whole})
+    assert loaded.detector.labels == ("sailboat", "motorboat", "ferry")
+    assert loaded.detector.states[0].false_discovery_rate == 0.3
+
+
+def test_names_with_dots_can_be_set(tmp_path: Path) -> None:
+    inputs = inputs_in(tmp_path)
+    cameras = inputs.data["scene"]["cameras"]
+    cameras["C0.left"] = cameras.pop("C0")
+    assert load_scene(inputs.write(), settings={"cameras.C0.left.skew": 2}).cameras[0].intrinsics.skew == 2
+
+
+# ---- messages ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("detector.sates.clear.confusion", 1, "unknown key detector.sates (did you mean 'states'?)"),
+        ("detector.states.haze.confusion", 1, "detector.states has no 'haze' (known: clear, fog)"),
+        ("detector.states.clear.false_discovery_rate", 2, "is 2, must be from 0 to 0.99"),
+        ("detector.states.clear.box_error.mean.4", 2, "detector.states.clear.box_error.mean is a list of 4"),
+        ("waves.level", "lrge", "(did you mean 'large'?)"),
+        ("cameras.shoe.skew", 0, "cameras has no 'shoe' (did you mean 'shore'?)"),
+        ("cameras.C0.skw", 0, "unknown key cameras.C0.skw (did you mean 'skew'?)"),
+        ("cameras.C0.skew", "x", "(got 'x')"),
+        ("vessels.vehicle1.length_m", -1, "greater than or equal to 0.001 (got -1)"),
+        ("vessels.vehicle1.lenght_m", 1, "unknown key (did you mean 'length_m'?)"),
+        ("vessels.ghost.length_m", 1, "vessels has no 'ghost'"),
+        ("poses.file.vehicle1", 1, "poses.file is text, which has no keys that could be set"),
+        ("steps", 10**6, "1000000 asked for, but the pose file has 4"),
+        ("foo", 1, "unknown key foo (known: steps"),
+    ],
+)
+def test_a_wrong_setting_is_named_as_it_was_given(scene: Path, key: str, value: object, said: str) -> None:
+    (problem,) = problems(scene, settings={key: value})
+    assert problem.startswith(f"--set {key}: ")
+    assert said in problem
+
+
+def test_a_problem_of_a_section_names_the_setting_inside_it(scene: Path) -> None:
+    (problem,) = problems(scene, settings={"detector.transition_matrix.0.1": 0.5})
+    assert "transition_matrix: column 'fog' sums to 1.3" in problem
+    assert problem.endswith("(after --set detector.transition_matrix.0.1)")
+
+
+def test_every_wrong_setting_is_told_beside_the_problems_of_the_files(tmp_path: Path) -> None:
+    inputs = inputs_in(tmp_path)
+    inputs.data["detector"]["confidence_threshold"] = 3
+    said = problems(inputs.write(), settings={"foo": 1, "detector.bar": 2, "seed": -1})
+    assert [line.partition(":")[0].split(" /")[0] for line in said] == [
+        "--set foo",
+        "--set detector.bar",
+        "--set seed",
+        "detector",
+    ]
+
+
+# ---- states and conditions ---------------------------------------------------------------------------------------
+
+
+def test_a_state_is_forced_for_the_whole_scene(scene: Path) -> None:
+    loaded = load_scene(scene, state="fog")
+    names = [state.name for state in loaded.detector.states]
+    forced = loaded.detector.performance.forced(loaded.times_s(0, loaded.steps), [0] * loaded.steps)
+    assert [names[index] for index in forced] == ["fog"] * loaded.steps
+    assert problems(scene, state="haze") == ("--state: unknown state 'haze' (known: clear, fog)",)
+
+
+def test_a_condition_of_the_thesis_replaces_the_detector(scene: Path) -> None:
+    for name, file in conditions_in().items():
+        assert load_scene(scene, state=name, state_from="conditions").copy.files["detector.yaml"] == file.resolve()
+    with pytest.raises(InputError, match=r"there is no 'rain' \(known: afternoon_cloudy_rain, evening_cloudy_rain"):
+        load_scene(scene, state="rain", state_from="conditions")
+    with pytest.raises(InputError, match="--state says which one"):
+        load_scene(scene, state_from="conditions")
+
+
+def test_a_state_can_be_taken_from_a_folder_or_a_file_of_ones_own(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    calm = tmp_path / "mine" / "calm.yaml"
+    calm.write_text(detector_text(GOOD["detector"]))
+    assert load_scene(scene, state="calm", state_from=tmp_path / "mine").detector.labels == ("Vessel",)
+    assert load_scene(scene, state="fog", state_from=calm).detector.performance.schedule == ((0.0, 1),)
+    with pytest.raises(InputError, match="there are none"):
+        load_scene(scene, state="calm", state_from=tmp_path / "nowhere")
+
+
+def test_a_condition_with_other_labels_is_refused_once(tmp_path: Path) -> None:
+    inputs = inputs_in(tmp_path)
+    inputs.data["detector"] = load_yaml(RICH, "detector")
+    for entry, label in zip(inputs.data["vessels"].values(), ("ferry", "sailboat"), strict=True):
+        entry["label"] = label
+    (problem,) = problems(inputs.write(), state="noon_clear", state_from="conditions")
+    assert problem.startswith("--state noon_clear --from conditions: this detector has the labels Vessel, and the ")
+    assert "ferry, sailboat" in problem
+    assert "modsim3d guess" in problem
+
+
+# ---- the copy in a run -------------------------------------------------------------------------------------------
+
+CHANGES: dict[str, Any] = {
+    "waves.level": "small",
+    "vessels.vehicle1.beam_m": 3.5,
+    DETECTOR_RATE: 0.25,
+    "detector.transition_interval_s": 1e-06,
+}
+
+
+def test_the_copy_in_a_run_has_the_settings_and_gives_the_same_bytes(scene: Path, tmp_path: Path) -> None:
+    loaded = load_scene(scene, source="analytic", settings=CHANGES, state="fog")
+    run_scene(loaded, tmp_path / "run")
+    stored = yaml.safe_load((tmp_path / "run" / "scene" / "detector.yaml").read_text())
+    assert stored["states"]["clear"]["false_discovery_rate"] == 0.25
+    assert stored["performance"] == {"schedule": [[0, "fog"]]}
+    again = load_scene(tmp_path / "run" / "scene" / "scene.json")
+    assert again.sha256 == loaded.sha256
+    assert repeat_run(read_finished(tmp_path / "run"), tmp_path / "again").same
+    assert {frame.state for frame in open_run(tmp_path / "run").frames()} == {"fog"}
+
+
+def test_a_detector_file_is_copied_byte_by_byte_if_nothing_in_it_is_set(scene: Path, tmp_path: Path) -> None:
+    load_scene(scene, settings={"waves.level": "small"}).copy.write(tmp_path / "copy")
+    assert (tmp_path / "copy" / "detector.yaml").read_bytes() == (scene.parent / "detector.yaml").read_bytes()
+
+
+def test_a_detector_file_that_settings_change_is_an_input_that_no_run_replaces(scene: Path) -> None:
+    loaded = load_scene(scene, settings={DETECTOR_RATE: 0.25})
+    assert scene.parent / "detector.yaml" in loaded.copy.files.values()
+
+
+def test_the_detector_of_a_finished_run_can_be_changed_and_its_truth_not(scene: Path, tmp_path: Path) -> None:
+    run_scene(load_scene(scene, source="analytic"), tmp_path / "run")
+    stored = open_run(tmp_path / "run")
+    detect_run(stored, tmp_path / "again", settings={DETECTOR_RATE: 0.25}, state="fog")
+    detector = open_run(tmp_path / "again").scene.detector
+    assert (detector.states[0].false_discovery_rate, detector.performance.schedule) == (0.25, ((0.0, 1),))
+    with pytest.raises(InputError, match=r"--set waves.level:\n  a finished run keeps its truth"):
+        detect_run(stored, tmp_path / "other", settings={"waves.level": "small"})
+    assert not (tmp_path / "other").exists()
+
+
+# ---- the text of a detector file ---------------------------------------------------------------------------------
+
+TEXTS = st.one_of(
+    st.text(st.characters(codec="utf-8", categories=["L", "N", "P", "Zs"]), max_size=8),
+    st.from_regex(r"[-+]?[0-9.eE_:]{1,6}", fullmatch=True),
+)
+
+
+@given(
+    st.recursive(
+        st.one_of(st.none(), st.booleans(), st.integers(-(10**9), 10**9), st.floats(allow_nan=False), TEXTS),
+        lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(TEXTS.filter(bool), inner, max_size=3)),
+        max_leaves=6,
+    )
+)
+def test_a_written_detector_reads_as_it_was(value: Any) -> None:
+    assert parse_yaml(detector_text({"value": value}), "here") == {"value": value}
+
+
+@pytest.mark.parametrize("name", ["rich", "thesis", "three_labels"])
+def test_shipped_detectors_read_the_same_once_they_are_written_anew(name: str, tmp_path: Path) -> None:
+    file = RICH.with_name(f"{name}.yaml")
+    (tmp_path / "d.yaml").write_text(detector_text(load_yaml(file, "detector")))
+    assert load_yaml(tmp_path / "d.yaml", "detector") == load_yaml(file, "detector")
+    assert load_detector(tmp_path / "d.yaml").labels == load_detector(file).labels
