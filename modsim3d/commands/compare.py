@@ -43,8 +43,7 @@ def compare_command(
 
     loaded = load_scene(scene, steps=steps, source="rendered", supersample=supersample)
     written = [out / name for name in compare_report.FILES] if out is not None else []
-    read = [loaded.path, *loaded.copy.files.values()]
-    with claimed(written, overwrite=overwrite, inputs=read), open_renderer(loaded) as renderer:
+    with claimed(written, overwrite=overwrite, inputs=loaded.copy.read), open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("compare needs the rendered source")
         with progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:

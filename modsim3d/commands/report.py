@@ -29,8 +29,7 @@ def report_command(
 
     opened = open_run(run)
     path = run / REPORT_FILE if out is None else out
-    replace = overwrite or out is None
-    with claimed([path], overwrite=replace, inputs=read_of_run(run)), progress_bar() as bar:
+    with claimed([path], overwrite=overwrite, inputs=read_of_run(run)), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_report(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     if not opened.finished:
@@ -54,9 +53,8 @@ def rerun_command(
     from modsim3d.view.rerun_recording import write_recording
 
     opened = open_run(run)
-    replace = overwrite or out is None
     out = run / "run.rrd" if out is None else out
-    with claimed([out], overwrite=replace, inputs=read_of_run(run)), progress_bar() as bar:
+    with claimed([out], overwrite=overwrite, inputs=read_of_run(run)), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_recording(opened, out, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     say(f"written  {out}  ({out.stat().st_size / 1e6:.1f} MB); look at it with: rerun {out}")

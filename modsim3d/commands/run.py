@@ -75,7 +75,7 @@ def run_command(
         from modsim3d.runs.stored_run import open_run
         from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
 
-        with claimed([folder / SHEET_FILE], overwrite=True):
+        with claimed([folder / SHEET_FILE], overwrite=True, inputs=loaded.copy.read):  # it is a part of the run
             draw_contact_sheet(open_run(folder))
     print_summary(loaded, result, sheet)
 

@@ -16,7 +16,9 @@ INTERRUPTED = 130
 
 SceneArgument = Annotated[str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")]
 FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The run directory of a finished run.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace existing output; never what the command reads.")
+]
 WorkersOption = Annotated[
     int, typer.Option(min=1, help="Number of processes that share the work; the output stays the same.")
 ]

@@ -47,7 +47,7 @@ def verify_command(
     folder = run if out is None else out
     paths = [folder / name for name in verify_report.FILES]
     read = [*read_of_run(run), *([detector] if detector else [])]
-    with claimed(paths, overwrite=overwrite or folder == run, inputs=read):
+    with claimed(paths, overwrite=overwrite, inputs=read):
         verified = verify_run(opened, detector)
         verify_report.write_report(verified, folder)
     console = open_console()

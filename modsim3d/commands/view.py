@@ -217,9 +217,9 @@ def _draw_film(
         raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
     check_encoder(kind)
     path = out or selection.run.folder / (film.value if kind == "png" else f"{film.value}.{kind}")
-    claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
+    claimed = claimed_folder if kind == "png" else claimed_file
     try:
-        with claim, progress_bar() as bar:
+        with claimed(path, selection.run, overwrite), progress_bar() as bar:
             task = bar.add_task(path.name, total=len(selection.steps))
             drawn = draw_film(
                 selection,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,15 @@ class SceneCopy:
         name: Name of the scene.
         document: Content of the scene file with what the caller set, and with the paths of the copy.
         files: Path in the copy → original file.
+        changed: Path in the copy → content, of the files that are not as the original, or have none.
+        read: Every file that the scene is read from; also those that are not copied but written into the document.
     """
 
     name: str
     document: Mapping[str, Any]
     files: Mapping[str, Path]
+    changed: Mapping[str, bytes] = field(default_factory=dict)
+    read: tuple[Path, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -41,7 +45,10 @@ class SceneCopy:
         folder.mkdir(parents=True, exist_ok=True)
         for name, source in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, folder / name)
+            if name in self.changed:
+                (folder / name).write_bytes(self.changed[name])
+            else:
+                shutil.copyfile(source, folder / name)
         path = folder / self.names[0]
         path.write_bytes(self._scene_file())
         return path
@@ -51,7 +58,8 @@ class SceneCopy:
         digest = hashlib.sha256(hashlib.sha256(self._scene_file()).digest())
         for name, source in sorted(self.files.items()):
             digest.update(hashlib.sha256(name.encode()).digest())
-            digest.update(hashlib.sha256(source.read_bytes()).digest())
+            content = self.changed[name] if name in self.changed else source.read_bytes()
+            digest.update(hashlib.sha256(content).digest())
         return digest.hexdigest()
 
     def _scene_file(self) -> bytes:
@@ -79,7 +87,8 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
     if isinstance(document.get("annotation"), dict):
         document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
-    return SceneCopy(parts.path.stem, _ordered(document, SceneKeys), files)
+    read = (*parts.read, *(file for name, file in files.items() if name not in parts.contents))
+    return SceneCopy(parts.path.stem, _ordered(document, SceneKeys), files, dict(parts.contents), read)
 
 
 def _pose_file(number: int, file: str) -> str:

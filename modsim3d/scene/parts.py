@@ -26,7 +26,14 @@ from modsim3d.vessels.vessel import Vessel, load_mapping, parse_vessels
 
 T = TypeVar("T")
 
+NO_FILE = Path("scene")
+"""The path of a scene that is in no file and has no name."""
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+def title_of(path: Path) -> str:
+    """What errors call a scene."""
+    return "scene" if path == NO_FILE else f"scene {path}"
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,7 @@ class SceneParts:
     Attributes:
         path: The scene file.
         data: Content of the scene file, with what the caller set in place of it.
+        contents: Path in a copy of the scene → content, of what the scene has in place of files.
         problems: Every problem, one line each.
         keys: The content, validated.
         vessel_entries: The mapping of vessels as in its file.
@@ -63,6 +71,7 @@ class SceneParts:
     def __init__(self, path: Path, data: dict[str, Any]) -> None:
         """Read all parts."""
         self.path, self.data = path, data
+        self.contents: dict[str, bytes] = {}
         self.folder = path.resolve().parent
         self.problems: list[str] = []
         self.meshes = SceneMeshes()
@@ -82,7 +91,13 @@ class SceneParts:
     @property
     def name(self) -> str:
         """What errors call the scene."""
-        return f"scene {self.path}"
+        return title_of(self.path)
+
+    @property
+    def read(self) -> tuple[Path, ...]:
+        """The scene file, and the files of vessels and poses that it names."""
+        entry, files = self.data.get("vessels"), self.source.keys.files if self.source else ()
+        return (self.path, *(self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files]))
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -150,7 +165,7 @@ class SceneParts:
             return ()
         found = []
         for name, entry in self.keys.obstacles.items():
-            read = partial(read_obstacle, name, entry, self.meshes, self.path, self.keys.annotation.source)
+            read = partial(read_obstacle, name, entry, self.meshes, self.folder, self.name, self.keys.annotation.source)
             found.append(self._collect(read))
         return tuple(obstacle for obstacle in found if obstacle is not None)
 

@@ -92,13 +92,13 @@ def load_scene(
         ("annotation", "source"): source,
         ("annotation", "supersample"): supersample,
         ("annotation", "render"): render,
-        ("detector",): None if detector is None else str(detector.resolve()),  # a scene's paths are relative to it
+        ("detector",): None if detector is None else str(detector.absolute()),  # a scene's paths are relative to it
         ("detector_seed",): detector_seed,
     }
     for keys, value in overrides.items():
         if value is not None:
             _override(data, keys, value)
-    return _assembled(SceneParts(path, data))
+    return assembled(SceneParts(path, data))
 
 
 def _override(data: dict[str, Any], keys: tuple[str, ...], value: object) -> None:
@@ -110,7 +110,7 @@ def _override(data: dict[str, Any], keys: tuple[str, ...], value: object) -> Non
         data[keys[-1]] = value
 
 
-def _assembled(parts: SceneParts) -> Scene:
+def assembled(parts: SceneParts) -> Scene:
     """The scene from its parts, or every problem at once."""
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
     if keys is None or vessels is None or detector is None or poses is None or parts.problems:
