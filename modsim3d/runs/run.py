@@ -71,7 +71,7 @@ def run_scene(
     """
     if scene.live and workers > 1:
         raise ModsimError(
-            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {workers} "
+            f"{scene.title}: a stream's steps come one by one, so there is nothing to share between {workers} "
             "workers: leave --workers out"
         )
     return write_run(
@@ -112,7 +112,7 @@ def write_run(
     started = time.perf_counter()
     if scene.live and resume:
         raise ModsimError(
-            f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
+            f"{scene.title}: --resume needs poses that can be read again, and a stream's come once. What an "
             "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
         )
     with locked_run(folder), opened_workers as workers:
