@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -118,17 +118,18 @@ def run_command(
     tell_backend(folder)
     if not no_sheet:
         with timed("contact sheet"):
-            _draw_sheet(folder)
+            _draw_sheet(folder, loaded.copy.read)
     print_summary(loaded, result, sheet=not no_sheet)
     say_json(run_json("run", loaded, result, sheet=not no_sheet))
 
 
-def _draw_sheet(folder: Path) -> None:
+def _draw_sheet(folder: Path, read: Iterable[Path]) -> None:
+    """Draw the contact sheet, which is a part of the run: one that is there is replaced."""
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.stored_run import open_run
     from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
 
-    with claimed([folder / SHEET_FILE], overwrite=True):
+    with claimed([folder / SHEET_FILE], overwrite=True, inputs=read):
         draw_contact_sheet(open_run(folder))
 
 

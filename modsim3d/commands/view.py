@@ -251,13 +251,13 @@ def _draw_film(
     check_encoder(kind)
     folder = selection.run.folder
     path = out or folder / film.value if kind == "png" else out_file(out, folder / f"{film.value}.{kind}")
-    claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
+    claimed = claimed_folder if kind == "png" else claimed_file
     showing = Showing.of(selection, kind, speed)
     pace = f"{len(showing.steps)} frames"
     if kind != "png":
         pace += f", {showing.timetable.duration_s:.1f} s at {float(showing.timetable.rate):g} pictures/s"
     try:
-        with stoppable(), timed("film"), claim:
+        with stoppable(), timed("film"), claimed(path, selection.run, overwrite):
             print_line(open_console(stderr=True), f"{path.name}: {pace}")
             with progress("drawn", len(showing.steps)) as advance:
                 drawn = draw_film(selection, plan, kind, path, speed=speed, workers=workers, progress=advance)

@@ -19,9 +19,10 @@ from modsim3d.display import column_table
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.formats.matching import Rule
+from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
+from modsim3d.inputs.opening import inputs_noted
 from modsim3d.inputs.validation import Count, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.learn_detector import LearnOptions
@@ -59,10 +60,11 @@ class LearnResult:
 
     def _repr_html_(self) -> str:
         """From how much it was learned, what to be careful about, and how well the detector detects."""
-        remarks = "".join(f"<p>Remark: {escape(remark)}.</p>" for remark in self.report.remarks)
+        said = [f"Remark: {remark}." for remark in self.report.remarks]
+        said = [f"Warning: {self.report.warning}.", *said] if self.report.warning else said
         found = tables(self.report)[: 2 if self.report.states_differ else 1]
         parts = [column_table(table.title, table.header, table.rows) for table in found]
-        return f"<p>{escape(lead(self.report))}</p>{remarks}{''.join(parts)}"
+        return f"<p>{escape(lead(self.report))}</p>{''.join(f'<p>{escape(line)}</p>' for line in said)}{''.join(parts)}"
 
     @property
     def content(self) -> dict[str, Any]:
@@ -103,6 +105,7 @@ def comments(report: Report) -> list[str]:
     return [
         f"Learned by modsim3d learn. {lead(report)}",
         *(f"States: {name} = {', '.join(names)}" for name, names in states),
+        *([f"Warning: {report.warning}"] if report.warning else []),
         *(f"Remark: {remark}" for remark in report.remarks),
         *(f"Left simple: {note}" for note in report.learned.notes),
     ]
@@ -188,8 +191,9 @@ def learn_detector(
         interval_s = opened.scene.detector.transition_interval_s
     else:
         pairs = _pairs(truth, detections, given.conditions)
-        labelled, inputs = _read(pairs, given), [path for _, *pair in pairs for path in pair]
-    method = given.match or ("confidence" if labelled.results.origin is None else "provenance")
+        with inputs_noted() as inputs:  # also of files that are not named, such as data.yaml
+            labelled = _read(pairs, given)
+    method = given.match or usual_method(labelled)
     rule = Rule(method, given.least_iou, given.most_distance_px)
     settings = Settings(rule, given.confidence, given.replicates, given.seed)
     options = LearnOptions(*wanted, interval_s=interval_s)

@@ -128,7 +128,7 @@ def load_scene(
         if value is not None
     ]
     wanted += _state_settings(state, state_from, detector)
-    return _assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
+    return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
 
 
 def _state_settings(state: str | None, place: Path | str | None, detector: Path | None) -> list[Setting]:
@@ -147,7 +147,7 @@ def _state_settings(state: str | None, place: Path | str | None, detector: Path 
     return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
 
 
-def _assembled(parts: SceneParts) -> Scene:
+def assembled(parts: SceneParts) -> Scene:
     """The scene from its parts, or every problem at once."""
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
     if keys is None or vessels is None or detector is None or poses is None or parts.problems:
