@@ -6,6 +6,7 @@ from pathlib import Path
 
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import nearest
+from modsim3d.paths import StrPath
 
 CONDITIONS = "conditions"
 """Name of the shipped folder with a detector file for each condition that the thesis measured."""
@@ -18,7 +19,7 @@ def data_folder(kind: str) -> Path:
     return installed if installed.is_dir() else package.parent / kind
 
 
-def conditions_in(folder: Path | str = CONDITIONS) -> dict[str, Path]:
+def conditions_in(folder: StrPath = CONDITIONS) -> dict[str, Path]:
     """The detector files of a folder by their names, without their endings; `conditions` is the shipped folder.
 
     Raises:
@@ -32,7 +33,7 @@ def conditions_in(folder: Path | str = CONDITIONS) -> dict[str, Path]:
     return found
 
 
-def find_condition(name: str, folder: Path | str = CONDITIONS) -> Path:
+def find_condition(name: str, folder: StrPath = CONDITIONS) -> Path:
     """The detector file of a condition; see `conditions_in`.
 
     Raises:

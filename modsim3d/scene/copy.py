@@ -69,7 +69,8 @@ class SceneCopy:
 
 def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     """A copy in which each file that the scene names lies beside it under a plain name; a copy's copy is the same."""
-    changed, suffix = {}, Path(keys.detector).suffix
+    detector_file = parts.detector_file(keys.detector)
+    changed, suffix = {}, detector_file.suffix
     if parts.changed_detector is not None:
         suffix = ".yaml"
         changed[f"detector{suffix}"] = detector_text(parts.changed_detector).encode()
@@ -78,7 +79,7 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     document = {**parts.data, "vessels": vessels, "detector": detector}
     if "obstacles" in document:
         document["obstacles"] = parts.meshes.copied_all(document["obstacles"] or {}, parts.folder)
-    files = {detector: parts.folder / keys.detector, **parts.meshes.files}
+    files = {detector: detector_file, **parts.meshes.files}
     if parts.source is None or isinstance(parts.poses, LivePoses):
         document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in
         document.pop("steps", None)
