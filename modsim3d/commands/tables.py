@@ -78,7 +78,7 @@ def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -
         return widths
     if not wraps or len(widths) < 2:
         return []
-    least = [max(LEAST_PROSE, *_word_lengths(columns[place])) for place in (0, -1)]
+    least = [max([LEAST_PROSE, *_word_lengths(columns[place])]) for place in (0, -1)]
     least_first, least_last = min(least[0], widths[0]), min(least[1], widths[-1])
     if widths[0] + room >= least_first:  # a long name before short values
         return [widths[0] + room, *widths[1:]]
