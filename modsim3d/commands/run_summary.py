@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from modsim3d.commands.shared import print_line
+from modsim3d.commands.shared import print_line, print_path
 from modsim3d.commands.tables import print_table
 from modsim3d.commands.terminal import open_console, warn
 
@@ -24,9 +24,10 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     rows = _frame_rows(scene, result) + _detection_rows(result.counts) + _time_rows(result) + _model_rows(result)
     console = open_console()
     print_table(console, "", rows, right=(1,), styles=("bold", "", "dim"))
-    print_line(console, f"\nrun directory  {result.folder}")
+    print_line(console, "")
+    print_path(console, "run directory", result.folder)
     if sheet:
-        print_line(console, f"contact sheet  {result.folder / 'contact_sheet.png'}")
+        print_path(console, "contact sheet", result.folder / "contact_sheet.png")
     for warning in run_warnings(scene, result):
         warn(warning)
 
