@@ -108,7 +108,7 @@ def test_an_error_on_a_terminal_is_broken_between_words(width: int) -> None:
     command = [sys.executable, "-m", "modsim3d", "check", "nowhere/at_all/in_this_folder.yaml"]
     ours, theirs = pty.openpty()
     done = subprocess.run(
-        command, stderr=theirs, timeout=120, check=False, env={**os.environ, "COLUMNS": str(width), "TERM": "dumb"}
+        command, stderr=theirs, timeout=120, check=False, env={**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
     )
     os.close(theirs)
     said = os.read(ours, 10_000).decode().replace("\r\n", "\n")
