@@ -29,7 +29,7 @@ def scenes_command() -> None:
 
     Example: modsim3d scenes
     """
-    from modsim3d.inputs.shipped import CONDITIONS, conditions_in
+    from modsim3d.inputs.conditions import CONDITIONS, conditions_in
     from modsim3d.scene.reading import shipped_scenes
 
     for name, path in shipped_scenes().items():
