@@ -83,7 +83,7 @@ def scenes_command(json: JsonOption = False) -> None:
 
     Example: modsim3d scenes
     """
-    from modsim3d.inputs.shipped import CONDITIONS, conditions_in
+    from modsim3d.inputs.conditions import CONDITIONS, conditions_in
     from modsim3d.scene.reading import shipped_scenes
 
     console, entries = open_console(), []

@@ -13,7 +13,8 @@ from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.geometry.lens import Distortion
-from modsim3d.inputs.shipped import data_folder, find_condition
+from modsim3d.inputs.conditions import find_condition
+from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import kind_of, nearest, shown
