@@ -126,7 +126,7 @@ class Timeline {
 
   // What is painted over each other for a vessel in some frames, each as colour@top@bottom in parts of its strip.
   bands(vessel, first, stop, x) {
-    const { fraction, lost, outcome } = this.summary, { facts } = this.recording, count = { seen: 0, sum: 0, missed: 0, mislabelled: 0, bad: 0, off: 0 };
+    const { fraction, lost, outcome } = this.summary, { facts } = this.recording, count = { seen: 0, sum: 0, missed: 0, false: 0, mislabelled: 0, bad: 0, off: 0 };
     for (let at = first; at < stop; at++) {
       if (Number.isNaN(fraction[at])) continue;
       count.seen++;
