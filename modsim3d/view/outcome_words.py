@@ -6,7 +6,7 @@ from modsim3d.runs.blocks import Frame
 from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 
 NAMES = {
-    Outcome.FALSE_POSITIVE: "false positive",
+    Outcome.FALSE_POSITIVE: "false alarm",
     Outcome.MISLABELLED: "wrong class",
     Outcome.BELOW_HALF_IOU: "IoU below 0.5",
     Outcome.OFF_VESSEL: "off its vessel",

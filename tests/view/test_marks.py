@@ -167,7 +167,7 @@ def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
         assert mistakes_in(selection) == expected
         layout = FilmPlan(("detections",), (0, 1), 640, mistakes=expected).layout(run.scene)
         named = {entry.text for entry in layout.entries} & {NAMES[flag] for flag in Outcome}
-        assert named == {NAMES[flag] for flag in Outcome if flag & expected} | {"false positive"}
+        assert named == {NAMES[flag] for flag in Outcome if flag & expected} | {"false alarm"}
 
 
 def test_highlights_have_each_kind_of_mistake_that_the_run_has(run):
@@ -181,7 +181,7 @@ def test_highlights_have_each_kind_of_mistake_that_the_run_has(run):
     for ending in ("detected", "with IoU below 0.5", "by a box off the vessel", "missed"):
         assert any(text.endswith(ending) for text in said), ending
     assert any("detected as " in text for text in said)
-    assert any(text.startswith("a false positive") for text in said)
+    assert any(text.startswith("a false alarm") for text in said)
     assert len(set(said)) == len(said)
 
 

@@ -102,7 +102,7 @@ def _of_detection(rows: RunRows, index: int) -> Highlight:
     row = rows.detections.slice(index, 1).to_pylist()[0]
     box, vessel, what = rows.detection_boxes_px()[index : index + 1], row["vessel"], ""
     if rows.outcomes[index] & Outcome.FALSE_POSITIVE:
-        what = "a false positive" + (f", {row['kind']} of {vessel}" if vessel else "")
+        what = "a false alarm" + (f", {row['kind']} of {vessel}" if vessel else "")
         vessel = None
     else:
         box = unions(box, rows.annotated_boxes_px[rows.detected_row[index : index + 1]])

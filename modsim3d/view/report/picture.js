@@ -2,7 +2,7 @@
 
 const LAYERS = [
   ['silhouettes', 'Silhouettes'], ['full', 'Truth: whole'], ['visible', 'Truth: seen'],
-  ['detections', 'Detections'], ['false', 'False positives'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
+  ['detections', 'Detections'], ['false', 'False alarms'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
 ];
 const FONT_PX = 12, PLATE_PX = 17;
 
