@@ -192,6 +192,10 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
             for step in range(moment["index"], moment["until"] + 1)
         }
         assert covered == wrong[kind], kind
+        ends = {(moment["until"] + 1, moment["vessel"]) for moment in moments}
+        assert ends.isdisjoint(
+            (moment["index"], moment["vessel"]) for moment in moments
+        )  # frames in a row are one moment
         listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
         assert listed == ["", *map(str, range(len(moments)))]
         choose(browser, "moment", str(len(moments) - 1))
