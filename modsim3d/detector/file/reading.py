@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,15 @@ def load_detector(path: StrPath) -> DetectorModel:
         InputError: The file cannot be read, or something in it is wrong; every problem has its own line.
         TypeError: It is neither text nor a path.
     """
-    path = find_detector(path)
+    return read_detector(find_detector(path))
+
+
+def read_detector(path: Path) -> DetectorModel:
+    """The detector that a YAML file describes.
+
+    Raises:
+        InputError: The file cannot be read, or something in it is wrong.
+    """
     return parse_detector(load_yaml(path, "detector"), f"detector {path}")
 
 
