@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from modsim3d.detector.file.reading import read_detector
+from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
 from modsim3d.inputs.plugins import Plugin
@@ -156,7 +156,7 @@ class SceneParts:
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")
-        return self._collect(lambda: read_detector(self.folder / entry)) if isinstance(entry, str) else None
+        return self._collect(lambda: load_detector(self.folder / entry)) if isinstance(entry, str) else None
 
     def _source(self) -> NamedSource | None:
         """The keys of the pose source; None for one that needs the scene's times, where the scene gives none."""

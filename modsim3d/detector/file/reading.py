@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,15 +49,7 @@ def load_detector(path: StrPath) -> DetectorModel:
         InputError: The file cannot be read, or something in it is wrong; every problem has its own line.
         TypeError: It is neither text nor a path.
     """
-    return read_detector(find_detector(path))
-
-
-def read_detector(path: Path) -> DetectorModel:
-    """The detector that a YAML file describes.
-
-    Raises:
-        InputError: The file cannot be read, or something in it is wrong.
-    """
+    path = find_detector(path)
     return parse_detector(load_yaml(path, "detector"), f"detector {path}")
 
 
