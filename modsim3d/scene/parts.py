@@ -32,7 +32,14 @@ T = TypeVar("T")
 
 SCENE_FILE = "scene.yaml"
 """A scene in a file of this name is called as its folder is."""
+NO_FILE = Path("scene")
+"""The path of a scene that is in no file and has no name."""
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+def title_of(path: Path) -> str:
+    """What errors call a scene."""
+    return "scene" if path == NO_FILE else f"scene {path}"
 
 
 @dataclass(frozen=True)
@@ -60,6 +67,7 @@ class SceneParts:
         settings: What the caller sets in place of what is written in the files.
         data: Content of the scene file with the settings.
         changed_detector: Content of the detector file with the settings; None if there are none.
+        contents: Path in a copy of the scene → content, of what the scene has in place of files.
         problems: Every problem, one line each.
         keys: The content, validated.
         vessel_entries: The mapping of vessels as in its file.
@@ -73,6 +81,7 @@ class SceneParts:
         self.path, self.settings = path, Settings(settings)
         self.data = self.settings.in_scene(data)
         self.changed_detector: dict[str, Any] | None = None
+        self.contents: dict[str, bytes] = {}
         self.folder = path.resolve().parent
         self.problems: list[str] = []
         self.meshes = SceneMeshes()
@@ -98,7 +107,13 @@ class SceneParts:
     @property
     def name(self) -> str:
         """What errors call the scene."""
-        return f"scene {self.path}"
+        return title_of(self.path)
+
+    @property
+    def read(self) -> tuple[Path, ...]:
+        """The scene file, and the files of vessels and poses that it names."""
+        entry, files = self.data.get("vessels"), self.source.keys.files if self.source else ()
+        return (self.path, *(self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files]))
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -167,7 +182,7 @@ class SceneParts:
             return ()
         found = []
         for name, entry in self.keys.obstacles.items():
-            read = partial(read_obstacle, name, entry, self.meshes, self.path, self.keys.annotation.source)
+            read = partial(read_obstacle, name, entry, self.meshes, self.folder, self.name, self.keys.annotation.source)
             found.append(self._collect(read))
         return tuple(obstacle for obstacle in found if obstacle is not None)
 

@@ -123,7 +123,7 @@ def load_scene(
     }
     wanted = [Setting(key, plain(value)) for key, value in given.items() if value is not None]
     wanted += _state_settings(state, state_from, detector)
-    return _assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
+    return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
 
 
 def _state_settings(state: str | None, place: StrPath | None, detector: StrPath | None) -> list[Setting]:
@@ -142,7 +142,7 @@ def _state_settings(state: str | None, place: StrPath | None, detector: StrPath 
     return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
 
 
-def _assembled(parts: SceneParts) -> Scene:
+def assembled(parts: SceneParts) -> Scene:
     """The scene from its parts, or every problem at once."""
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
     if keys is None or vessels is None or detector is None or poses is None or parts.problems:
