@@ -1,9 +1,9 @@
 """Times whole films as a user draws them, and writes benchmarks/FILMS.md.
 
 Every kind of film of three scenes is drawn by `modsim3d view` in a process of its own, one kind after another, round
-after round; a figure is the median of the rounds. Times are by the clock, with the start of the program, reading the
-run and the encoder, so the machine should have nothing else to do. `python -m benchmarks.films`; `--quick` is a trial
-that writes nothing.
+after round; a figure is the median of the rounds. Times are processor times of the program and the encoder together, from
+the start of the program, so that another program on the machine disturbs them little. `python -m benchmarks.films`;
+`--quick` is a trial that writes nothing.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SCENES = {
     "strait": "two cameras, one of them on board, eight vessels and meshes",
     "harbour": "a camera ashore, 30 vessels",
 }
-STEPS, QUICK_STEPS, ROUNDS = 300, 20, 3
+STEPS, QUICK_STEPS, ROUNDS = 200, 20, 3
 MOST_RATE = 60
 
 
@@ -73,9 +73,9 @@ def films_of(folder: Path, workers: int, rounds: int) -> dict[str, Film]:
         for kind, options in KINDS.items():
             out = folder.with_suffix(".mp4")
             done = modsim3d("view", folder, *options, "--workers", str(workers), "--out", out, "--overwrite")
-            taken[kind].append(done.seconds)
+            taken[kind].append(done.processor_s)
             peak[kind] = max(peak[kind], done.peak_bytes / 1e6)
-            say(f"  round {number + 1}, {kind}: {done.seconds:.1f} s for {plays_s:.0f} s of film")
+            say(f"  round {number + 1}, {kind}: {done.processor_s:.1f} s for {plays_s:.0f} s of film")
     return {kind: Film(len(selection.steps), plays_s, tuple(taken[kind]), peak[kind]) for kind in KINDS}
 
 
@@ -90,9 +90,10 @@ def main() -> None:
         "",
         "Written by `python -m benchmarks.films`; do not edit.",
         "",
-        f"`modsim3d view RUN --film KIND --workers {asked.workers}`, MP4 in real time, {steps} steps. Times are by the "
-        "clock, with the start of the program, reading the run, and the encoder. A ratio below 1 means that a film is "
-        "drawn faster than it plays. Memory is that of the process that draws, at its highest.",
+        f"`modsim3d view RUN --film KIND --workers {asked.workers}`, MP4 in real time, {steps} steps. Times are "
+        f"processor times of the program and the encoder together, from the start of the program; median of {rounds} "
+        "rounds, least and greatest. A ratio below 1 means that one core draws a film faster than it plays. Memory is "
+        "that of the process that draws, at its highest.",
         "",
     ]
     head = ("Scene", "Film", "Frames", "ms a frame", "Plays for", "Drawing / playing", "Memory")

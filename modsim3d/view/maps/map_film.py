@@ -92,8 +92,9 @@ class MapFilmRenderer:
         black, white = (self._on(artists, part, ground) for ground in (0, 255))
         covered = np.nonzero((black != 0).any(axis=2) | (white != 255).any(axis=2))
         kept = (white[covered] - np.float32(black[covered])) / np.float32(255)
-        first = np.array([(axis.start or 0) for axis in part]) - (0 if origin is None else origin)
-        return _Cover(np.array(covered) + first[:, None], kept, black[covered] + np.float32(0.5))
+        first = np.array([axis.start or 0 for axis in part], dtype=np.int64)
+        places: Indices = np.array(covered) + first[:, None] - (0 if origin is None else origin[:, None])
+        return _Cover(places, kept, black[covered] + np.float32(0.5))
 
     def _on(self, artists: list[Artist], part: Part, ground: int) -> Pixels:
         """The colours of a part of the picture when artists are drawn on one grey level."""

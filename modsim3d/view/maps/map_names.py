@@ -126,12 +126,12 @@ def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> 
 
 def _inside(places: Array, frame: Array) -> Mask:
     """Which boxes, shape (n, 4), lie inside another, shape (4,); shape (n,)."""
-    inside: Mask = (frame[:2] <= places[:, :2]).all(axis=1) & (places[:, 2:] <= frame[2:]).all(axis=1)
+    inside: Mask = np.all((frame[:2] <= places[:, :2]) & (places[:, 2:] <= frame[2:]), axis=1)
     return inside
 
 
 def _overlapping(places: Array, taken: Array) -> Mask:
     """Which boxes, shape (n, 4), overlap one of some others, shape (k, 4); shape (n,)."""
     low, high = places[:, None, :2], places[:, None, 2:]
-    overlapping: Mask = ((low < taken[:, 2:]) & (taken[:, :2] < high)).all(axis=2).any(axis=1)
-    return overlapping
+    pairs: Mask = np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2)
+    return np.asarray(np.any(pairs, axis=1))
