@@ -103,7 +103,7 @@ def load_scene(
 
     Raises:
         InputError: With every problem found, each with its path in the file.
-        TypeError: The scene or the detector is neither text nor a path.
+        TypeError: The scene, the detector or `state_from` is neither text nor a path.
     """
     path = find_scene(scene)
     data = (load_json if path.suffix == ".json" else load_yaml)(path, "scene")
@@ -126,8 +126,9 @@ def load_scene(
     return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
 
 
-def _state_settings(state: str | None, place: StrPath | None, detector: StrPath | None) -> list[Setting]:
+def _state_settings(state: str | None, state_from: StrPath | None, detector: StrPath | None) -> list[Setting]:
     """What puts the detector into one state for the whole scene."""
+    place = None if state_from is None else as_path(state_from, "state_from")
     if place is not None and (state is None or detector is not None):
         problem = "--state says which one to take from there: give both" if state is None else "so is --detector"
         raise InputError(f"--from {place}", ["is a detector in place of the scene's: " + problem])
@@ -136,8 +137,8 @@ def _state_settings(state: str | None, place: StrPath | None, detector: StrPath 
     forced = Setting("detector.performance.schedule", [[0, state]], "--state")
     if place is None:
         return [forced]
-    if Path(place).is_file():
-        return [Setting("detector", str(Path(place).resolve()), f"--from {place}"), forced]
+    if place.is_file():
+        return [Setting("detector", str(place.resolve()), f"--from {place}"), forced]
     file = find_condition(state, place)
     return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
 

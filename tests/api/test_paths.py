@@ -65,6 +65,10 @@ def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
             lambda wrong: modsim3d.load_scene("strait", detector=wrong),
             "detector: a path or the name of a shipped detector",
         ),
+        "load_scene, state_from": (
+            lambda wrong: modsim3d.load_scene("strait", state="haze", state_from=wrong),
+            "state_from: a path",
+        ),
         "load_detector": (modsim3d.load_detector, "detector: a path or the name of a shipped detector"),
         "run_scene": (lambda wrong: modsim3d.run_scene(scene, wrong), "folder: a path"),
         "open_run": (modsim3d.open_run, "folder: a run directory"),
