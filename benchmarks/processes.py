@@ -75,9 +75,10 @@ def server(passes: str, scene: str) -> Iterator[Callable[[str, Sequence[int]], A
 
 @dataclass(frozen=True)
 class Finished:
-    """A command that was run: seconds by the clock, and the most memory that it held."""
+    """A command that was run: seconds by the clock and of processors, and the most memory that it held."""
 
     seconds: float
+    processor_s: float
     peak_bytes: int
 
 
@@ -94,4 +95,4 @@ def modsim3d(*arguments: str | Path) -> Finished:
         if process.returncode:
             said.seek(0)
             raise RuntimeError(f"{' '.join(map(str, command))} failed:\n{said.read().decode()}")
-    return Finished(seconds, usage.ru_maxrss * 1024)
+    return Finished(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.learn_json import learn_json
-from modsim3d.commands.shared import JsonOption, OverwriteOption, QuietOption, VerboseOption, out_file, print_line
+from modsim3d.commands.shared import (
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    out_file,
+    print_line,
+    print_written,
+)
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
 from modsim3d.errors import InputError, ModsimError
@@ -254,18 +262,12 @@ def _labelled_set(
 def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
     """Write the detector file, its numbers corrected for the bias if asked for, and the page."""
     from modsim3d.detector.file.writing import detector_text
+    from modsim3d.learn.learning import comments
     from modsim3d.learn.page import page_text
-    from modsim3d.learn.report import lead
     from modsim3d.outputs.placing import write_files
 
     learned = report.bias.corrected() if correct and report.bias else report.learned
-    comments = [f"Learned by modsim3d learn. {lead(report)}"]
-    comments += [f"States: {name} = {', '.join(names)}" for name, names in report.state_map.states.items()]
-    comments += [f"Warning: {report.warning}"] if report.warning else []
-    comments += [f"Remark: {remark}" for remark in report.remarks]
-    comments += ["Corrected once for the bias of the matching."] if correct else []
-    comments += [f"Left simple: {note}" for note in report.learned.notes]
-    write_files({out: detector_text(learned.detector(), comments), page: page_text(report)})
+    write_files({out: detector_text(learned.detector(), comments(report, correct)), page: page_text(report)})
 
 
 def _show(report: Report, out: Path, page: Path) -> None:
@@ -283,7 +285,7 @@ def _show(report: Report, out: Path, page: Path) -> None:
         print_prose(console, note, indent=2)
     print_line(console, "")
     print_prose(console, NEVER_LEARNED)
-    print_line(console, f"\nwritten\n  {out}\n  {page}")
+    print_written(console, [out, page])
     if report.warning:
         warn(report.warning)
 

@@ -55,16 +55,17 @@ class LearnResult:
     inputs: tuple[Path, ...]
 
     def __repr__(self) -> str:
-        """From how much it was learned."""
-        return f"<LearnResult: {self.detector.in_words()}; {lead(self.report)}>"
+        """From how much it was learned, and that most matches are lost where they are."""
+        warning = f" WARNING: {self.report.warning}." if self.report.warning else ""
+        return f"<LearnResult: {self.detector.in_words()}; {lead(self.report)}{warning}>"
 
     def _repr_html_(self) -> str:
         """From how much it was learned, what to be careful about, and how well the detector detects."""
-        said = [f"Remark: {remark}." for remark in self.report.remarks]
-        said = [f"Warning: {self.report.warning}.", *said] if self.report.warning else said
+        warnings = [f"<b>Warning: {escape(self.report.warning)}.</b>"] if self.report.warning else []
+        remarks = [f"Remark: {escape(remark)}." for remark in self.report.remarks]
         found = tables(self.report)[: 2 if self.report.states_differ else 1]
         parts = [column_table(table.title, table.header, table.rows) for table in found]
-        return f"<p>{escape(lead(self.report))}</p>{''.join(f'<p>{escape(line)}</p>' for line in said)}{''.join(parts)}"
+        return f"<p>{escape(lead(self.report))}</p>{_paragraphs([*warnings, *remarks])}{''.join(parts)}"
 
     @property
     def content(self) -> dict[str, Any]:
@@ -99,14 +100,19 @@ class LearnResult:
         return out, page
 
 
-def comments(report: Report) -> list[str]:
-    """The lines at the head of a learned detector file."""
+def _paragraphs(texts: Iterable[str]) -> str:
+    return "".join(f"<p>{text}</p>" for text in texts)
+
+
+def comments(report: Report, corrected: bool = False) -> list[str]:
+    """The lines at the head of a learned detector file; `corrected` says that the bias of matching was taken off."""
     states = report.state_map.states.items()
     return [
         f"Learned by modsim3d learn. {lead(report)}",
         *(f"States: {name} = {', '.join(names)}" for name, names in states),
         *([f"Warning: {report.warning}"] if report.warning else []),
         *(f"Remark: {remark}" for remark in report.remarks),
+        *(["Corrected once for the bias of the matching."] if corrected else []),
         *(f"Left simple: {note}" for note in report.learned.notes),
     ]
 
@@ -193,8 +199,7 @@ def learn_detector(
         pairs = _pairs(truth, detections, given.conditions)
         with inputs_noted() as inputs:  # also of files that are not named, such as data.yaml
             labelled = _read(pairs, given)
-    method = given.match or usual_method(labelled)
-    rule = Rule(method, given.least_iou, given.most_distance_px)
+    rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
     settings = Settings(rule, given.confidence, given.replicates, given.seed)
     options = LearnOptions(*wanted, interval_s=interval_s)
     return LearnResult(labelled_sets.learn_detector(labelled, settings, options), tuple(inputs))

@@ -25,7 +25,7 @@ def detect_run(
     seed: int | None = None,
     settings: Mapping[str, object] | None = None,
     state: str | None = None,
-    state_from: Path | str | None = None,
+    state_from: StrPath | None = None,
     overwrite: bool = False,
     workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda steps: None,

@@ -27,7 +27,7 @@ class SceneCopy:
         name: Name of the scene.
         document: Content of the scene file with what the caller set, and with the paths of the copy.
         files: Path in the copy → original file.
-        changed: Path in the copy → content, of the files that the caller has changed, or that are nowhere else.
+        changed: Path in the copy → content, of the files that are not as the original, or have none.
         read: Every file that the scene is read from; also those that are not copied but written into the document.
     """
 
@@ -71,7 +71,8 @@ class SceneCopy:
 
 def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     """A copy in which each file that the scene names lies beside it under a plain name; a copy's copy is the same."""
-    changed, suffix = dict(parts.contents), Path(keys.detector).suffix
+    detector_file = parts.detector_file(keys.detector)
+    changed, suffix = dict(parts.contents), detector_file.suffix
     if parts.changed_detector is not None:
         suffix = ".yaml"
         changed[f"detector{suffix}"] = detector_text(parts.changed_detector).encode()
@@ -80,7 +81,7 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     document = {**parts.data, "vessels": vessels, "detector": detector}
     if "obstacles" in document:
         document["obstacles"] = parts.meshes.copied_all(document["obstacles"] or {}, parts.folder)
-    files = {detector: parts.folder / keys.detector, **parts.meshes.files}
+    files = {detector: detector_file, **parts.meshes.files}
     if parts.source is None or isinstance(parts.poses, LivePoses):
         document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in
         document.pop("steps", None)

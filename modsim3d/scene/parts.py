@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from modsim3d.detector.file.finding import shipped_detectors
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
@@ -186,7 +188,12 @@ class SceneParts:
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")
-        return self._collect(lambda: self._read_detector(self.folder / entry)) if isinstance(entry, str) else None
+        return self._collect(lambda: self._read_detector(self.detector_file(entry))) if isinstance(entry, str) else None
+
+    def detector_file(self, entry: str) -> Path:
+        """The file that the scene's key `detector` stands for: a path from the scene's folder, or a shipped name."""
+        file = self.folder / entry
+        return shipped_detectors().get(entry, file) if not os.path.lexists(file) else file
 
     def _read_detector(self, file: Path) -> DetectorModel:
         content, source = load_yaml(file, "detector"), f"detector {file}"

@@ -16,7 +16,7 @@ from modsim3d.inputs.strict_yaml import parse_yaml
 from modsim3d.inputs.validation import join_path, kind_of, model_at, nearest
 from modsim3d.scene.keys import SceneKeys
 
-Path = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 FILE_SECTIONS = ("vessels", "detector")
 """Sections of a scene that may be the name of a file with what could also stand in their place."""
 _INDEX = re.compile(r"\[(\d+)\]")
@@ -58,7 +58,7 @@ class _Place:
     """
 
     file: str
-    path: Path
+    path: KeyPath
     option: str
 
     def named(self, problem: str) -> str:
@@ -162,7 +162,7 @@ def read_settings(texts: Sequence[str]) -> dict[str, object]:
     return values
 
 
-def changed(content: Any, parts: Sequence[str], setting: Setting, where: Path = ()) -> tuple[Any, Path]:
+def changed(content: Any, parts: Sequence[str], setting: Setting, where: KeyPath = ()) -> tuple[Any, KeyPath]:
     """The content with the new value in it, and the path to it; the given content stays as it is.
 
     A key that replaces others, as `level` replaces the `spectrum` of waves, removes them.
@@ -210,14 +210,14 @@ def _split(content: Mapping[Any, Any], parts: Sequence[str]) -> tuple[Any, Seque
     return parts[0], parts[1:]
 
 
-def _index(content: Sequence[Any], part: str, setting: Setting, where: Path) -> int:
+def _index(content: Sequence[Any], part: str, setting: Setting, where: KeyPath) -> int:
     if part.isdecimal() and int(part) < len(content):
         return int(part)
     problem = f"{join_path(*where)} is a list of {len(content)}: its items are 0 to {len(content) - 1} (got '{part}')"
     raise InputError(setting.name, [problem])
 
 
-def _model_at(where: Path) -> type[BaseModel] | None:
+def _model_at(where: KeyPath) -> type[BaseModel] | None:
     """The keys that a section may have; None for one whose keys are names, or depend on plug-ins."""
     if where[:1] == ("detector",):
         return model_at(DetectorFile, where[1:])
@@ -225,7 +225,7 @@ def _model_at(where: Path) -> type[BaseModel] | None:
 
 
 def _check_new(
-    content: Mapping[Any, Any], key: str, inside: bool, model: type[BaseModel] | None, setting: Setting, where: Path
+    content: Mapping[Any, Any], key: str, inside: bool, model: type[BaseModel] | None, setting: Setting, where: KeyPath
 ) -> None:
     """Refuse a key that the section cannot have, and a value inside a name that the section has not."""
     if model is not None and key not in model.model_fields:

@@ -65,6 +65,10 @@ def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
             lambda wrong: modsim3d.load_scene("strait", detector=wrong),
             "detector: a path or the name of a shipped detector",
         ),
+        "load_scene, state_from": (
+            lambda wrong: modsim3d.load_scene("strait", state="haze", state_from=wrong),
+            "state_from: a path",
+        ),
         "load_detector": (modsim3d.load_detector, "detector: a path or the name of a shipped detector"),
         "run_scene": (lambda wrong: modsim3d.run_scene(scene, wrong), "folder: a path"),
         "open_run": (modsim3d.open_run, "folder: a run directory"),
@@ -120,6 +124,14 @@ def test_a_shipped_detector_goes_by_its_name():
         assert modsim3d.load_detector(name).labels == modsim3d.load_detector(path).labels
     scene = modsim3d.load_scene("simulation_1", detector="conditions/foggy_cloudy")
     assert [state.name for state in scene.detector.states] == ["foggy_cloudy"]
+
+
+def test_a_scene_file_names_a_detectors_file(tmp_path, scene):
+    """Relative to itself, and by no shipped name."""
+    path = scene.copy.write(tmp_path)
+    path.write_text(path.read_text().replace('"detector.yaml"', '"thesis"'))
+    with pytest.raises(InputError, match=r"detector .*/thesis: no such file$"):
+        modsim3d.load_scene(path)
 
 
 def test_a_file_comes_before_the_shipped_detector_of_its_name(tmp_path, monkeypatch):

@@ -182,6 +182,11 @@ def test_learning_from_a_run_goes_by_provenance_and_from_its_files_by_iou(folder
     assert json.loads(truth.read_bytes())["images"]
 
 
+def test_lost_matches_are_warned_of(thesis_folder):
+    learned = modsim3d.learn_detector(run=thesis_folder, match="confidence", replicates=20)
+    assert "WARNING: " in repr(learned) and "<b>Warning: " in learned._repr_html_()
+
+
 def test_the_command_learns_the_same_file(folder, learned, tmp_path, monkeypatch):
     from modsim3d import cli
 

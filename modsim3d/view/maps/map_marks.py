@@ -204,7 +204,7 @@ class RangeRings:
         for _ in range(RINGS):
             label = sheet.once("range from camera")
             ring = {"color": RING, "lw": 0.5, "ls": (0, (4, 4)), "zorder": 1.5, "label": label}
-            text = {"fontsize": 6.5, "color": RING, "ha": "center", "va": "bottom", "zorder": 3}
+            text: dict[str, Any] = {"fontsize": 6.5, "color": RING, "ha": "center", "va": "bottom", "zorder": 3}
             self._rings.append((sheet.line(_NOWHERE, moves=moves, **ring), sheet.axes.text(0, 0, "", **text)))
             sheet.moving += [self._rings[-1][1]] * moves
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 GAP_PT = 2
 """Between a name and what it names."""
+PAST_TIES_PX = 0.001
+"""Glyphs lie at 1/64 px. Names at whole pixels would be at ties, which are rounded now up, now down."""
 PLACES = np.array(
     [
         *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
@@ -57,7 +59,8 @@ class MapName:
         self.middle_px = middle_px
         self.note.set_visible(middle_px is not None)
         if middle_px is not None:
-            self.note.xy = tuple((middle_px * 72 / self.note.figure.dpi).tolist())  # points, which PDF and SVG keep
+            points = (middle_px + PAST_TIES_PX) * 72 / self.note.figure.dpi  # which stay in PDF and SVG
+            self.note.xy = tuple(points.tolist())
 
 
 @dataclass(eq=False)
@@ -123,12 +126,12 @@ def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> 
 
 def _inside(places: Array, frame: Array) -> Mask:
     """Which boxes, shape (n, 4), lie inside another, shape (4,); shape (n,)."""
-    inside: Mask = (frame[:2] <= places[:, :2]).all(axis=1) & (places[:, 2:] <= frame[2:]).all(axis=1)
+    inside: Mask = np.all((frame[:2] <= places[:, :2]) & (places[:, 2:] <= frame[2:]), axis=1)
     return inside
 
 
 def _overlapping(places: Array, taken: Array) -> Mask:
     """Which boxes, shape (n, 4), overlap one of some others, shape (k, 4); shape (n,)."""
     low, high = places[:, None, :2], places[:, None, 2:]
-    overlapping: Mask = ((low < taken[:, 2:]) & (taken[:, :2] < high)).all(axis=2).any(axis=1)
-    return overlapping
+    pairs: Mask = np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2)
+    return np.asarray(np.any(pairs, axis=1))

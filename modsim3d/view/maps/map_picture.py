@@ -11,7 +11,16 @@ from PIL import Image
 from modsim3d.errors import ModsimError
 from modsim3d.outputs.placing import put_in_place
 from modsim3d.view.maps.birds_eye import BirdsEye
-from modsim3d.view.maps.map_marks import MapSheet, Moment, camera_marks, draw_circles, draw_obstacles, vessel_marks
+from modsim3d.view.maps.map_marks import (
+    CameraMark,
+    MapSheet,
+    Moment,
+    VesselMark,
+    camera_marks,
+    draw_circles,
+    draw_obstacles,
+    vessel_marks,
+)
 from modsim3d.view.maps.map_names import MapNames
 
 if TYPE_CHECKING:
@@ -56,7 +65,7 @@ class Map:
         axes.set_title(birds_eye.scene.name, fontsize=11)
         self.sheet = MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
         draw_circles(self.sheet)
-        self._marks = [*vessel_marks(self.sheet), *camera_marks(self.sheet)]
+        self._marks: list[VesselMark | CameraMark] = [*vessel_marks(self.sheet), *camera_marks(self.sheet)]
         draw_obstacles(self.sheet)
         handles = axes.get_legend_handles_labels()[0]
         self.figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8, frameon=False)

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+
+
+def scene_of(run: Path) -> Path:
+    """The scene file in a run."""
+    return run / "scene" / f"{json.loads((run / 'run.json').read_text())['scene']}.json"
+
 
 Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
@@ -11,7 +18,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
     "rerun": ("run.rrd", lambda run, out: ("rerun", run, "--out", out)),
     "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
-    "compare": ("compare.html", lambda run, out: ("compare", run / "scene" / "scene.json", "--out", out.parent)),
+    "compare": ("compare.html", lambda run, out: ("compare", scene_of(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
@@ -32,7 +39,10 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
 }
 """Those that write files, by the command: the name of a file that it writes, and its command line."""
-INPUTS = {"compare": "scene/scene.json", "guess": "scene/detector.yaml"}
+INPUTS: dict[str, Callable[[Path], Path]] = {
+    "compare": lambda run: scene_of(run),
+    "guess": lambda run: run / "scene" / "detector.yaml",
+}
 """A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais")
 """Those that write a folder of their own, which they alone recognise."""
