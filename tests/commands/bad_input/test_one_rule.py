@@ -86,7 +86,7 @@ HOW: dict[str, Callable[[Path, Path], None]] = {
 @pytest.mark.parametrize("name", writers.WRITERS)
 def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, tmp_path, name: str, how) -> None:
     file, line = writers.WRITERS[name]
-    read = run / ("scene/scene.json" if name == "compare" else "truth.parquet")
+    read = writers.scene_file(run) if name == "compare" else run / "truth.parquet"
     (tmp_path / "out").mkdir()
     how(tmp_path / "out" / file, read)
     before = content(tmp_path)
