@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 
-def scene_of(run: Path) -> Path:
-    """The scene file in a run."""
-    return run / "scene" / f"{json.loads((run / 'run.json').read_text())['scene']}.json"
+def scene_file(run: Path) -> Path:
+    """The scene in the copy that a run keeps."""
+    (path,) = (path for path in (run / "scene").glob("*.json") if path.name not in ("vessels.json", "poses.json"))
+    return path
 
 
 Line = Callable[[Path, Path], tuple[object, ...]]
@@ -18,7 +18,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
     "rerun": ("run.rrd", lambda run, out: ("rerun", run, "--out", out)),
     "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
-    "compare": ("compare.html", lambda run, out: ("compare", scene_of(run), "--out", out.parent)),
+    "compare": ("compare.html", lambda run, out: ("compare", scene_file(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
@@ -40,7 +40,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
 }
 """Those that write files, by the command: the name of a file that it writes, and its command line."""
 INPUTS: dict[str, Callable[[Path], Path]] = {
-    "compare": lambda run: scene_of(run),
+    "compare": scene_file,
     "guess": lambda run: run / "scene" / "detector.yaml",
 }
 """A file in the run that a command reads which does not read the run itself."""
