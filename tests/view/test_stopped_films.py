@@ -13,7 +13,9 @@ from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing
 
 STALLING = """
-import sys, time
+import os, sys, time
+# As `cli.main` does it, before numpy starts threads: workers must be copies of this process, with the film that stalls.
+os.environ.update(OPENBLAS_NUM_THREADS="1", JE_ARROW_MALLOC_CONF="background_thread:false")
 from modsim3d import cli
 from modsim3d.view.films.renderer import FilmRenderer
 
