@@ -28,9 +28,10 @@ def stalling(self, step_frames):
         {then}
     return draw(self, step_frames)
 
-FilmRenderer.draw = stalling
-sys.argv = ["modsim3d", "view", *sys.argv[1:]]
-cli.main()
+FilmRenderer.draw = stalling  # also in workers, which import this file or are copies of the process
+if __name__ == "__main__":
+    sys.argv[1:1] = ["view"]
+    cli.main()
 """
 MIDDLE = 11
 """Of 12 frames; a GIF draws four for its palette first. They are drawn and written four at a time."""
@@ -45,11 +46,13 @@ def run(tmp_path_factory):
 
 
 def stalled(run, out, *options, frame=MIDDLE, then=WAIT):
-    """A command that has drawn some frames of a film."""
-    program = STALLING.format(frame=frame, then=then)
-    arguments = (run, "--film", "detections", "--width", "320", "--out", out, *options)
-    command = [sys.executable, "-c", program, *map(str, arguments)]
-    drawing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    """A command that has drawn some frames of a film, in a session of its own."""
+    script = run.parent / "stalling.py"
+    script.write_text(STALLING.format(frame=frame, then=then))
+    arguments = (script, run, "--film", "detections", "--width", "320", "--out", out, *options)
+    command = [sys.executable, *map(str, arguments)]
+    pipe = subprocess.PIPE
+    drawing = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
     assert drawing.stdout is not None
     if drawing.stdout.readline() != "in the middle\n":
         raise AssertionError(drawing.communicate()[1])
@@ -141,14 +144,7 @@ def test_what_is_coming_is_said_before_it_is_drawn(run, tmp_path):
 
 def test_a_worker_is_stopped_without_a_word(run, tmp_path):
     """A signal to the whole group, as a terminal that is closed sends it."""
-    program = STALLING.format(frame=3, then="time.sleep(2)")
-    arguments = (run, "--film", "detections", "--width", "320", "--out", tmp_path / "film.mp4", "--workers", "2")
-    command = [sys.executable, "-c", program, *map(str, arguments)]
-    drawing = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    assert drawing.stdout is not None
-    assert drawing.stdout.readline() == "in the middle\n"
+    drawing = stalled(run, tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)")
     os.killpg(drawing.pid, signal.SIGHUP)
     _, said = drawing.communicate(timeout=60)
     assert drawing.returncode == 129
