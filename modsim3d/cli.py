@@ -29,6 +29,8 @@ from modsim3d.errors import ModsimError
 
 BAD_INPUT = 2
 """Exit status of a user error."""
+COMPLETE_VARIABLE = "_MODSIM3D_COMPLETE"
+"""What the scripts of shells set, however the command line is started."""
 LEAST_ADDRESS_SPACE = 1 << 30
 """Libraries take half of it, and what a small run draws with most of the rest."""
 
@@ -122,7 +124,7 @@ def _status() -> int:
     try:
         check_memory()
         check_arguments(sys.argv[1:])
-        app(prog_name=_completed_name())
+        app(prog_name=_completed_name(), complete_var=COMPLETE_VARIABLE)
     except SystemExit as ended:
         return int(ended.code or 0)
     except ModsimError as error:

@@ -53,7 +53,8 @@ def worker_count(workers: WorkerCount, name: str = "workers") -> int:
         return min(_usable_cpus(), MOST_WORKERS)
     if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MOST_WORKERS:
         return int(workers)
-    raise ModsimError(f"{name}: needs a number of processes from 1 to {MOST_WORKERS}, or 'auto' (got {workers!r})")
+    shown = repr(workers)[:60]
+    raise ModsimError(f"{name}: needs a number of processes from 1 to {MOST_WORKERS}, or 'auto' (got {shown})")
 
 
 def parse_workers(text: str) -> WorkerCount:

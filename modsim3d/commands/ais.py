@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.shared import OverwriteOption, QuietOption, VerboseOption, print_line, print_rows
+from modsim3d.commands.shared import OverwriteOption, QuietOption, VerboseOption, print_line, print_path, print_rows
 from modsim3d.commands.terminal import open_console, tell_files, timed
 
 if TYPE_CHECKING:
@@ -109,4 +109,6 @@ def _print_summary(traffic: Traffic, folder: Path) -> None:
     console = open_console()
     for title, rows in summary_rows(traffic):
         print_rows(console, title, rows)
-    print_line(console, f"\nscene folder  {folder}\nrun it with   modsim3d run {folder}")
+    print_line(console, "")
+    print_path(console, "scene folder", folder)
+    print_line(console, f"run it with   modsim3d run {folder}")

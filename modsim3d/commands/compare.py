@@ -18,8 +18,8 @@ from modsim3d.commands.shared import (
     SetOption,
     StepsOption,
     VerboseOption,
-    print_line,
     print_rows,
+    print_written,
 )
 from modsim3d.commands.terminal import open_console, say_json, tell, tell_files, timed
 from modsim3d.errors import ModsimError
@@ -82,10 +82,7 @@ def compare_command(
     console = open_console()
     _print_figures(console, figures)
     written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
-    if written:
-        print_line(console, "\nwritten")
-    for path in written:
-        print_line(console, f"  {path}")
+    print_written(console, written)
     say_json({"command": "compare", **asdict(figures), "written": written})
     if figures.unexplained:
         raise typer.Exit(1)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption
-from modsim3d.commands.terminal import say, tell_files, timed
+from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, print_written
+from modsim3d.commands.terminal import open_console, tell_files, timed
 
 if TYPE_CHECKING:
     from modsim3d.formats.labelled import LabelledSet
@@ -62,6 +62,4 @@ def export_command(
         tell_files(read)
         with timed("files"):
             written = write(labelled, out)
-    say("written")
-    for path in written:
-        say(f"  {path}")
+    print_written(open_console(), written)

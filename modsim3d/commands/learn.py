@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from modsim3d.commands.learn_json import learn_json
-from modsim3d.commands.shared import JsonOption, OverwriteOption, QuietOption, VerboseOption, out_file, print_line
+from modsim3d.commands.shared import (
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    out_file,
+    print_line,
+    print_written,
+)
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed, warn
 from modsim3d.errors import InputError, ModsimError
@@ -283,7 +291,7 @@ def _show(report: Report, out: Path, page: Path) -> None:
         print_prose(console, note, indent=2)
     print_line(console, "")
     print_prose(console, NEVER_LEARNED)
-    print_line(console, f"\nwritten\n  {out}\n  {page}")
+    print_written(console, [out, page])
     if report.warning:
         warn(report.warning)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from modsim3d.commands.shared import print_line
+from modsim3d.commands.shared import print_line, print_path
 from modsim3d.commands.tables import print_table
 from modsim3d.commands.terminal import open_console, warn
 
@@ -39,9 +39,10 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
         header, *rows = camera_rows(result)
         console.print()
         print_table(console, "", rows, header=header, right=range(1, len(header)))
-    print_line(console, f"\nrun directory  {result.folder}")
+    print_line(console, "")
+    print_path(console, "run directory", result.folder)
     if sheet:
-        print_line(console, f"contact sheet  {result.folder / 'contact_sheet.png'}")
+        print_path(console, "contact sheet", result.folder / "contact_sheet.png")
     for warning in run_warnings(scene, result):
         warn(warning)
 

@@ -93,3 +93,19 @@ def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) ->
 def print_line(console: Console, text: str, style: str = "") -> None:
     """Print text as it is: no markup, no highlighting, no wrapping of paths."""
     console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_path(console: Console, name: str, path: Path) -> None:
+    """Print a name and a path, on a line of its own where both would not fit on one."""
+    from rich.cells import cell_len
+
+    between = "  " if cell_len(f"{name}  {path}") <= console.width else "\n"
+    print_line(console, f"{name}{between}{path}")
+
+
+def print_written(console: Console, paths: Sequence[Path]) -> None:
+    """Print which files were written, each on a line of its own; nothing if there are none."""
+    if paths:
+        print_line(console, "\nwritten")
+    for path in paths:
+        print_line(console, f"  {path}")

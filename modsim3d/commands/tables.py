@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING
 
-from modsim3d.commands.terminal import visible
+from modsim3d.commands.terminal import visible, wrapped
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -78,7 +77,7 @@ def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -
         return widths
     if not wraps or len(widths) < 2:
         return []
-    least = [max(LEAST_PROSE, *_word_lengths(columns[place])) for place in (0, -1)]
+    least = [max([LEAST_PROSE, *_word_lengths(columns[place])]) for place in (0, -1)]
     least_first, least_last = min(least[0], widths[0]), min(least[1], widths[-1])
     if widths[0] + room >= least_first:  # a long name before short values
         return [widths[0] + room, *widths[1:]]
@@ -109,7 +108,7 @@ def _print_aligned(
         place = number - has_header
         whole = "dim" if place < 0 else row_styles[place] if place < len(row_styles) else ""
         cells = [
-            [piece for line in cell for piece in _wrapped(line, wide)] for cell, wide in zip(row, widths, strict=True)
+            [piece for line in cell for piece in wrapped(line, wide)] for cell, wide in zip(row, widths, strict=True)
         ]
         for height in range(max(map(len, cells))):
             line: Line = []
@@ -151,17 +150,8 @@ def _packed(pieces: Sequence[str], width: int) -> list[str]:
         if lines and cell_len(lines[-1]) + GAP + cell_len(piece) <= width:
             lines[-1] += " " * GAP + piece
         else:
-            lines += _wrapped(piece, width)
+            lines += wrapped(piece, width)
     return lines
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    """Text broken between words; longer words stay whole."""
-    from rich.cells import cell_len
-
-    if cell_len(text) <= width:
-        return [text]
-    return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False)
 
 
 def _print_line(console: Console, line: Line) -> None:
@@ -178,5 +168,5 @@ def _print_whole(console: Console, text: Text) -> None:
 
 def print_prose(console: Console, text: str, style: str = "", indent: int = 0) -> None:
     """Print text, broken between words."""
-    for line in _wrapped(visible(text), console.width - indent):
+    for line in wrapped(visible(text), console.width - indent):
         _print_line(console, [(" " * indent + line, style)])

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -39,6 +40,15 @@ def _escaped(match: re.Match[str]) -> str:
 def visible(text: str) -> str:
     r"""The text with its control characters as `\x1b`, since a terminal obeys them; lines and tabs stay."""
     return _HIDDEN.sub(_escaped, text)
+
+
+def wrapped(text: str, width: int) -> list[str]:
+    """Text broken between words into lines of a width; longer words stay whole."""
+    from rich.cells import cell_len
+
+    if cell_len(text) <= width:
+        return [text]
+    return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False)
 
 
 @dataclass
@@ -109,7 +119,7 @@ def warn(text: str) -> None:
     """Write a warning to standard error, whatever is asked for."""
     if sys.stdout is not None:
         sys.stdout.flush()  # it stands after what it is about, where both go to one place
-    open_console(stderr=True, quiet=False).print(f"warning: {text}", style="yellow", highlight=False, soft_wrap=True)
+    _say_prose([f"warning: {text}"], "yellow")
 
 
 def tell(name: str, text: str) -> None:
@@ -157,7 +167,17 @@ def say_error(error: ModsimError) -> None:
     if isinstance(error, InputError):
         lines = [f"{error.source}:", *(f"  {problem}" for problem in error.problems)]
         lines = [_BREAKS.sub(_escaped, line) for line in lines]
-    say("modsim3d: " + "\n".join(lines), err=True)
+    _say_prose(("modsim3d: " + "\n".join(lines)).split("\n"))
+
+
+def _say_prose(lines: Iterable[str], style: str = "") -> None:
+    """Write lines to standard error, on a terminal broken between words."""
+    console = open_console(stderr=True, quiet=False)
+    for line in lines:
+        words = visible(line).lstrip(" ")
+        indent = " " * (len(line) - len(line.lstrip(" ")))
+        for piece in wrapped(words, console.width - len(indent)):
+            console.print(indent + piece, style=style, highlight=False, soft_wrap=True)
 
 
 def open_console(**options: Any) -> Console:

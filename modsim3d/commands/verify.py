@@ -14,6 +14,7 @@ from modsim3d.commands.shared import (
     QuietOption,
     VerboseOption,
     print_line,
+    print_written,
 )
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console, say_json, tell_files, timed
@@ -62,9 +63,7 @@ def verify_command(
     verification = verified.verification
     _print_verification(verification)
     console = open_console()
-    print_line(console, "\nwritten")
-    for path in paths:
-        print_line(console, f"  {path}")
+    print_written(console, paths)
     said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
     say_json({"command": "verify", **verify_report.report_data(verified), **said, "written": paths})
     if not verification.obeys:

@@ -160,7 +160,7 @@ def _draw_map(
     if path.suffix.lower() not in FORMATS:
         raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
     check_matplotlib()
-    with claimed_file(path, run, overwrite):
+    with claimed_file(path, run, overwrite), timed("map"):
         _say_what_there_is(run)
         say(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
 
@@ -218,7 +218,7 @@ def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
             f"{run.folder} holds an interrupted run, and a contact sheet needs a finished one (go on with "
             f"modsim3d run --resume); --film and --frame draw the {run.steps} steps that are there"
         )
-    with claimed_file(run.folder / SHEET_FILE, run, overwrite):
+    with claimed_file(run.folder / SHEET_FILE, run, overwrite), timed("contact sheet"):
         say(f"contact sheet  {draw_contact_sheet(run)}")
 
 
@@ -228,7 +228,7 @@ def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | 
     path = out_file(out, selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png")
     if path.suffix.lower() != ".png":
         raise ModsimError(f"{path}: the name of a picture must end in .png")
-    with claimed_file(path, selection.run, overwrite):
+    with claimed_file(path, selection.run, overwrite), timed("picture"):
         say(f"picture  {draw_picture(selection, plan, path)}")
 
 

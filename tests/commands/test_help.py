@@ -20,7 +20,7 @@ OPTIONS = [
     for parameter in command.params
     if parameter.name != "help"
 ]
-HEAVY = ("numpy", "scipy", "pyarrow", "OpenGL", "matplotlib", "PIL", "trimesh", "shapely", "pydantic", "pyrender")
+HEAVY = ("numpy", "scipy", "pyarrow", "OpenGL", "matplotlib", "PIL", "trimesh", "shapely", "pyrender")
 
 
 @pytest.mark.parametrize("flag", ["-h", "--help"])

