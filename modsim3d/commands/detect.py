@@ -45,12 +45,13 @@ def detect_command(
     Example: modsim3d detect runs/first --seed 7 --out runs/second
     """
     from modsim3d.runs.detect_run import detect_run
+    from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
     from modsim3d.scene.settings import read_settings
 
     with timed("opening the run"):
         stored = open_run(run)
-    tell_files([run, *([detector] if detector else [])])
+    tell_files([*read_of_run(run), *([detector] if detector else [])])
     with timed("detections and files"), progress(stored.scene.name, stored.scene.steps) as advance:
         result = detect_run(
             stored,

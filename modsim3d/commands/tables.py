@@ -60,7 +60,8 @@ def print_table(
         if widths := _widths(lines, console.width, wraps=not header):
             _print_aligned(console, lines, widths, bool(header), right, styles, row_styles)
             return
-    for place, row in enumerate(table[bool(header) :]):
+    header, *body = [[cell.replace("\n", " ") for cell in row] for row in (table if header else [[], *table])]
+    for place, row in enumerate(body):
         style = row_styles[place] if place < len(row_styles) else ""
         _print_stacked(console, row, header, at_edge, style or (styles[0] if styles else ""), style)
 

@@ -73,6 +73,14 @@ def test_what_does_not_fit_stands_below_with_the_names_of_its_columns() -> None:
     ]
 
 
+def test_names_of_columns_on_two_lines_stand_on_one_below_a_row() -> None:
+    header = ("camera", "frames", "false\nalarms")
+    lines = printed(22, "", [("bow", "40", "10")], header=header)
+    assert lines == ["camera  frames  false", "                alarms", "bow     40      10"]
+    lines = printed(22, "", [("a_long_name", "40", "10")], header=header)
+    assert lines == ["a_long_name", "    frames 40", "    false alarms 10"]
+
+
 def test_cells_are_broken_where_they_may_be_before_rows_are() -> None:
     rows = [("state", "0.5 [0.1, 0.9]", "0.6 [0.2, 0.8]")]
     found = printed(29, "", rows, header=("", "recall", "F1"), breaks=[lambda cell: cell.replace(" [", "\n[")])
