@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from modsim3d.geometry.camera import Intrinsics
@@ -214,3 +215,32 @@ def crossing(folder: Path, steps: int = 12) -> Path:
         "ship": ([60, 10, 12], [[0, 75, 60], [10, 140, -60]]),
     }
     return write_scene(folder, boats, steps)
+
+
+CLASSES = {"sailboat": "sailboat", "ferry": "ferry", "container_ship": "ferry"}
+"""Of the strait's vessels; all others are motorboats."""
+
+
+def mistaken_strait(folder: Path, steps: int = 130) -> Path:
+    """The strait before a detector that makes every kind of mistake; written into the folder."""
+    scenes = data_folder("scenes")
+    detector = yaml.safe_load((scenes / "detectors" / "rich.yaml").read_text(encoding="utf-8"))
+    detector["false_positives"] |= {
+        "duplicates": 0.05,
+        "splits": 0.2,
+        "split_aspect": 2.5,
+        "merges": 1.0,
+        "merge_overlap": 0.05,
+    }
+    detector["states"]["clear"]["false_discovery_rate"] = detector["states"]["haze"]["false_discovery_rate"] = 0.3
+    for state, variance in (("clear", 30), ("haze", 400)):
+        covariance = np.diag([variance, variance / 4, variance, variance / 4]).tolist()
+        detector["states"][state]["box_error"] = {"unit": "px", "mean": [0, 0, 0, 0], "covariance": covariance}
+    (folder / "detector.yaml").write_text(yaml.safe_dump(detector), encoding="utf-8")
+    scene = yaml.safe_load((scenes / "strait.yaml").read_text(encoding="utf-8"))
+    for name, values in scene["vessels"].items():
+        values["label"] = CLASSES.get(name, "motorboat")
+    scene |= {"steps": steps, "detector": "detector.yaml", "annotation": {"mode": 2, "source": "analytic"}}
+    path = folder / "mistakes.yaml"
+    path.write_text(yaml.safe_dump(scene), encoding="utf-8")
+    return path

@@ -94,11 +94,12 @@ def ais_command(
     )
     check_free(out, overwrite)
     with locked_folder(out):
+        read = [file for file in files if not file.is_dir()]  # folders are refused when they are read
         for name in FILES:
-            claims.check_free(out / name, overwrite, files)
+            claims.check_free(out / name, overwrite, read)
         with timed("reading"):
             traffic = read_traffic(files, options)
-        tell_files(files)
+        tell_files(read)
         write_scene(traffic, out, data_folder("scenes") / "detectors" / "thesis.yaml", overwrite)
     _print_summary(traffic, out)
 

@@ -68,9 +68,8 @@ def compare_command(
             scene, steps=steps, source="rendered", supersample=supersample, settings=read_settings(settings or ())
         )
     written = [out / name for name in compare_report.FILES] if out is not None else []
-    read = [loaded.path, *loaded.copy.files.values()]
-    tell_files(read)
-    with claimed(written, overwrite=overwrite, inputs=read), open_renderer(loaded) as renderer:
+    tell_files(loaded.copy.read)
+    with claimed(written, overwrite=overwrite, inputs=loaded.copy.read), open_renderer(loaded) as renderer:
         if renderer is None:
             raise ModsimError("compare needs the rendered source")
         tell("OpenGL", renderer.context.description)

@@ -51,7 +51,7 @@ def guess_command(
     """
     from modsim3d.detector.file.reading import load_detector
     from modsim3d.detector.file.writing import detector_text
-    from modsim3d.inputs.shipped import find_condition
+    from modsim3d.inputs.conditions import find_condition
     from modsim3d.inputs.strict_yaml import load_yaml
     from modsim3d.learn.guess import ConditionChange, guessed
     from modsim3d.outputs.claims import claimed

@@ -158,6 +158,7 @@ def learn_command(
 
     Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
     """
+    from modsim3d.inputs.opening import inputs_noted
     from modsim3d.inputs.text_files import read_text
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import Settings
@@ -174,13 +175,12 @@ def learn_command(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
             "centre for both, or learn from each alone"
         )
-    with timed("reading"):
+    with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
         labelled, run_interval = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
+        order = read_text(sequence, "sequence") if sequence else None
     interval = run_interval if interval is None else interval
-    order = read_text(sequence, "sequence") if sequence else None
     settings = Settings(_rule(labelled, match, iou, distance), confidence, replicates, seed, clutter.value)
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
-    read = [*(truth or ()), *(detections or ()), *([sequence] if sequence else ())]
     read += [path for folder in run or () for path in read_of_run(folder)]
     tell_files(read)
     with claimed([out, page], overwrite=overwrite, inputs=read):

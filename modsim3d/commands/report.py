@@ -38,8 +38,7 @@ def report_command(
     read = read_of_run(run)
     tell_files(read)
     path = out_file(out, run / REPORT_FILE)
-    replace = overwrite or out is None
-    with timed("page"), claimed([path], overwrite=replace, inputs=read), progress_bar() as bar:
+    with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_report(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     if not opened.finished:
@@ -71,8 +70,7 @@ def rerun_command(
     read = read_of_run(run)
     tell_files(read)
     path = out_file(out, run / "run.rrd")
-    replace = overwrite or out is None
-    with timed("recording"), claimed([path], overwrite=replace, inputs=read), progress_bar() as bar:
+    with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_recording(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,9 @@ from modsim3d.commands.shared import (
     WorkersOption,
 )
 from modsim3d.commands.terminal import say, say_json, tell_files, timed
+
+if TYPE_CHECKING:
+    from modsim3d.scene.scene import Scene
 
 
 class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
@@ -109,7 +112,7 @@ def run_command(
             state=state,
             state_from=state_from,
         )
-    tell_files([loaded.path, *loaded.copy.files.values()])
+    tell_files(loaded.copy.read)
     folder = out if out is not None else Path("runs") / loaded.name
     total = None if loaded.live else loaded.steps
     kept = f"in {folder / 'unfinished'}" if loaded.live else "go on with --resume"
@@ -118,17 +121,17 @@ def run_command(
     tell_backend(folder)
     if not no_sheet:
         with timed("contact sheet"):
-            _draw_sheet(folder)
+            _draw_sheet(folder, loaded)
     print_summary(loaded, result, sheet=not no_sheet)
     say_json(run_json("run", loaded, result, sheet=not no_sheet))
 
 
-def _draw_sheet(folder: Path) -> None:
+def _draw_sheet(folder: Path, scene: Scene) -> None:
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.stored_run import open_run
     from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
 
-    with claimed([folder / SHEET_FILE], overwrite=True):
+    with claimed([folder / SHEET_FILE], overwrite=True, inputs=scene.copy.read):  # it is a part of the run
         draw_contact_sheet(open_run(folder))
 
 

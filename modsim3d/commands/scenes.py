@@ -43,7 +43,7 @@ def check_command(
 
     with timed("reading the scene"):
         loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
-    tell_files([loaded.path, *loaded.copy.files.values()])
+    tell_files(loaded.copy.read)
     console = open_console()
     print_line(console, f"{loaded.path}: no problems found")
     print_rows(console, "", _rows(loaded))
@@ -68,7 +68,7 @@ def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
         "command": "check",
         "scene": scene.name,
         "path": scene.path,
-        "files": list(scene.copy.files.values()),
+        "files": list(scene.copy.read),
         "vessels": [vessel.name for vessel in scene.vessels],
         "cameras": [camera.name for camera in scene.cameras],
         "steps": None if scene.live else scene.steps,
@@ -83,7 +83,7 @@ def scenes_command(json: JsonOption = False) -> None:
 
     Example: modsim3d scenes
     """
-    from modsim3d.inputs.shipped import CONDITIONS, conditions_in
+    from modsim3d.inputs.conditions import CONDITIONS, conditions_in
     from modsim3d.scene.reading import shipped_scenes
 
     console, entries = open_console(), []

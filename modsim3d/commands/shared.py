@@ -35,7 +35,7 @@ SceneArgument = Annotated[
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory, finished or interrupted.")]
 FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory of a finished run.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace output files that exist.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist; never what is read.")]
 WorkersOption = Annotated[
     Any,
     typer.Option(

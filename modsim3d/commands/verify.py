@@ -55,7 +55,7 @@ def verify_command(
     paths = [folder / name for name in verify_report.FILES]
     read = [*read_of_run(run), *([detector] if detector else [])]
     tell_files(read)
-    with claimed(paths, overwrite=overwrite or folder == run, inputs=read):
+    with claimed(paths, overwrite=overwrite, inputs=read):
         with timed("checks"):
             verified = verify_run(opened, detector)
         with timed("files"):

@@ -251,7 +251,7 @@ def _draw_film(
     check_encoder(kind)
     folder = selection.run.folder
     path = out or folder / film.value if kind == "png" else out_file(out, folder / f"{film.value}.{kind}")
-    claim = claimed_folder(path, overwrite) if kind == "png" else claimed_file(path, selection.run, overwrite)
+    claim = (claimed_folder if kind == "png" else claimed_file)(path, selection.run, overwrite)
     showing = Showing.of(selection, kind, speed)
     pace = f"{len(showing.steps)} frames"
     if kind != "png":

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from modsim3d.commands.view_options import Format
 from modsim3d.errors import ModsimError
-from modsim3d.outputs.claims import claimed
+from modsim3d.outputs.claims import check_not_read, claimed
 from modsim3d.outputs.locks import locked_file
 from modsim3d.runs.files.replacing import read_of_run
 
@@ -50,13 +50,14 @@ def claimed_file(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
 
 
 @contextmanager
-def claimed_folder(path: Path, overwrite: bool) -> Iterator[None]:
-    """Check that the PNG files of a film can be written to a folder, and hold its lock.
+def claimed_folder(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
+    """Check that the PNG files of a film of a run can be written to a folder, and hold its lock.
 
     Raises:
         ModsimError: It is a file, holds other files than a film's, or holds a film that is not to be overwritten.
     """
     _check_parent(path)
+    check_not_read(path, read_of_run(run.folder))
     _check_free_folder(path, overwrite)
     with locked_file(path):
         _check_free_folder(path, overwrite)  # another process may have ended just now

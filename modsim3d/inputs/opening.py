@@ -9,6 +9,7 @@ import stat
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +34,26 @@ _BOMB = (
 _FAULTS = (OSError, EOFError, zlib.error, UnicodeDecodeError)
 
 
+_noted: ContextVar[tuple[list[Path], ...]] = ContextVar("_noted", default=())
+
+
+@contextmanager
+def inputs_noted() -> Iterator[list[Path]]:
+    """The list of the input files that are opened within the block, so that none of them is written over."""
+    opened: list[Path] = []
+    token = _noted.set((*_noted.get(), opened))
+    try:
+        yield opened
+    finally:
+        _noted.reset(token)
+
+
+def note_input(path: Path) -> None:
+    """Note that a file is opened; for those who cannot use `open_input`."""
+    for opened in _noted.get():
+        opened.append(path)
+
+
 @contextmanager
 def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator[io.BufferedReader]:
     """The bytes of an input file, unpacked if it is gzipped; its name does not matter.
@@ -47,6 +68,7 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
             while it is read and decoded.
     """
     source = f"{what} {path}"
+    note_input(path)
     try:
         with _ordinary_file(path, source) as file:
             yield io.BufferedReader(_Budgeted(file, source, most_bytes), budgets.PIECE_BYTES)

@@ -97,13 +97,14 @@ class LearnResult:
         return out, page
 
 
-def comments(report: Report) -> list[str]:
-    """The lines at the head of a learned detector file."""
+def comments(report: Report, corrected: bool = False) -> list[str]:
+    """The lines at the head of a learned detector file; `corrected` says that the bias of matching was taken off."""
     states = report.state_map.states.items()
     return [
         f"Learned by modsim3d learn. {lead(report)}",
         *(f"States: {name} = {', '.join(names)}" for name, names in states),
         *(f"Remark: {remark}" for remark in report.remarks),
+        *(["Corrected once for the bias of the matching."] if corrected else []),
         *(f"Left simple: {note}" for note in report.learned.notes),
     ]
 

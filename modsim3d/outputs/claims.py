@@ -8,7 +8,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from modsim3d.errors import OutputError
-from modsim3d.outputs.locks import locked_file
+from modsim3d.outputs.locks import lock_of, locked_file
+from modsim3d.outputs.placing import partial_of
+from modsim3d.outputs.same_file import identity, is_inside
 
 
 @contextmanager
@@ -18,11 +20,12 @@ def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = 
     Args:
         paths: The files; folders that are not there are made.
         overwrite: Replace files that are there.
-        inputs: Files that the command reads, and folders of which it reads any file; they are never replaced.
+        inputs: What the command reads: files, which are never replaced, and folders, in which nothing is written.
 
     Raises:
         OutputError: One of the files may not be written, or cannot be.
     """
+    inputs = tuple(inputs)
     with ExitStack() as locks:
         for path in paths:
             check_free(path, overwrite, inputs)
@@ -40,17 +43,29 @@ def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
     Raises:
         OutputError: It is a folder, a device or a link to itself, is an input, or exists and is not to be overwritten.
     """
-    real = Path(os.path.realpath(path))
-    if real.is_symlink():
+    if Path(os.path.realpath(path)).is_symlink():
         raise OutputError(f"{path} is a link that leads to itself: choose another name")
+    check_not_read(path, inputs)
     if not path.exists():
         return
     if path.is_dir():
         raise OutputError(f"{path} is a folder: choose another name")
     if not path.is_file():
         raise OutputError(f"{path} is not a regular file, and only such files are written: choose another name")
-    for read in map(os.path.realpath, inputs):
-        if real == Path(read) or (Path(read).is_dir() and real.is_relative_to(read)):
-            raise OutputError(f"{path} is read by this command, so it is not written over: choose another name")
     if not overwrite:
         raise OutputError(f"{path} exists: use --overwrite, or choose another name")
+
+
+def check_not_read(path: Path, inputs: Iterable[Path]) -> None:
+    """Check that a file or folder that is written is not what is read, by whatever name; see `claimed`.
+
+    Raises:
+        OutputError: It is.
+    """
+    written = {identity(place): place for place in (path, partial_of(path), lock_of(path))}
+    for read in inputs:
+        if (found := identity(read)) is not None and found in written:
+            what = path if written[found] == path else f"{written[found]}, which is used while {path} is written,"
+            raise OutputError(f"{what} is read by this command, so it is not written over: choose another name")
+        if not read.is_file() and is_inside(path, read):
+            raise OutputError(f"{path} is inside {read}, which this command reads: choose another folder")

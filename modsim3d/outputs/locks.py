@@ -38,9 +38,15 @@ def locked_file(path: Path) -> Iterator[None]:
         OutputError: Another process, which the message names, writes the file.
         OSError: The folder or the lock in it cannot be made.
     """
-    real = Path(os.path.realpath(path))  # unlike `resolve`, also of a link to itself
-    with _made_for_it(real.parent), _locked(real.with_name(f".{real.name}.lock"), path):
+    lock = lock_of(path)
+    with _made_for_it(lock.parent), _locked(lock, path):
         yield
+
+
+def lock_of(path: Path) -> Path:
+    """The lock of a file: hidden, beside it, or beside the file that a link leads to."""
+    real = Path(os.path.realpath(path))  # unlike `resolve`, also of a link to itself
+    return real.with_name(f".{real.name}.lock")
 
 
 @contextmanager

@@ -37,6 +37,7 @@ def write_files(contents: Mapping[Path, bytes | str]) -> None:
             partial = places.enter_context(put_in_place(path))
             with _told_of(path):
                 partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+                sync_file(partial)  # so that all get their places within a moment
 
 
 @contextmanager

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.boxes import iou
+from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.runs.blocks import Frame
 
+FALSE_NAMES = frozenset(KINDS[kind] for kind in FALSE_KINDS)
 GOOD_IOU = 0.5
 """A box with a smaller IoU with its vessel's annotated box is a bad one."""
 
@@ -62,17 +64,21 @@ def having(found: Outcomes, flag: Outcome) -> Mask:
 
 def frame_outcomes(frame: Frame) -> list[Outcome]:
     """The outcome of each detection of a frame."""
-    truth, found, rows = frame.truth, frame.detections, source_rows(frame)
-    false = np.array([row is None for row in rows], dtype=bool)
+    truth, found, rows = frame.truth, frame.detections, detected_rows(frame)
     names = zip(found.labels, rows, strict=True)
     mislabelled = np.array([row is not None and label != truth.labels[row] for label, row in names], dtype=bool)
+    false = np.array([row is None for row in rows], dtype=bool)
     annotated_px = np.full((len(rows), 4), np.nan)
     annotated_px[~false] = truth.boxes_px[[row for row in rows if row is not None]]
     flags = outcomes(false, mislabelled, found.boxes_px, annotated_px)
     return [Outcome(each) for each in flags.tolist()]
 
 
-def source_rows(frame: Frame) -> list[int | None]:
-    """Row of a frame's truth that each of its detections came from, None for a false positive."""
+def detected_rows(frame: Frame) -> list[int | None]:
+    """Row of a frame's truth that each of its detections detects, None for a false positive.
+
+    A duplicate and the smaller part of a split box are false positives, though they come from a vessel.
+    """
     row_of: dict[str | None, int] = {vessel: row for row, vessel in enumerate(frame.truth.vessels)}
-    return [None if vessel is None else row_of[vessel] for vessel in frame.detections.vessels]
+    found = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
+    return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]

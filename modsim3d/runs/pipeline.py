@@ -202,7 +202,7 @@ def step_ranges(scene: Scene) -> Iterator[Range]:
                 raise InputError(poses.source, ["ended before the first time step"])
             return
         if problems := place_problems(scene, np.arange(step, step + 1)):
-            raise InputError(f"scene {scene.path}", [line for lines in problems.values() for line in lines])
+            raise InputError(scene.title, [line for lines in problems.values() for line in lines])
         yield step, step + 1
 
 

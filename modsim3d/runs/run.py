@@ -108,7 +108,7 @@ def run_scene(
     count = 1 if scene.live and workers == "auto" else worker_count(workers)
     if scene.live and count > 1:
         raise ModsimError(
-            f"scene {scene.path}: a stream's steps come one by one, so there is nothing to share between {count} "
+            f"{scene.title}: a stream's steps come one by one, so there is nothing to share between {count} "
             "workers: leave --workers out"
         )
     return write_run(
@@ -149,7 +149,7 @@ def write_run(
     started = time.perf_counter()
     if scene.live and resume:
         raise ModsimError(
-            f"scene {scene.path}: --resume needs poses that can be read again, and a stream's come once. What an "
+            f"{scene.title}: --resume needs poses that can be read again, and a stream's come once. What an "
             "interrupted run took in is in unfinished/poses.jsonl of its folder: run a scene with poses: {file: ...}"
         )
     with locked_run(folder), opened_workers as workers:

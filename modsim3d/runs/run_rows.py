@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.runs.files.columns import (
     NOBODY,
     Occluders,
@@ -39,7 +40,7 @@ class RunRows:
         truth_vessel: Index of the vessel of each row, shape (n,).
         detections: The table of detections, m rows.
         detection_frame: Number of the frame of each detection, shape (m,).
-        detection_vessel: Index of the vessel of each detection; `NOBODY` for a false positive, shape (m,).
+        detection_vessel: Index of the vessel that each detection came from, `NOBODY` if from none, shape (m,).
     """
 
     scene: Scene
@@ -113,17 +114,17 @@ class RunRows:
         return self.boxes_px("visible" if self.scene.annotation.mode == 2 else "full")
 
     @cached_property
-    def source_row(self) -> Indices:
-        """Row of the truth that each detection came from, `NOBODY` for a false positive, shape (m,)."""
-        vessels = len(self.scene.vessels)
+    def detected_row(self) -> Indices:
+        """Row of the truth that each detection detects, `NOBODY` for a false positive, shape (m,)."""
+        vessels, false = len(self.scene.vessels), np.isin(indices(self.detections, "kind", KINDS), FALSE_KINDS)
         wanted = self.detection_frame * vessels + self.detection_vessel
-        wanted[self.detection_vessel == NOBODY] = NOBODY
+        wanted[false | (self.detection_vessel == NOBODY)] = NOBODY
         return positions(self.truth_frame * vessels + self.truth_vessel, wanted)
 
     @cached_property
     def outcomes(self) -> Outcomes:
         """The outcome of each detection, shape (m,)."""
-        labels, rows = self.scene.detector.labels, self.source_row
+        labels, rows = self.scene.detector.labels, self.detected_row
         false = rows == NOBODY
         annotated_px = np.full((len(rows), 4), np.nan)
         annotated_px[~false] = self.annotated_boxes_px[rows[~false]]

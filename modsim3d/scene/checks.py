@@ -108,4 +108,4 @@ def _check_place(scene: Scene, camera: Camera, steps: Indices) -> None:
         f"cameras.{camera.name}: is inside {kind} '{name}' at time {when} s: move one of them, or set "
         "annotation.allow_camera_inside: true"
     )
-    raise InputError(f"scene {scene.path}", [problem])
+    raise InputError(scene.title, [problem])

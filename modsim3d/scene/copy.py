@@ -27,13 +27,15 @@ class SceneCopy:
         name: Name of the scene.
         document: Content of the scene file with what the caller set, and with the paths of the copy.
         files: Path in the copy → original file.
-        changed: Path in the copy → content, of the files that the caller has changed.
+        changed: Path in the copy → content, of the files that are not as the original, or have none.
+        read: Every file that the scene is read from; also those that are not copied but written into the document.
     """
 
     name: str
     document: Mapping[str, Any]
     files: Mapping[str, Path]
     changed: Mapping[str, bytes] = field(default_factory=dict)
+    read: tuple[Path, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,7 +71,8 @@ class SceneCopy:
 
 def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     """A copy in which each file that the scene names lies beside it under a plain name; a copy's copy is the same."""
-    changed, suffix = {}, Path(keys.detector).suffix
+    detector_file = parts.detector_file(keys.detector)
+    changed, suffix = dict(parts.contents), detector_file.suffix
     if parts.changed_detector is not None:
         suffix = ".yaml"
         changed[f"detector{suffix}"] = detector_text(parts.changed_detector).encode()
@@ -78,7 +81,7 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     document = {**parts.data, "vessels": vessels, "detector": detector}
     if "obstacles" in document:
         document["obstacles"] = parts.meshes.copied_all(document["obstacles"] or {}, parts.folder)
-    files = {detector: parts.folder / keys.detector, **parts.meshes.files}
+    files = {detector: detector_file, **parts.meshes.files}
     if parts.source is None or isinstance(parts.poses, LivePoses):
         document["poses"] = {"file": "../poses.jsonl"}  # where a run keeps the poses that came in
         document.pop("steps", None)
@@ -92,7 +95,8 @@ def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:
     # In the order of the model, whoever set a key. The order of vessels and cameras has a meaning and is kept.
     if isinstance(document.get("annotation"), dict):
         document["annotation"] = _ordered(document["annotation"], AnnotationKeys)
-    return SceneCopy(parts.scene_name, _ordered(document, SceneKeys), files, changed)
+    read = (*parts.read, *(file for name, file in files.items() if name not in parts.contents))
+    return SceneCopy(parts.scene_name, _ordered(document, SceneKeys), files, changed, read)
 
 
 def _pose_file(number: int, file: str) -> str:

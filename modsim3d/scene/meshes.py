@@ -86,19 +86,21 @@ class SceneMeshes:
         return name
 
 
-def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, scene: Path, truth_source: str) -> Obstacle:
-    """An obstacle of a scene file, whose mesh is added to those of the scene.
+def read_obstacle(
+    name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Path, scene: str, truth_source: str
+) -> Obstacle:
+    """An obstacle of a scene file in a folder, whose mesh is added to those of the scene.
 
     Raises:
         InputError: The name is not printable, the mesh cannot be read, or the source cannot use meshes.
     """
     where = join_path("obstacles", name)
     if not name or not name.isprintable():
-        raise InputError(f"scene {scene}", [f"{where}: an obstacle's name must be printable text (got {name!r})"])
+        raise InputError(scene, [f"{where}: an obstacle's name must be printable text (got {name!r})"])
     if keys.polygon_m is not None:
         return Obstacle(name, extruded(np.array(keys.polygon_m), keys.base_m, keys.height_m or 0.0))
-    solid = meshes.solid(keys.mesh, scene.resolve().parent, f"scene {scene}", "obstacles", name, "mesh")
+    solid = meshes.solid(keys.mesh, folder, scene, "obstacles", name, "mesh")
     if truth_source == "analytic" and not solid.convex:
         hint = "use annotation.source: rendered, or give a polygon_m with height_m"
-        raise InputError(f"scene {scene}", [f"{where}.mesh: the analytic source cannot use meshes: {hint}"])
+        raise InputError(scene, [f"{where}.mesh: the analytic source cannot use meshes: {hint}"])
     return Obstacle(name, (placed(solid, np.array(keys.size_m), np.array(keys.position_m), keys.heading_rad),))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from modsim3d.detector.file.finding import shipped_detectors
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.errors import InputError
@@ -30,7 +32,14 @@ T = TypeVar("T")
 
 SCENE_FILE = "scene.yaml"
 """A scene in a file of this name is called as its folder is."""
+NO_FILE = Path("scene")
+"""The path of a scene that is in no file and has no name."""
 CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+def title_of(path: Path) -> str:
+    """What errors call a scene."""
+    return "scene" if path == NO_FILE else f"scene {path}"
 
 
 @dataclass(frozen=True)
@@ -58,6 +67,7 @@ class SceneParts:
         settings: What the caller sets in place of what is written in the files.
         data: Content of the scene file with the settings.
         changed_detector: Content of the detector file with the settings; None if there are none.
+        contents: Path in a copy of the scene → content, of what the scene has in place of files.
         problems: Every problem, one line each.
         keys: The content, validated.
         vessel_entries: The mapping of vessels as in its file.
@@ -71,6 +81,7 @@ class SceneParts:
         self.path, self.settings = path, Settings(settings)
         self.data = self.settings.in_scene(data)
         self.changed_detector: dict[str, Any] | None = None
+        self.contents: dict[str, bytes] = {}
         self.folder = path.resolve().parent
         self.problems: list[str] = []
         self.meshes = SceneMeshes()
@@ -96,7 +107,13 @@ class SceneParts:
     @property
     def name(self) -> str:
         """What errors call the scene."""
-        return f"scene {self.path}"
+        return title_of(self.path)
+
+    @property
+    def read(self) -> tuple[Path, ...]:
+        """The scene file, and the files of vessels and poses that it names."""
+        entry, files = self.data.get("vessels"), self.source.keys.files if self.source else ()
+        return (self.path, *(self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files]))
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -165,13 +182,18 @@ class SceneParts:
             return ()
         found = []
         for name, entry in self.keys.obstacles.items():
-            read = partial(read_obstacle, name, entry, self.meshes, self.path, self.keys.annotation.source)
+            read = partial(read_obstacle, name, entry, self.meshes, self.folder, self.name, self.keys.annotation.source)
             found.append(self._collect(read))
         return tuple(obstacle for obstacle in found if obstacle is not None)
 
     def _detector(self) -> DetectorModel | None:
         entry = self.data.get("detector")
-        return self._collect(lambda: self._read_detector(self.folder / entry)) if isinstance(entry, str) else None
+        return self._collect(lambda: self._read_detector(self.detector_file(entry))) if isinstance(entry, str) else None
+
+    def detector_file(self, entry: str) -> Path:
+        """The file that the scene's key `detector` stands for: a path from the scene's folder, or a shipped name."""
+        file = self.folder / entry
+        return shipped_detectors().get(entry, file) if not os.path.lexists(file) else file
 
     def _read_detector(self, file: Path) -> DetectorModel:
         content, source = load_yaml(file, "detector"), f"detector {file}"

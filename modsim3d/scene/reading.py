@@ -8,14 +8,13 @@ from pathlib import Path
 from stat import S_ISDIR
 from typing import Any
 
-import numpy as np
-
 from modsim3d.detector.file.finding import find_detector
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.geometry.lens import Distortion
-from modsim3d.inputs.shipped import data_folder, find_condition
+from modsim3d.inputs.conditions import find_condition
+from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import kind_of, nearest, shown
@@ -30,7 +29,7 @@ from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SCENE_FILE, SceneParts
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.settings import Setting, settings_of
+from modsim3d.scene.settings import Setting, plain, settings_of
 from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.vessel import Vessel
 
@@ -78,7 +77,7 @@ def load_scene(
     detector_seed: int | None = None,
     settings: Mapping[str, object] | None = None,
     state: str | None = None,
-    state_from: Path | str | None = None,
+    state_from: StrPath | None = None,
 ) -> Scene:
     """Read and validate a scene and every file that it names.
 
@@ -122,16 +121,12 @@ def load_scene(
         "detector": None if detector is None else str(find_detector(detector).absolute()),
         "detector_seed": detector_seed,
     }
-    wanted = [
-        Setting(key, value.item() if isinstance(value, np.generic) else value)
-        for key, value in given.items()
-        if value is not None
-    ]
+    wanted = [Setting(key, plain(value)) for key, value in given.items() if value is not None]
     wanted += _state_settings(state, state_from, detector)
-    return _assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
+    return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
 
 
-def _state_settings(state: str | None, place: Path | str | None, detector: Path | None) -> list[Setting]:
+def _state_settings(state: str | None, place: StrPath | None, detector: StrPath | None) -> list[Setting]:
     """What puts the detector into one state for the whole scene."""
     if place is not None and (state is None or detector is not None):
         problem = "--state says which one to take from there: give both" if state is None else "so is --detector"
@@ -147,7 +142,7 @@ def _state_settings(state: str | None, place: Path | str | None, detector: Path 
     return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
 
 
-def _assembled(parts: SceneParts) -> Scene:
+def assembled(parts: SceneParts) -> Scene:
     """The scene from its parts, or every problem at once."""
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
     if keys is None or vessels is None or detector is None or poses is None or parts.problems:

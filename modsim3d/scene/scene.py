@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +21,7 @@ from modsim3d.motion.poses import LivePoses, PoseSource, times_s
 from modsim3d.motion.vessel_motion import PosesInWaves, VesselMotion, Waves
 from modsim3d.scene.copy import SceneCopy
 from modsim3d.scene.frame_timing import takes_frame
+from modsim3d.scene.parts import title_of
 from modsim3d.scene.sight import Sight, line_of_sight
 from modsim3d.scene.snapshot import Snapshot
 from modsim3d.scene.summary import scene_lines, scene_table
@@ -81,6 +85,65 @@ class Scene:
         """A notebook's table."""
         return scene_table(self)
 
+    @classmethod
+    def from_dict(
+        cls,
+        data: Mapping[str, Any],
+        *,
+        name: str = "scene",
+        seed: int | None = None,
+        steps: int | None = None,
+        mode: int | None = None,
+        source: str | None = None,
+        supersample: int | None = None,
+        render: str | None = None,
+        detector: str | os.PathLike[str] | Mapping[str, Any] | DetectorModel | None = None,
+        detector_seed: int | None = None,
+    ) -> Scene:
+        """A scene without files: the keys of a scene file, with values in place of the files that it names.
+
+            scene = modsim3d.Scene.from_dict({
+                "vessels": {"own": {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "Vessel"}},
+                "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 0.5},
+                "cameras": {"shore": {..., "pose": {"position_m": [0, -80, 5], "yaw_rad": 1.57}}},
+                "detector": modsim3d.load_detector("my/detector.yaml"),
+            })
+
+        Args:
+            data: The mapping; it is copied. `vessels` and `detector` are mappings or files; the detector may also be
+                one that was read. `poses` may have arrays: `positions_m` of shape (T, N, 2) or (T, N, 3) and
+                `headings_rad` (T, N), NaN where a vessel is absent; `time_step_s` or `times_s` (T,); and the `names`
+                of the N columns, if they are not the vessels in their order. Paths are relative to the working
+                directory. NumPy's numbers and arrays may stand for numbers and lists.
+            name: Name of the scene, and of its file in a run. Each of the following replaces what stands in the
+                mapping; see `load_scene`.
+            seed: Seed of all random numbers but the detector's.
+            steps: Number of time steps.
+            mode: Annotation mode.
+            source: Annotation source.
+            supersample: Buffer pixels for each pixel of the image and axis.
+            render: What the rendered source draws.
+            detector: The detector.
+            detector_seed: Seed of the detector.
+
+        Raises:
+            InputError: With every problem found, each with its path in the mapping.
+        """
+        from modsim3d.scene.from_dict import scene_from_dict
+
+        return scene_from_dict(
+            data,
+            name=name,
+            seed=seed,
+            steps=steps,
+            mode=mode,
+            source=source,
+            supersample=supersample,
+            render=render,
+            detector=detector,
+            detector_seed=detector_seed,
+        )
+
     @property
     def vessel_names(self) -> tuple[str, ...]:
         """IDs of the vessels, in order."""
@@ -90,6 +153,11 @@ class Scene:
     def occluder_names(self) -> tuple[str, ...]:
         """Names of all that can hide a vessel: the vessels, then the obstacles."""
         return self.vessel_names + tuple(PREFIX + obstacle.name for obstacle in self.obstacles)
+
+    @property
+    def title(self) -> str:
+        """What errors call it."""
+        return title_of(self.path)
 
     @property
     def live(self) -> bool:
@@ -137,7 +205,7 @@ class Scene:
             ModsimError: The scene has no such step.
         """
         if not 0 <= step < self.steps:
-            raise ModsimError(f"scene {self.path}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
+            raise ModsimError(f"{self.title}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
         steps = np.array([step])
         vessel_poses = self.motion.at(steps)
         camera_poses = tuple(self._camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
@@ -162,7 +230,7 @@ class Scene:
         if len(absent):
             when = self.poses.timestamps[int(steps[absent[0]])]
             problem = f"cameras.{camera.name}.mount.vessel: '{carrier}' has no pose at time {when} s"
-            raise InputError(f"scene {self.path}", [problem])
+            raise InputError(self.title, [problem])
         composition = self.waves.composition if self.waves else "rigid"
         return vessel_poses.of_camera(camera.mount, column, composition)
 

@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.blocks import Frame
-from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, frame_outcomes, source_rows
+from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
 from modsim3d.view import palette
 from modsim3d.view.outcome_words import NAMES, is_a
 from modsim3d.view.palette import unit_rgb
@@ -105,16 +105,18 @@ def _truth(axes: Axes, frame: Frame, labels: bool) -> list[Annotation]:
 
 def _detections(axes: Axes, frame: Frame, outcomes: list[Outcome], labels: bool) -> list[Annotation]:
     found, notes = frame.detections, []
-    for i, (outcome, row) in enumerate(zip(outcomes, source_rows(frame), strict=True)):
+    for i, (outcome, row) in enumerate(zip(outcomes, detected_rows(frame), strict=True)):
         box, vessel = found.boxes_px[i], found.vessels[i]
-        colour = palette.ALARM if vessel is None else palette.vessel_colour(frame.scene_vessels.index(vessel))
+        known = row is not None and vessel is not None
+        colour = palette.vessel_colour(frame.scene_vessels.index(vessel)) if known else palette.ALARM
         if row is None:
             axes.plot(box[[[0, 0], [2, 2]]], box[[[1, 3], [3, 1]]], color=unit_rgb(colour), lw=0.6)
         elif outcome & Outcome.OFF_VESSEL:
             _tether(axes, box, frame.truth.boxes_px[row])
         style = "--" if outcome & Outcome.FALSE_POSITIVE else BAD_BOX if outcome & Outcome.BELOW_HALF_IOU else "-"
         _box(axes, box, colour, 1.8, style)
-        what, plate = f"{vessel or 'false'}: {found.labels[i]} {found.confidence[i]:.2f}", colour
+        who = vessel if known else f"false{f', {found.kinds[i]} of {vessel}' if vessel else ''}"
+        what, plate = f"{who}: {found.labels[i]} {found.confidence[i]:.2f}", colour
         if row is not None and outcome & Outcome.MISLABELLED:
             what, plate = f"{what}, {is_a(frame.truth.labels[row])}", palette.ALARM
             _flag(axes, box)

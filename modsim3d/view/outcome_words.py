@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from modsim3d.runs.blocks import Frame
-from modsim3d.runs.outcomes import Outcome, frame_outcomes
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 
 NAMES = {
-    Outcome.FALSE_POSITIVE: "false positive",
+    Outcome.FALSE_POSITIVE: "false alarm",
     Outcome.MISLABELLED: "wrong class",
     Outcome.BELOW_HALF_IOU: "IoU below 0.5",
     Outcome.OFF_VESSEL: "off its vessel",
@@ -15,16 +15,17 @@ NAMES = {
 
 def is_a(label: str) -> str:
     """What a wrongly labelled vessel is: `is a ferry`."""
-    return f"is {'an' if label[:1].lower() in 'aeiou' else 'a'} {label}"
+    return f"is {'an' if label.lower().startswith(tuple('aeiou')) else 'a'} {label}"
 
 
 def fate(frame: Frame, vessel: str) -> str:
     """What became of an annotated vessel in a frame: missed, or detected, and what is wrong with the detection."""
     if not frame.truth.detected[frame.truth.vessels.index(vessel)]:
         return "missed"
-    if vessel not in frame.detections.vessels:
+    rows = [None if row is None else frame.truth.vessels[row] for row in detected_rows(frame)]
+    if vessel not in rows:
         return "detected, in one box with another"
-    index = frame.detections.vessels.index(vessel)
+    index = rows.index(vessel)
     outcome, label = frame_outcomes(frame)[index], frame.detections.labels[index]
     words = [f"detected as {label}" if outcome & Outcome.MISLABELLED else "detected"]
     if outcome & Outcome.OFF_VESSEL:

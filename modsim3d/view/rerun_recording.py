@@ -145,7 +145,9 @@ class _Recorder:
             missed, sources, outcome = columns.missed[truth], rows.detection_vessel[drawn], rows.outcomes[drawn]
             colours = [palette.ALARM if lost else palette.TRUTH for lost in missed]
             self._boxes([*path, "truth"], columns.full_px[truth], colours, columns.truth_tags[truth])
-            colours = [palette.ALARM if source == NOBODY else palette.vessel_colour(int(source)) for source in sources]
+            false = having(outcome, Outcome.FALSE_POSITIVE)
+            found = zip(sources.tolist(), false.tolist(), strict=True)
+            colours = [palette.ALARM if is_false else palette.vessel_colour(source) for source, is_false in found]
             self._boxes([*path, "detections"], columns.drawn_px[drawn], colours, columns.tags[drawn])
             lines = columns.tethers[drawn][having(outcome, Outcome.OFF_VESSEL)]
             self.stream.log([*path, "off_vessel"], self.sdk.LineStrips2D(lines, colors=[palette.ALARM]))
@@ -198,9 +200,9 @@ class _Columns:
         """The columns of a run."""
         names, missed, drawn_px = rows.scene.vessel_names, rows.annotated & ~rows.detected, rows.detection_boxes_px()
         lost = zip(rows.truth_vessel.tolist(), missed.tolist(), strict=True)
-        known = rows.source_row != NOBODY
+        known = rows.detected_row != NOBODY
         tethers = np.full((len(drawn_px), 2, 2), np.nan)
-        low, high = np.split(rows.annotated_boxes_px[rows.source_row[known]], 2, axis=1)
+        low, high = np.split(rows.annotated_boxes_px[rows.detected_row[known]], 2, axis=1)
         tethers[known, 0] = centres(drawn_px[known])
         tethers[known, 1] = np.clip(tethers[known, 0], low, high)
         return cls(

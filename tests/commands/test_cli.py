@@ -18,7 +18,16 @@ def test_run_writes_a_contact_sheet_and_says_what_happened(monkeypatch, tmp_path
     out = tmp_path / "run"
     assert call(monkeypatch, "run", "simulation_1", "--mode", 2, "--steps", 300, "--out", out) == 0
     said = capsys.readouterr().out
-    for word in ("frames", "vessels seen", "occlusions", "detections", "missed", "false", "time per frame", str(out)):
+    for word in (
+        "frames",
+        "vessels seen",
+        "partly hidden",
+        "detections",
+        "missed",
+        "false alarms",
+        "time per frame",
+        str(out),
+    ):
         assert word in said
     with Image.open(out / "contact_sheet.png") as sheet:
         assert sheet.size[0] > 1000

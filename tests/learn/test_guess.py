@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from modsim3d.detector import DetectorModel, load_detector, parse_detector
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.errors import InputError
-from modsim3d.inputs.shipped import conditions_in, data_folder
+from modsim3d.inputs.conditions import conditions_in
+from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.learn.guess import ConditionChange, guessed
 from tests.commands.bad_input.builders import Call

@@ -35,7 +35,7 @@ def rows_of_the_page(table: str) -> list[str]:
 
 
 def row_of(column: Column) -> str:
-    return re.sub(" +", " ", f"| `{column.name}` | {column.type} | {column.unit} | {column.meaning} |")
+    return re.sub(" +", " ", f"| `{column.name}` | `{column.type}` | {column.unit} | {column.meaning} |")
 
 
 @pytest.mark.parametrize("table", COLUMNS)

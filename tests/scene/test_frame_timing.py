@@ -148,7 +148,7 @@ def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector)
     monkeypatch.setattr(simulate, "MOST_BLOCK_STEPS", 1)  # the first have no frame of any camera
     run_scene(scene, tmp_path / "single")
     names = sorted(path.name for path in (tmp_path / "whole").iterdir() if path.is_file() and path.name != "run.log")
-    assert len(names) == 8
+    assert len(names) == 10
     for name in names:
         assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 

@@ -158,7 +158,8 @@ def test_changes_that_are_noticeable_are_caught_and_named(many):
 
 
 def test_another_detector_with_other_states_cannot_have_made_a_run(finished, monkeypatch, capsys):
-    assert command(monkeypatch, "verify", finished, "--detector", DETECTORS / "experiment_1.yaml") == 2
+    line = ("verify", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
+    assert command(monkeypatch, *line) == 2
     assert "cannot have made this run" in capsys.readouterr().err
 
 

@@ -128,14 +128,26 @@ def test_a_detection_without_a_vessel_is_a_false_one_whatever_its_kind(hiding):
     assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
 
 
-def test_a_detection_of_a_vessel_has_its_colour_whatever_its_kind(hiding):
-    detections = replace(hiding.frame.detections, kinds=("duplicate",) * len(hiding.frame.detections))
+@pytest.mark.parametrize("kind", ["true", "merged", "split"])
+def test_the_one_detection_of_a_vessel_has_its_colour_whatever_its_kind(hiding, kind):
+    detections = replace(hiding.frame.detections, kinds=(kind,) * len(hiding.frame.detections))
     camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
     picture = frame_picture(
         camera_view, whole(camera_view, 1280), Layers.of(["detections", "false_positives"]), PlainIds()
     )
     for vessel in filter(None, detections.vessels):
         assert count(picture, camera_view.colour(vessel)) > 100
+
+
+@pytest.mark.parametrize("kind", ["duplicate", "fragment"])
+def test_a_second_box_of_a_vessel_is_drawn_as_a_false_positive(hiding, kind):
+    detections = replace(hiding.frame.detections, kinds=(kind,) * len(hiding.frame.detections))
+    assert any(detections.vessels)
+    camera_view = replace(hiding, frame=replace(hiding.frame, detections=detections))
+    window = whole(camera_view, 1280)
+    picture = frame_picture(camera_view, window, Layers.of(["detections", "false_positives"]), PlainIds())
+    assert count(picture, palette.ALARM) > 100
+    assert all(count(picture, colour) == 0 for colour in palette.VESSELS)
 
 
 def test_wires_go_through_the_corner_points(hiding):

@@ -12,10 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from modsim3d.errors import ModsimError
+from modsim3d.runs.outcomes import Outcome, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
+from modsim3d.view.frame_plot import BAD_BOX
+from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.pictures.plain import below_horizon
+from tests.scenes import mistaken_strait
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +59,31 @@ def test_plot_returns_a_figure_with_the_boxes_of_the_frame(frame):
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert any(text.startswith(f"{name}: ") for text in texts)
     assert len(texts) == len(missed) + len(found)
+
+
+def test_plot_marks_what_is_wrong_and_names_it_in_its_legend(tmp_path):
+    frames = list(simulate_frames(load_scene(mistaken_strait(tmp_path))))
+    by_kind = {flag: next(f for f in frames if any(o & flag for o in frame_outcomes(f))) for flag in Outcome}
+    for flag, marked in by_kind.items():
+        outcomes, found = frame_outcomes(marked), marked.detections
+        (axes,) = marked.plot().axes
+        every = set(map(int, outcomes))
+        named = {text.get_text() for text in axes.get_legend().get_texts()}
+        assert NAMES[flag] in named
+        assert named & set(NAMES.values()) == {NAMES[each] for each in Outcome if any(each & other for other in every)}
+        bad = found.boxes_px[[outcome & Outcome.BELOW_HALF_IOU > 0 for outcome in outcomes]]
+        dashed = [p for p in axes.patches if isinstance(p, Rectangle) and p.get_linestyle() == BAD_BOX]
+        np.testing.assert_allclose(np.reshape([np.ravel(p.get_bbox()) for p in dashed], (-1, 4)), bad)
+        lines = [line.get_xydata() for line in axes.lines if line.get_marker() == "o"]
+        off = found.boxes_px[[outcome & Outcome.OFF_VESSEL > 0 for outcome in outcomes]]
+        starts = np.reshape([line[0] for line in lines], (-1, 2))
+        np.testing.assert_allclose(starts, (off[:, :2] + off[:, 2:]) / 2)
+        flags = np.reshape([line.get_xydata()[0] for line in axes.lines if line.get_marker() == "v"], (-1, 2))
+        mislabelled = [outcome & Outcome.MISLABELLED > 0 for outcome in outcomes]
+        np.testing.assert_allclose(flags, found.boxes_px[mislabelled][:, [2, 1]])
+    wrong = by_kind[Outcome.MISLABELLED]
+    texts = [text.get_text() for text in wrong.plot().axes[0].texts]
+    assert any(", is a " in text for text in texts)
 
 
 def test_picture_has_sea_below_and_sky_above_the_horizon(frame):

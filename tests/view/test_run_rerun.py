@@ -11,10 +11,12 @@ import pytest
 from rerun.chunk import RrdReader
 
 from modsim3d import cli
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
-from tests.scenes import crossing
+from modsim3d.view.rerun_recording import write_recording
+from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
 
@@ -72,6 +74,42 @@ def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
             np.testing.assert_allclose(np.hstack([centres - halves, centres + halves]), boxes, rtol=1e-5, atol=1e-3)
         names = [text.removesuffix(" missed") for text in truth[step]["labels"]]
         assert names == list(frame.truth.vessels)
+
+
+def test_detections_say_what_is_wrong_with_them(tmp_path):
+    run_scene(load_scene(mistaken_strait(tmp_path)), tmp_path / "run")
+    run = open_run(tmp_path / "run")
+    write_recording(run, tmp_path / "run.rrd", 10)
+    found = read(tmp_path / "run.rrd")
+    said: set[str] = set()
+    for frame in run.frames():
+        if frame.step % 10:
+            continue
+        image, outcomes, rows = f"/world/cameras/{frame.camera}/image", frame_outcomes(frame), detected_rows(frame)
+        off = [i for i, outcome in enumerate(outcomes) if outcome & Outcome.OFF_VESSEL]
+        lines = np.reshape(found[f"{image}/off_vessel"][frame.step]["strips"] or [], (-1, 2, 2))
+        assert len(lines) == len(off)
+        for line, i in zip(lines, off, strict=True):
+            box, true_box = frame.detections.boxes_px[i], frame.truth.boxes_px[rows[i]]
+            np.testing.assert_allclose(line[0], (box[:2] + box[2:]) / 2, atol=1e-3)
+            assert np.all((line[1] >= true_box[:2] - 1e-3) & (line[1] <= true_box[2:] + 1e-3))
+        tags = found[f"{image}/detections"][frame.step]["labels"] or []
+        for tag, outcome, row in zip(tags, outcomes, rows, strict=True):
+            assert tag.startswith("false: ") == bool(outcome & Outcome.FALSE_POSITIVE)
+            mislabelled = row is not None and f", is a {frame.truth.labels[row]}" in tag
+            assert mislabelled == bool(outcome & Outcome.MISLABELLED)
+            assert tag.endswith(", off its vessel") == bool(outcome & Outcome.OFF_VESSEL)
+            assert tag.endswith(", IoU below 0.5") == (outcome & ~Outcome.MISLABELLED == Outcome.BELOW_HALF_IOU)
+            said |= {flag.name for flag in outcome}
+        for name, flag in (
+            ("false", Outcome.FALSE_POSITIVE),
+            ("wrong_class", Outcome.MISLABELLED),
+            ("below_half_iou", Outcome.BELOW_HALF_IOU),
+            ("off_vessel", Outcome.OFF_VESSEL),
+        ):
+            (value,) = found[f"/counts/{frame.camera}/{name}"][frame.step]["scalars"]
+            assert value == sum(1 for outcome in outcomes if outcome & flag)
+    assert said == {flag.name for flag in Outcome}
 
 
 def test_vessels_move_and_vanish_as_in_the_scene(run, recording):

@@ -3,6 +3,7 @@
 import gc
 import json
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -177,6 +178,48 @@ def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, 
         np.testing.assert_array_equal(pictures[-1], ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window))
         np.testing.assert_array_equal(pictures[-1], used.picture(solids, window))
     assert (pictures[0] != pictures[1]).any()
+
+
+def test_a_picture_after_many_is_the_first_one_of_its_step(shaded, scene):
+    """Only the rows that were drawn on are restored."""
+    window = Window.whole((800, 600), 320)
+    used = ShadedPictureRenderer(shaded, DAYLIGHT)
+    for step in (3, 5, 0, 3):
+        solids = Solids.at(scene, scene.cameras[0], step)
+        fresh = ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window)
+        np.testing.assert_array_equal(used.picture(solids, window), fresh)
+
+
+def test_sea_and_sky_are_drawn_once_for_a_camera_that_stays(shaded, monkeypatch):
+    """Two cameras with the same optics, the first of them on board."""
+    scene, drawn = load_scene("strait", steps=4), []
+    ashore, on_board = (next(c for c in scene.cameras if (c.mount.vessel is None) == fixed) for fixed in (True, False))
+    ashore = replace(ashore, intrinsics=on_board.intrinsics)
+    seen = shaded_picture.backdrop
+    monkeypatch.setattr(shaded_picture, "backdrop", lambda *given: drawn.append(given) or seen(*given))
+    used, window = ShadedPictureRenderer(shaded, DAYLIGHT), Window.whole(on_board.intrinsics.image_size_px, 160)
+    for step in range(4):
+        for camera in (on_board, ashore):
+            used.picture(Solids.at(scene, camera, step), window)
+    assert len(drawn) == 4 + 1
+
+
+def test_programs_are_compiled_for_the_first_picture_only(shaded, scene, monkeypatch):
+    from OpenGL import contextdata
+
+    solids, window = Solids.at(scene, scene.cameras[0], 3), Window.whole((800, 600), 160)
+    used = ShadedPictureRenderer(shaded, DAYLIGHT)
+    used.picture(solids, window)
+    compiled, contexts = [], len(contextdata.storedPointers)
+    program = sys.modules["pyrender.shader_program"].ShaderProgram
+    compile_ = program.__init__
+    monkeypatch.setattr(
+        program, "__init__", lambda *given, **named: compiled.append(given) or compile_(*given, **named)
+    )
+    for _ in range(3):
+        used.picture(solids, window)
+    assert not compiled
+    assert len(contextdata.storedPointers) == contexts
 
 
 def test_vessels_keep_their_hue(renderer, shaded, solids):

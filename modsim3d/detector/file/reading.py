@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import ValidationError
@@ -73,7 +75,18 @@ def parse_detector(data: Any, source: str = "detector") -> DetectorModel:
     problems = agreement_problems(content)
     if problems:
         raise InputError(source, problems)
-    return _model(content)
+    model = _model(content)
+    _CONTENTS[model] = copy.deepcopy(dict(data))
+    return model
+
+
+_CONTENTS: WeakKeyDictionary[DetectorModel, dict[str, Any]] = WeakKeyDictionary()
+
+
+def content_of(model: DetectorModel) -> dict[str, Any] | None:
+    """The content of a file that gives this detector; None for one that was made or changed in another way."""
+    content = _CONTENTS.get(model)
+    return None if content is None else copy.deepcopy(content)
 
 
 def _names(data: Mapping[str, Any]) -> dict[str, list[str]]:

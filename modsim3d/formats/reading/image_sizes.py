@@ -8,6 +8,7 @@ from pathlib import Path
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import MOST_PX
 from modsim3d.inputs.budgets import MAX_IMAGE_BYTES
+from modsim3d.inputs.opening import note_input
 from modsim3d.inputs.validation import shown
 
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
@@ -41,6 +42,7 @@ def image_size_px(path: Path) -> tuple[float, float]:
     from PIL import Image, UnidentifiedImageError
 
     source = f"image {path}"
+    note_input(path)
     if not path.is_file():
         raise InputError(source, ["this is no ordinary file, an image was expected"])
     if (size := path.stat().st_size) > MAX_IMAGE_BYTES:

@@ -40,6 +40,11 @@ class StreamKeys(SourceKeys, Strict):
             raise ValueError(f"a file, '-' for standard input, or a mapping of keys is needed (got {shown(keys)})")
         return keys
 
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file, if it is one."""
+        return () if self.file == STANDARD_INPUT else (self.file,)
+
     def build(self, request: PoseRequest) -> LivePoses:
         """A stream that has not been read yet."""
         path = None if self.file == STANDARD_INPUT else request.folder / self.file

@@ -16,6 +16,7 @@ import orjson
 from modsim3d.errors import RunDirectoryError
 from modsim3d.outputs.locks import LOCK_FILE, locked_folder
 from modsim3d.outputs.placing import sync_file, sync_folder, written_whole
+from modsim3d.outputs.same_file import identities, identity, is_inside
 from modsim3d.runs.files import tables, thesis_json
 from modsim3d.runs.files.block_files import (
     JSON_LINES,
@@ -190,9 +191,9 @@ class RunDirectory:
                 f"{self.folder / name} is in the way, and no run has written it: move it, or choose another folder"
             )
         replaced = written | self._replaced | made_of_run(self.folder)
-        places, work = {_real(self.folder / name) for name in replaced}, _real(self.work)
-        for path in (self._scene.path, *self._scene.copy.files.values()):
-            if _real(path) in places or _real(path).is_relative_to(work):
+        places = identities((*(self.folder / name for name in replaced), *self.work.rglob("*")))
+        for path in self._scene.copy.read:
+            if identity(path) in places or is_inside(path, self.work):
                 raise RunDirectoryError(
                     f"{path} belongs to the run in {self.folder}, which would be replaced, and this run reads it: "
                     "copy it to another folder first, or choose another folder for the run"
@@ -286,10 +287,6 @@ class RunDirectory:
 
 def _not_ours(folder: Path) -> RunDirectoryError:
     return RunDirectoryError(f"{folder} exists and is not a run directory: choose another folder")
-
-
-def _real(path: Path) -> Path:
-    return Path(os.path.realpath(path))
 
 
 def _sync_folders(folder: Path, names: Iterable[str]) -> None:

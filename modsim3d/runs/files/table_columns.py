@@ -8,9 +8,9 @@ import pyarrow as pa
 
 from modsim3d.detector.records import KINDS
 
-_WHOLE = "whole silhouette, hidden parts included, cut at the image edge"
-_VISIBLE = "visible part; null if nothing is visible, or if the source of the truth cannot tell"
-_OWN = "detected box, cut at the image edge"
+_WHOLE = "box around the whole silhouette, hidden parts included, cut at the image edge"
+_VISIBLE = "box around the visible part; null if nothing is visible, or if the source of the truth cannot tell"
+_OWN = "box, cut at the image edge"
 _NO_ERROR = "null for what is not one box of one vessel"
 
 
@@ -52,9 +52,7 @@ def _number(name: str, unit: str, meaning: str) -> Column:
 
 def _box(prefix: str, of: str) -> tuple[Column, ...]:
     sides = {"x_min_px": "left", "y_min_px": "upper", "x_max_px": "right", "y_max_px": "lower"}
-    return tuple(
-        _number(f"{prefix}{name}", "px", f"{side} edge of the box around the {of}") for name, side in sides.items()
-    )
+    return tuple(_number(f"{prefix}{name}", "px", f"{side} edge of the {of}") for name, side in sides.items())
 
 
 _CAMERA = _text("camera", "name of the camera")

@@ -59,7 +59,7 @@ def compare_sources(
     """
     if scene.live:
         raise ModsimError(
-            f"scene {scene.path}: compare needs a scene whose steps are known, and this one is live: run it, and "
+            f"{scene.title}: compare needs a scene whose steps are known, and this one is live: run it, and "
             "compare a scene with poses: {file: poses.jsonl} of its run directory"
         )
     steps = np.arange(0, scene.steps, every)

@@ -31,30 +31,33 @@ class MapFilmRenderer:
 
     The artists lie in layers, of which every second one stays as it is. The lowest is a picture to draw on; a higher
     one is kept as the pixels that it covers, which are blended with what moves below them.
+
+    Attributes:
+        map: The map, at the step of the last picture.
     """
 
     def __init__(self, birds_eye: BirdsEye, size: tuple[int, int]) -> None:
         """Draw all that stays, at a width and height in pixels."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-        self._map = Map(birds_eye, *size)
-        self._map.show(0)
-        canvas = FigureCanvasAgg(self._map.figure)
+        self.map = Map(birds_eye, *size)
+        self.map.show(0)
+        canvas = FigureCanvasAgg(self.map.figure)
         self._renderer = canvas.get_renderer()
         self._pixels: Pixels = np.asarray(canvas.buffer_rgba())  # shares the renderer's memory
-        layers = _layers(self._map)
-        names = self._map.sheet.names.names
+        layers = _layers(self.map)
+        names = self.map.sheet.names.names
         for artist in (*chain(*layers), *(name.note for name in names)):
             artist.set_animated(True)  # the figure leaves them out
         canvas.draw()
         self._ground = self._pixels.copy()
-        moving = set(self._map.sheet.moving)
+        moving = set(self.map.sheet.moving)
         self._layers = [layer if layer[0] in moving else self._cover(layer) for layer in layers]
         self._names = [(name, self._stamp(name)) for name in names]
 
     def picture(self, step: int) -> Image.Image:
         """The map at a step."""
-        self._map.show(step)
+        self.map.show(step)
         self._pixels[:] = self._ground
         for layer in self._layers:
             if isinstance(layer, _Cover):

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 GAP_PT = 2
 """Between a name and what it names."""
+PAST_TIES_PX = 0.001
+"""Glyphs lie at 1/64 px. Names at whole pixels would be at ties, which are rounded now up, now down."""
 PLACES = np.array(
     [
         *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
@@ -57,7 +59,8 @@ class MapName:
         self.middle_px = middle_px
         self.note.set_visible(middle_px is not None)
         if middle_px is not None:
-            self.note.xy = tuple((middle_px * 72 / self.note.figure.dpi).tolist())  # points, which PDF and SVG keep
+            points = (middle_px + PAST_TIES_PX) * 72 / self.note.figure.dpi  # which stay in PDF and SVG
+            self.note.xy = tuple(points.tolist())
 
 
 @dataclass(eq=False)

@@ -10,7 +10,7 @@ from PIL import Image
 from modsim3d.arrays import Array, Indices
 from modsim3d.render.plain_ids import AnyIdRenderer
 from modsim3d.runs.blocks import Frame
-from modsim3d.runs.outcomes import Outcome, frame_outcomes, source_rows
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.outcome_words import is_a
@@ -143,18 +143,18 @@ def _percent(fraction: float, short: bool) -> str:
 
 def _draw_detections(canvas: Canvas, window: Window, camera_view: CameraView, layers: Layers) -> list[Label]:
     frame, detections = camera_view.frame, camera_view.frame.detections
-    outcomes, rows = frame_outcomes(frame), source_rows(frame)
+    outcomes, rows = frame_outcomes(frame), detected_rows(frame)
     labels = []
     order: Indices = np.argsort(detections.confidence, kind="stable")  # the most confident one is drawn last, on top
     for i in order.tolist():
-        vessel, row = detections.vessels[i], rows[i]
-        if not (layers.false_positives if vessel is None else layers.detections):
+        row = rows[i]
+        if not (layers.false_positives if row is None else layers.detections):
             continue
         outcome = outcomes[i] if layers.mistakes else outcomes[i] & Outcome.FALSE_POSITIVE
         box = window.corners(detections.boxes_px[i])
         if row is not None and outcome & Outcome.OFF_VESSEL:
             draw_tether(canvas, box, window.corners(frame.truth.boxes_px[row]))
-        colour = palette.ALARM if vessel is None else camera_view.colour(vessel)
+        colour = palette.ALARM if row is None else camera_view.colour(frame.truth.vessels[row])
         draw_detection(canvas, box, colour, outcome)
         if layers.labels:
             mislabelled = row is not None and bool(outcome & Outcome.MISLABELLED)

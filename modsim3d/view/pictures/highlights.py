@@ -87,7 +87,7 @@ def _detection_ranks(rows: RunRows) -> list[Array]:
     has = {flag: having(outcome, flag) for flag in Outcome}
     known = ~has[Outcome.FALSE_POSITIVE]
     vessel_size = np.zeros(len(size))
-    vessel_size[known] = areas(rows.annotated_boxes_px[rows.source_row[known]])
+    vessel_size[known] = areas(rows.annotated_boxes_px[rows.detected_row[known]])
     kinds = (
         (outcome == 0, vessel_size),
         (has[Outcome.MISLABELLED], vessel_size),
@@ -100,11 +100,13 @@ def _detection_ranks(rows: RunRows) -> list[Array]:
 
 def _of_detection(rows: RunRows, index: int) -> Highlight:
     row = rows.detections.slice(index, 1).to_pylist()[0]
-    box, vessel = rows.detection_boxes_px()[index : index + 1], row["vessel"]
-    if vessel is not None:
-        box = unions(box, rows.annotated_boxes_px[rows.source_row[index : index + 1]])
+    box, vessel, what = rows.detection_boxes_px()[index : index + 1], row["vessel"], ""
+    if rows.outcomes[index] & Outcome.FALSE_POSITIVE:
+        what = "a false alarm" + (f", {row['kind']} of {vessel}" if vessel else "")
+        vessel = None
+    else:
+        box = unions(box, rows.annotated_boxes_px[rows.detected_row[index : index + 1]])
     x0, y0, x1, y1 = box[0].tolist()
-    what = "a false positive" if vessel is None else ""
     return Highlight(row["step"], row["camera"], (x0, y0, x1, y1), vessel, what)
 
 

@@ -23,7 +23,7 @@ class Layers:
         truth: The annotated box.
         fractions: The visible fraction of a vessel that is hidden in part.
         missed: Annotated vessels without a detection.
-        false_positives: Detections without a vessel.
+        false_positives: Detections that are not the one detection of a vessel.
         detections: Detections of vessels.
         mistakes: Marks of detections of a wrong class or with a bad box.
         labels: Class and confidence of detections, and the names of missed vessels.

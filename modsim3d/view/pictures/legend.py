@@ -41,7 +41,7 @@ def detection_entries(layers: Layers, mode: int, mistakes: Outcome) -> list[Entr
         (layers.detections, Entry("detection, in its vessel's colour", palette.VESSELS[0])),
         *((True, Entry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
-        (layers.false_positives, Entry("false positive", palette.ALARM, Outcome.FALSE_POSITIVE)),
+        (layers.false_positives, Entry(NAMES[Outcome.FALSE_POSITIVE], palette.ALARM, Outcome.FALSE_POSITIVE)),
         (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
     )
     return [entry for drawn, entry in shown if drawn]

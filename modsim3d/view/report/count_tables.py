@@ -15,7 +15,7 @@ Rows = list[tuple[str, ...]]
 
 _DETECTED = ("Annotated", "Detected", "Missed", "Miss rate")
 _BOXES = ("Wrong class", "IoU below 0.5", "Off its vessel")
-_FALSE = ("False positives", "Share of detections")
+_FALSE = ("False alarms", "Share of detections")
 VESSEL_HEADER = ("Vessel", "Frames", "Partly hidden", "Wholly hidden", *_DETECTED, *_BOXES)
 STATE_HEADER = ("Performance state", "Frames", *_DETECTED, *_BOXES, *_FALSE)
 CAMERA_HEADER = ("Camera", "Frames", *_DETECTED, *_BOXES, *_FALSE)
@@ -26,12 +26,12 @@ class DetectorCounts:
     """What a detector made of some frames, with the names of `modsim3d.runs.counts.Counts`.
 
     Attributes:
-        of_vessels: Detections of vessels; fewer than `detected` where one box is of two vessels.
+        true_detections: Detections of vessels; fewer than `detected` where one box is of two vessels.
     """
 
     annotated: int
     detected: int
-    of_vessels: int
+    true_detections: int
     mislabelled: int
     below_half_iou: int
     off_vessel: int
@@ -45,24 +45,24 @@ class DetectorCounts:
     @property
     def detections(self) -> int:
         """All detections."""
-        return self.of_vessels + self.false_positives
+        return self.true_detections + self.false_positives
 
     @property
-    def mostly_off(self) -> bool:
-        """Whether most boxes do not fit their vessels."""
-        return 2 * self.below_half_iou > self.of_vessels
+    def bad_share(self) -> float:
+        """Share of the true detections whose box has IoU below 0.5 with its vessel's; 0 if there are none."""
+        return self.below_half_iou / max(self.true_detections, 1)
 
     def named(self) -> Rows:
         """Name, count and what the count is a share of."""
-        every, true = f"of {self.detections} detections", f"of {self.of_vessels} detections of vessels"
+        every, true = f"of {self.detections} detections", f"of {self.true_detections} true detections"
         return [
             ("Annotated", str(self.annotated), "vessels in frames, given to the detector"),
             ("Detected", str(self.detected), f"{_share(self.detected, self.annotated)} of annotated"),
             ("Missed", str(self.missed), f"{_share(self.missed, self.annotated)} of annotated"),
-            ("False positives", str(self.false_positives), f"{_share(self.false_positives, self.detections)} {every}"),
-            ("Wrong class", str(self.mislabelled), f"{_share(self.mislabelled, self.of_vessels)} {true}"),
-            ("IoU below 0.5", str(self.below_half_iou), f"{_share(self.below_half_iou, self.of_vessels)} {true}"),
-            ("Off their vessel", str(self.off_vessel), f"{_share(self.off_vessel, self.of_vessels)} {true}"),
+            ("False alarms", str(self.false_positives), f"{_share(self.false_positives, self.detections)} {every}"),
+            ("Wrong class", str(self.mislabelled), f"{_share(self.mislabelled, self.true_detections)} {true}"),
+            ("IoU below 0.5", str(self.below_half_iou), f"{_share(self.below_half_iou, self.true_detections)} {true}"),
+            ("Off their vessel", str(self.off_vessel), f"{_share(self.off_vessel, self.true_detections)} {true}"),
         ]
 
     def cells(self) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ class CountTables:
         return DetectorCounts(
             annotated=int(annotated.sum()),
             detected=int((annotated & self._rows.detected).sum()),
-            of_vessels=len(outcome) - false,
+            true_detections=len(outcome) - false,
             mislabelled=int(having(outcome, Outcome.MISLABELLED).sum()),
             below_half_iou=int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
             off_vessel=int(having(outcome, Outcome.OFF_VESSEL).sum()),

@@ -2,7 +2,7 @@
 
 const KINDS = [
   ['missed', 'missed', (summary, at) => summary.lost[at] > 0],
-  ['false', 'false positive', null], // of no vessel
+  ['false', 'false alarm', null], // of no vessel
   ['mislabelled', 'wrong class', (summary, at, { MISLABELLED }) => (summary.outcome[at] & MISLABELLED) > 0],
   ['off', 'off its vessel', (summary, at, { OFF_VESSEL }) => (summary.outcome[at] & OFF_VESSEL) > 0],
   ['bad', 'IoU below 0.5', (summary, at, { BELOW_HALF_IOU }) => (summary.outcome[at] & BELOW_HALF_IOU) > 0],

@@ -2,7 +2,7 @@
 
 const LAYERS = [
   ['silhouettes', 'Silhouettes'], ['full', 'Truth: whole'], ['visible', 'Truth: seen'],
-  ['detections', 'Detections'], ['false', 'False positives'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
+  ['detections', 'Detections'], ['false', 'False alarms'], ['missed', 'Missed'], ['labels', 'Labels'], ['names', 'IDs'],
 ];
 const FONT_PX = 12, PLATE_PX = 17;
 
@@ -72,7 +72,7 @@ class Picture {
       if (shown.visible && truth.visible) this.box(truth.visible, colours.truth, 1.2);
     }
     for (const detection of frame.detections) {
-      if (detection.vessel === null ? shown.false : shown.detections) this.detection(detection, frame, recording.facts);
+      if (detection.false ? shown.false : shown.detections) this.detection(detection, frame, recording.facts);
     }
     for (const { vessel, target } of frame.truths.filter((truth) => shown.missed && truth.missed)) {
       const { name } = recording.facts.vessels[vessel];
@@ -129,14 +129,15 @@ class Picture {
 
   // A detection: in long dashes where its box is bad, with a line to its vessel where it is off, with a filled corner where
   // its class is wrong; crossed out where it is false.
-  detection({ vessel, box, label, confidence, mislabelled, bad, off }, frame, { colours, vessels }) {
-    const colour = vessel === null ? colours.alarm : colours.vessels[vessel];
-    if (vessel === null) this.cross(box, colour);
+  detection({ vessel, box, label, kind, confidence, false: wrong, mislabelled, bad, off }, frame, { colours, vessels }) {
+    const colour = wrong ? colours.alarm : colours.vessels[vessel];
+    if (wrong) this.cross(box, colour);
     if (off) this.tether(box, frame.truths.find((truth) => truth.vessel === vessel).target, colours.alarm);
-    this.box(box, colour, 2, vessel === null ? [5, 3] : bad ? [9, 6] : []);
+    this.box(box, colour, 2, wrong ? [5, 3] : bad ? [9, 6] : []);
     if (mislabelled) this.flag(box, colours);
     const words = this.narrow ? confidence.toFixed(2) : `${label} ${confidence.toFixed(2)}`;
-    const text = this.narrow ? words : vessel === null ? `false: ${words}` : mislabelled ? `${words}, ${isA(vessels[vessel].label)}` : words;
+    const remark = wrong ? `${kind === 'false_positive' ? 'false' : kind.replaceAll('_', ' ')}: ` : '';
+    const text = this.narrow ? words : remark + words + (mislabelled ? `, ${isA(vessels[vessel].label)}` : '');
     this.plates.push({ box, colour: mislabelled ? colours.alarm : colour, text });
   }
 
@@ -151,8 +152,8 @@ class Picture {
   tether([x0, y0, x1, y1], [left, top, right, bottom], colour) {
     const { context } = this, x = (x0 + x1) / 2, y = (y0 + y1) / 2, from = this.toCanvas(x, y);
     this.path([x, y, Math.min(Math.max(x, left), right), Math.min(Math.max(y, top), bottom)]);
-    this.stroke('#10182055', 3.5);
-    this.stroke(colour, 1.5);
+    this.stroke('#10182055', 4);
+    this.stroke(colour, 2);
     context.beginPath();
     context.arc(...from, 3.5, 0, 2 * Math.PI);
     context.fillStyle = colour;

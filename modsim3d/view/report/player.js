@@ -203,7 +203,8 @@ class Player {
     this.play(false);
     this.followed = moment.vessel;
     this.go(moment.index);
-    const found = this.recording.detections(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
+    const found = this.recording.detections(this.index, this.camera).filter(moment.vessel === null ? (each) => each.false
+      : (each) => each.vessel === moment.vessel && !each.false);
     const true_ = this.recording.truths(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
     const boxes = [...found.map(({ box }) => box), ...true_.map(({ full }) => full)];
     if (!boxes.every((box) => this.picture.shows(box))) this.whole();
@@ -311,7 +312,7 @@ class Player {
   say(frame) {
     const { facts, length } = this.recording, { index, camera } = this;
     const missed = frame.truths.filter((truth) => truth.missed).length, count = (test) => frame.detections.filter(test).length;
-    const drawn = frame.detections.filter(({ vessel }) => vessel !== null), wrong = frame.detections.length - drawn.length;
+    const drawn = frame.detections.filter((detection) => !detection.false), wrong = frame.detections.length - drawn.length;
     $('slider').value = index;
     $('slider').setAttribute('aria-valuetext', `${facts.timestamps[index]} seconds`);
     const words = [
@@ -389,7 +390,7 @@ function element(tag, properties = {}, ...children) {
 // The marks of the picture, by what the timeline counts of them, and what they mean.
 const SYMBOLS = [
   ['truth', 'truth (dashed: the whole silhouette)'], ['detection', 'detection, in its vessel’s colour'],
-  ['missed', 'missed'], ['false', 'false positive'], ['mislabelled', 'wrong class'], ['bad', 'IoU below 0.5'],
+  ['missed', 'missed'], ['false', 'false alarm'], ['mislabelled', 'wrong class'], ['bad', 'IoU below 0.5'],
   ['off', 'off its vessel: line to it'],
 ];
 const BOX = '<rect x="4" y="3" width="22" height="12"';

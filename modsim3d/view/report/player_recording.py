@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.records import KINDS
 from modsim3d.runs.files.columns import NOBODY, indices, numbers
 from modsim3d.runs.outcomes import Outcome
 from modsim3d.runs.run_rows import RunRows
@@ -111,6 +112,7 @@ def _detection_columns(rows: RunRows, frames: Indices, pages: int, quantum: floa
         "label": indices(rows.detections, "label", rows.scene.detector.labels)[drawn].astype(np.uint16),
         "confidence": np.rint(1000 * numbers(rows.detections, "confidence")[drawn]).astype(np.uint16),
         "outcome": rows.outcomes[drawn],
+        "kind": indices(rows.detections, "kind", KINDS)[drawn].astype(np.uint8),
         "box": in_quanta(rows.detection_boxes_px()[drawn], quantum),
     }
 
@@ -129,6 +131,7 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
         "times": np.round(times_s[steps], 6).tolist(),
         "states": [state.name for state in scene.detector.states],
         "labels": list(scene.detector.labels),
+        "kinds": list(KINDS),
         "outcomes": {outcome.name: outcome.value for outcome in Outcome},
         "occluders": list(scene.occluder_names),
         "vessels": [{"name": v.name, "label": v.label} for v in scene.vessels],

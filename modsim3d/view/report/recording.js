@@ -89,22 +89,22 @@ class Recording {
 
   // What the detector put out.
   detections(index, camera) {
-    const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence, outcome } = this.columns, rows = [];
+    const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence, outcome, kind } = this.columns, rows = [];
     for (let row = drawnStart[frame]; row < drawnStart[frame + 1]; row++) {
       this.rowsRead++;
       const vessel = drawnVessel[row];
       rows.push({
-        vessel: vessel === NONE ? null : vessel, label: this.facts.labels[label[row]],
+        vessel: vessel === NONE ? null : vessel, label: this.facts.labels[label[row]], kind: this.facts.kinds[kind[row]],
         confidence: confidence[row] / 1000, box: this.box('box', row), ...this.mistakes(outcome[row]),
       });
     }
     return rows;
   }
 
-  // What is wrong with a detection: another class than its vessel's, IoU below 0.5, a box that does not touch its vessel's.
+  // What is wrong with a detection: not the one of a vessel, another class than its vessel's, IoU below 0.5, a box that does not touch its vessel's.
   mistakes(outcome) {
-    const { MISLABELLED, BELOW_HALF_IOU, OFF_VESSEL } = this.facts.outcomes;
-    return { mislabelled: (outcome & MISLABELLED) > 0, bad: (outcome & BELOW_HALF_IOU) > 0, off: (outcome & OFF_VESSEL) > 0 };
+    const { FALSE_POSITIVE, MISLABELLED, BELOW_HALF_IOU, OFF_VESSEL } = this.facts.outcomes;
+    return { false: (outcome & FALSE_POSITIVE) > 0, mislabelled: (outcome & MISLABELLED) > 0, bad: (outcome & BELOW_HALF_IOU) > 0, off: (outcome & OFF_VESSEL) > 0 };
   }
 
   // x_min, y_min, x_max, y_max in pixels, or null.
@@ -139,11 +139,11 @@ class Recording {
         summary.rows[1] = Math.max(summary.rows[1], columns.full[4 * row + 3] * this.facts.quantum);
       }
       for (let row = columns.drawnStart[frame]; row < columns.drawnStart[frame + 1]; row++) {
-        if (columns.drawnVessel[row] === NONE) {
+        const { false: wrong, mislabelled, bad, off } = this.mistakes(columns.outcome[row]);
+        if (wrong) {
           summary.false[index]++;
           continue;
         }
-        const { mislabelled, bad, off } = this.mistakes(columns.outcome[row]);
         summary.outcome[columns.drawnVessel[row] * length + index] = columns.outcome[row];
         summary.mislabelled[index] += mislabelled ? 1 : 0;
         summary.bad[index] += bad ? 1 : 0;

@@ -32,6 +32,8 @@ from modsim3d.view.report.player_recording import recording
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
+LOUD_SHARE = 0.1
+"""A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
 SCRIPTS = ("recording.js", "picture.js", "moments.js", "timeline.js", "player.js")
 """In the order in which they need each other; in the page they are one script."""
 
@@ -132,19 +134,19 @@ def _notes(run: StoredRun, every: int, out: Path) -> str:
 
 
 def _result(counts: DetectorCounts) -> str:
-    """The counts of what the detector did, and a warning where most of its boxes do not fit."""
+    """The counts of what the detector did, under a warning where many of its boxes do not fit."""
     tiles = "\n".join(
         f"<div><dt>{html.escape(name)}</dt><dd>{count}</dd><dd>{html.escape(meaning)}</dd></div>"
         for name, count, meaning in counts.named()
     )
     result = f"<dl class=result>\n{tiles}\n</dl>"
-    if not counts.mostly_off:
+    if counts.bad_share <= LOUD_SHARE:
         return result
     return (
-        f"<p class=warning><strong>Most boxes do not fit their vessels:</strong> {counts.below_half_iou} of "
-        f"{counts.of_vessels} detections of vessels have IoU below 0.5 with the annotated box, and {counts.off_vessel} "
-        "do not touch it. An evaluation that matches boxes by IoU counts them as misses and false positives.</p>\n"
-        f"{result}"
+        f"<p class=warning><strong>{counts.bad_share:.1%} of the boxes do not fit their vessels.</strong> "
+        f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their vessel's "
+        f"annotated box; {counts.off_vessel} of them do not touch it. An evaluation that matches by IoU counts "
+        f"each as a miss and a false alarm.</p>\n{result}"
     )
 
 

@@ -21,7 +21,7 @@ class Timeline {
     this.left = Math.min(132, 0.3 * width);
     this.wide = width - this.left;
     this.rowPx = Math.min(16, Math.max(3, Math.floor(MOST_ROWS_PX / Math.max(this.vessels.length, 1))));
-    // Misses and false positives always, the rest where there is some.
+    // Misses and false alarms always, the rest where there is some.
     const bars = BARS.filter(([kind], i) => i < 2 || this.summary[kind].some((count) => count));
     this.rowsTop = STATE_PX + bars.length * (BARS_PX + GAP_PX) + 2 * GAP_PX;
     this.height = this.rowsTop + this.vessels.length * this.rowPx + AXIS_PX;
@@ -126,7 +126,7 @@ class Timeline {
 
   // What is painted over each other for a vessel in some frames, each as colour@top@bottom in parts of its strip.
   bands(vessel, first, stop, x) {
-    const { fraction, lost, outcome } = this.summary, { facts } = this.recording, count = { seen: 0, sum: 0, missed: 0, mislabelled: 0, bad: 0, off: 0 };
+    const { fraction, lost, outcome } = this.summary, { facts } = this.recording, count = { seen: 0, sum: 0, missed: 0, false: 0, mislabelled: 0, bad: 0, off: 0 };
     for (let at = first; at < stop; at++) {
       if (Number.isNaN(fraction[at])) continue;
       count.seen++;

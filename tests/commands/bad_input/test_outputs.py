@@ -6,7 +6,6 @@ import hashlib
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,6 +17,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.ais.ais_builders import SAMPLES
 from tests.commands.bad_input.builders import CIRCULAR, Call, Inputs
+from tests.commands.bad_input.writers import WRITERS, Line
 from tests.scenes import crossing
 
 
@@ -34,26 +34,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-Line = Callable[[Path, Path], tuple[object, ...]]
-"""A command line, given a run directory and the file to write."""
-COMMANDS: dict[str, tuple[str, Line]] = {
-    "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
-    "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
-    "compare": ("compare.html", lambda run, out: ("compare", run / "scene" / "scene.json", "--out", out.parent)),
-    "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
-    "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
-    "page": (
-        "page.html",
-        lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out.with_name("d.yaml"), "--page", out),
-    ),
-    "picture": ("picture.png", lambda run, out: ("view", run, "--frame", 3, "--width", 160, "--out", out)),
-    "map": ("map.png", lambda run, out: ("view", run, "--map", "--width", 160, "--out", out)),
-    "film": (
-        "film.gif",
-        lambda run, out: ("view", run, "--film", "ids", "--to", 1, "--width", 160, "--out", out),
-    ),
-}
-EACH = pytest.mark.parametrize(("name", "line"), COMMANDS.values(), ids=COMMANDS)
+EACH = pytest.mark.parametrize(("name", "line"), WRITERS.values(), ids=WRITERS)
 
 
 @EACH
@@ -90,13 +71,6 @@ def test_a_folder_that_cannot_be_made_is_told(run, call: Call, tmp_path, name: s
     assert str(tmp_path / "file") in said
     assert ".partial" not in said and ".lock" not in said
     assert content(tmp_path) == {"file": b"mine"}
-
-
-def test_the_pages_of_a_run_are_replaced_in_its_directory(run, call: Call) -> None:
-    for _ in range(2):
-        assert call("report", run)[0] == 0
-        assert call("verify", run)[0] in (0, 1)
-        assert call("verify", run, "--out", run)[0] in (0, 1)
 
 
 @pytest.mark.parametrize(

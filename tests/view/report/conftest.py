@@ -11,7 +11,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view.report.report import write_report
-from tests.scenes import write_scene
+from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.browser import Browser, open_browser
 
 STEPS = 260
@@ -43,6 +43,19 @@ def hostile_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def page(run_folder: Path) -> Path:
     return write_report(open_run(run_folder))
+
+
+@pytest.fixture(scope="session")
+def mistaken_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in which the detector makes every kind of mistake."""
+    folder = tmp_path_factory.mktemp("mistaken")
+    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="session")
+def mistaken_page(mistaken_folder: Path) -> Path:
+    return write_report(open_run(mistaken_folder))
 
 
 @pytest.fixture(scope="session")

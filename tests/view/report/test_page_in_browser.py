@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
@@ -20,6 +21,13 @@ from modsim3d.view.report.report import write_report
 from tests.scenes import crossing
 from tests.view.report.browser import Browser
 from tests.view.report.conftest import HOSTILE, STEPS
+
+FLAGS = {
+    "false": Outcome.FALSE_POSITIVE,
+    "mislabelled": Outcome.MISLABELLED,
+    "bad": Outcome.BELOW_HALF_IOU,
+    "off": Outcome.OFF_VESSEL,
+}
 
 
 def pixels(browser: Browser, canvas: str = "picture") -> NDArray[np.uint8]:
@@ -135,9 +143,12 @@ def test_keyboard_alone_is_enough(browser, page):
         browser.press(key, shift)
         assert browser.run("player.index") == expected, key
     browser.press("n")
-    index = browser.run("player.index")
-    fractions = browser.run("player.recording.truths(player.index, player.camera).map(truth => truth.fraction)")
-    assert index > 0 and any(0 < fraction < 1 for fraction in fractions)
+    first = browser.run("player.index")
+    browser.press("n")
+    browser.press("b")
+    assert browser.run("player.index") == first
+    missed = browser.run("player.recording.truths(player.index, player.camera).filter(truth => truth.missed)")
+    assert browser.run("player.followed") in [truth["vessel"] for truth in missed]
     browser.press("c")
     assert browser.run("[player.camera, document.querySelector('#camera').value]") == [1, "1"]
     width = browser.run("player.picture.view.width")
@@ -145,6 +156,120 @@ def test_keyboard_alone_is_enough(browser, page):
     assert browser.run("player.picture.view.width") == pytest.approx(width / 1.5)
     browser.press("9")
     assert browser.run("player.picture.view.width") >= 2464
+
+
+def choose(browser: Browser, select: str, value: str) -> None:
+    browser.run(
+        f"(select => {{ select.value = {json.dumps(value)}; select.dispatchEvent(new Event('change')); }})"
+        f"(document.querySelector('#{select}'))"
+    )
+
+
+def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
+    run = open_run(mistaken_folder)
+    names = run.scene.vessel_names
+    wrong: dict[str, set[tuple[int, str | None]]] = {}
+    for frame in run.frames():
+        if frame.camera != "bow":
+            continue
+        truth = frame.truth
+        hidden = (truth.visible_fraction > 0) & (truth.visible_fraction < 1)
+        for kind, which in (("missed", truth.annotated & ~truth.detected), ("hidden", hidden)):
+            wrong.setdefault(kind, set()).update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
+        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
+            for kind, flag in FLAGS.items():
+                if outcome & flag:
+                    wrong.setdefault(kind, set()).add((frame.step, None if row is None else truth.vessels[row]))
+    browser.open(mistaken_page)
+    kinds = browser.run("[...document.querySelector('#kind').options].map(option => option.value)")
+    assert set(kinds) == {kind for kind, found in wrong.items() if found} >= set(FLAGS)
+    for kind in kinds:
+        choose(browser, "kind", kind)
+        moments = browser.run("player.moments.list")
+        covered = {
+            (step, None if moment["vessel"] is None else names[moment["vessel"]])
+            for moment in moments
+            for step in range(moment["index"], moment["until"] + 1)
+        }
+        assert covered == wrong[kind], kind
+        ends = {(moment["until"] + 1, moment["vessel"]) for moment in moments}
+        assert ends.isdisjoint(
+            (moment["index"], moment["vessel"]) for moment in moments
+        )  # frames in a row are one moment
+        listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
+        assert listed == ["", *map(str, range(len(moments)))]
+        choose(browser, "moment", str(len(moments) - 1))
+        assert browser.run("player.index") == moments[-1]["index"]
+        assert browser.run("player.followed") == moments[-1]["vessel"]
+
+
+def test_a_moment_outside_what_is_shown_brings_the_whole_image(browser, mistaken_page):
+    browser.open(mistaken_page)
+    choose(browser, "kind", "false")
+    browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
+    browser.press("n")
+    boxes = browser.run("player.recording.detections(player.index, player.camera).filter(each => each.false)")
+    assert boxes and all(browser.run(f"player.picture.shows({json.dumps(each['box'])})") for each in boxes)
+
+
+def test_the_picture_and_the_list_say_what_is_wrong(browser, mistaken_page):
+    browser.open(mistaken_page)
+    choose(browser, "kind", "mislabelled")
+    browser.press("n")
+    vessel = browser.run("player.followed")
+    (found,) = browser.run(
+        "player.recording.detections(player.index, player.camera)"
+        f".filter(each => each.vessel === {vessel} && !each.false)"
+    )
+    label = browser.run(f"player.recording.facts.vessels[{vessel}].label")
+    assert found["label"] != label
+    plates = browser.run("player.picture.plates")
+    (said,) = [
+        plate for plate in plates if plate["text"].startswith(f"{found['label']} {found['confidence']:.2f}, is a")
+    ]
+    assert said["text"].endswith(label)
+    assert said["colour"] == browser.run("player.recording.facts.colours.alarm")
+    row = browser.run("document.querySelector('#vessels tr.chosen').textContent")
+    assert f"as {found['label']}" in row
+    choose(browser, "kind", "off")
+    browser.press("n")
+    assert "off it" in browser.run("document.querySelector('#vessels tr.chosen').textContent")
+    assert "off their vessel" in browser.run("document.querySelector('#status').textContent")
+
+
+def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
+    browser.open(mistaken_page)
+    for name in ("labels", "false", "missed"):
+        browser.click(f"#layer-{name}")
+    choose(browser, "kind", "off")
+    longest = browser.run(
+        "player.moments.list.map(({ index, vessel }, place) => {"
+        "  const box = player.recording.detections(index, 0).find(each => each.vessel === vessel && !each.false).box;"
+        "  const truth = player.recording.truths(index, 0).find(each => each.vessel === vessel).target;"
+        "  const apart = Math.max(truth[0] - box[2], box[0] - truth[2], truth[1] - box[3], box[1] - truth[3]);"
+        "  return [apart, place, box, truth]; }).sort((a, b) => b[0] - a[0])[0]"
+    )
+    apart, place, box, truth = longest
+    choose(browser, "moment", str(place))
+    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.size), player.draw())")
+    middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
+    end = np.clip(middle, truth[:2], truth[2:])
+    assert apart > 3
+    column, row = browser.run(f"player.picture.toCanvas({', '.join(map(str, (0.8 * middle + 0.2 * end).tolist()))})")
+    around = pixels(browser)[int(row) - 1 : int(row) + 3, int(column) - 1 : int(column) + 3, :3].reshape(-1, 3)
+    assert (np.abs(around.astype(int) - palette.ALARM).sum(axis=1) < 90).any()
+
+
+def test_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page):
+    legend = "document.querySelector('#legend').textContent"
+    height = "player.timeline.rowsTop"
+    browser.open(mistaken_page)
+    assert all(word in browser.run(legend) for word in ("wrong class", "IoU below 0.5", "off its vessel", "missed"))
+    every = browser.run(height)
+    browser.open(page)  # its detector has one class
+    assert "wrong class" not in browser.run(legend).partition("Strips")[0]
+    assert "IoU below 0.5" in browser.run(legend)
+    assert browser.run(height) < every
 
 
 def test_focus_can_be_seen_and_space_presses_the_button_that_has_it(browser, page):

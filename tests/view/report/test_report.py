@@ -13,17 +13,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from modsim3d import cli
 from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.outcomes import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view.report.player_recording import UNKNOWN_FRACTION, WHOLE, in_250ths, in_quanta, quantum_px
 from modsim3d.view.report.report import write_report
 from modsim3d.view.report.silhouettes import NONE
+from tests.scenes import mistaken_strait
 from tests.view.report.conftest import STEPS
 
 
@@ -94,13 +97,97 @@ def test_counts_are_those_of_the_run(page, run_folder):
         "Annotated": counts["annotated"],
         "Detected": counts["detected"],
         "Missed": counts["missed"],
-        "Mislabelled": counts["mislabelled"],
-        "False positives": counts["false_positives"],
+        "False alarms": counts["false_positives"],
+        "Wrong class": counts["mislabelled"],
+        "IoU below 0.5": counts["below_half_iou"],
+        "Off their vessel": counts["off_vessel"],
     }
-    for title, columns in (("By vessel", (4, 5, 6)), ("By performance state of the detector", (2, 3, 4))):
+    names = ("annotated", "detected", "missed", "mislabelled", "below_half_iou", "off_vessel", "false_positives")
+    state, vessel = (2, 3, 4, 6, 7, 8, 9), (4, 5, 6, 8, 9, 10)
+    for title, columns in (
+        ("By vessel", vessel),
+        ("By performance state of the detector", state),
+        ("By camera", state),
+    ):
         rows = table_after(page, title)[1:]
         sums = [sum(int(row[column]) for row in rows) for column in columns]
-        assert sums == [counts["annotated"], counts["detected"], counts["missed"]]
+        assert sums == [counts[name] for name in names][: len(columns)], title
+
+
+def test_counts_of_each_camera_are_those_of_the_run(page, run_folder):
+    by_camera = json.loads((run_folder / "run.json").read_text())["camera_counts"]
+    for row in table_after(page, "By camera")[1:]:
+        counts = by_camera[row[0]]
+        assert [int(row[i]) for i in (1, 2, 3, 4)] == [counts[n] for n in ("frames", "annotated", "detected", "missed")]
+        names = ("mislabelled", "below_half_iou", "off_vessel", "false_positives")
+        assert [int(row[i]) for i in (6, 7, 8, 9)] == [counts[name] for name in names]
+
+
+def tiles(page: Path) -> dict[str, tuple[int, str]]:
+    """Name, number and meaning of what the page says first."""
+    text = page.read_text(encoding="utf-8")
+    assert text.index("<dl class=result>") < text.index('id="picture"')
+    found = re.findall(r"<div><dt>(.*?)</dt><dd>(\d+)</dd><dd>(.*?)</dd></div>", text)
+    return {name: (int(number), meaning) for name, number, meaning in found}
+
+
+def test_the_result_comes_first_and_each_share_names_what_it_is_a_share_of(mistaken_page, mistaken_folder):
+    counts = json.loads((mistaken_folder / "run.json").read_text())["counts"]
+    of_vessels = counts["detected"] - counts["merged"]
+    every, annotated = of_vessels + counts["false_positives"], counts["annotated"]
+
+    def share(name: str, whole: int, of: str) -> tuple[int, str]:
+        return counts[name], f"{counts[name] / whole:.1%} of {of}"
+
+    assert counts["merged"] > 0  # so that detections of vessels are not the detected vessels
+    assert tiles(mistaken_page) == {
+        "Annotated": (annotated, "vessels in frames, given to the detector"),
+        "Detected": share("detected", annotated, "annotated"),
+        "Missed": share("missed", annotated, "annotated"),
+        "False alarms": share("false_positives", every, f"{every} detections"),
+        "Wrong class": share("mislabelled", of_vessels, f"{of_vessels} true detections"),
+        "IoU below 0.5": share("below_half_iou", of_vessels, f"{of_vessels} true detections"),
+        "Off their vessel": share("off_vessel", of_vessels, f"{of_vessels} true detections"),
+    }
+
+
+def warning(page: Path) -> list[str] | None:
+    """The numbers of the warning of bad boxes, if there is one."""
+    pattern = (
+        r"<strong>([\d.]+%) of the boxes do not fit .*?</strong> (\d+) of (\d+) true .*?; (\d+) of them do not touch"
+    )
+    found = re.search(pattern, page.read_text(encoding="utf-8"), re.DOTALL)
+    return list(found.groups()) if found else None
+
+
+def test_a_page_warns_where_many_boxes_are_bad(mistaken_page, mistaken_folder):
+    counts = json.loads((mistaken_folder / "run.json").read_text())["counts"]
+    true, bad, off = counts["detected"] - counts["merged"], counts["below_half_iou"], counts["off_vessel"]
+    assert warning(mistaken_page) == [f"{bad / true:.1%}", str(bad), str(true), str(off)]
+
+
+def test_a_page_with_good_boxes_does_not_warn(tmp_path):
+    scene = tmp_path / "good.yaml"
+    path = mistaken_strait(tmp_path, steps=10)
+    text = path.read_text(encoding="utf-8").replace("detector.yaml", "good_detector.yaml")
+    scene.write_text(text, encoding="utf-8")
+    detector = yaml.safe_load((tmp_path / "detector.yaml").read_text(encoding="utf-8"))
+    for state in detector["states"].values():
+        state["box_error"]["covariance"] = (1e-6 * np.eye(4)).tolist()
+    (tmp_path / "good_detector.yaml").write_text(yaml.safe_dump(detector), encoding="utf-8")
+    run_scene(load_scene(scene), tmp_path / "run")
+    page = write_report(open_run(tmp_path / "run"))
+    assert tiles(page)["Detected"][0] > 0
+    assert warning(page) is None
+
+
+def test_player_has_the_outcome_and_kind_of_each_detection(mistaken_page, mistaken_folder):
+    facts, columns = unpack(mistaken_page)
+    frames = list(open_run(mistaken_folder).frames())
+    assert facts["outcomes"] == {flag.name: flag.value for flag in Outcome}
+    assert columns["outcome"].tolist() == [outcome for frame in frames for outcome in frame_outcomes(frame)]
+    kinds = [facts["kinds"][kind] for kind in columns["kind"]]
+    assert kinds == [kind for frame in frames for kind in frame.detections.kinds]
 
 
 def test_settings_and_versions_are_on_the_page(page, run_folder):

@@ -1,0 +1,50 @@
+"""Every command that writes, so that what holds for all of them is tested for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+Line = Callable[[Path, Path], tuple[object, ...]]
+"""A command line, given a run directory and the file to write."""
+WRITERS: dict[str, tuple[str, Line]] = {
+    "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
+    "rerun": ("run.rrd", lambda run, out: ("rerun", run, "--out", out)),
+    "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
+    "compare": ("compare.html", lambda run, out: ("compare", run / "scene" / "scene.json", "--out", out.parent)),
+    "export": ("dt.json", lambda run, out: ("export", run, "--coco", out.parent)),
+    "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
+    "learn: page": (
+        "page.html",
+        lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out.with_name("d.yaml"), "--page", out),
+    ),
+    "view: picture": ("picture.png", lambda run, out: ("view", run, "--frame", 3, "--width", 160, "--out", out)),
+    "view: map": ("map.png", lambda run, out: ("view", run, "--map", "--width", 160, "--out", out)),
+    "view: film": (
+        "film.gif",
+        lambda run, out: ("view", run, "--film", "ids", "--to", 1, "--width", 160, "--out", out),
+    ),
+}
+"""Those that write files, by the command: the name of a file that it writes, and its command line."""
+FOLDER_WRITERS = ("run", "detect", "ais")
+"""Those that write a folder of their own, which they alone recognise."""
+NO_WRITERS = ("check", "scenes", "repeat")
+DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]] = {
+    "report": (("report.html",), lambda run: ("report", run)),
+    "rerun": (("run.rrd",), lambda run: ("rerun", run)),
+    "verify": (("verify.json", "verify.html"), lambda run: ("verify", run)),
+    "verify: out": (("verify.json", "verify.html"), lambda run: ("verify", run, "--out", run)),
+    "view: picture": (("ids_000003.png",), lambda run: ("view", run, "--film", "ids", "--frame", 3)),
+    "view: map": (("map_000039.png",), lambda run: ("view", run, "--map")),
+    "view: film": (("ids.gif",), lambda run: ("view", run, "--film", "ids", "--to", 1, "--format", "gif")),
+    "view: frames": (
+        ("corners/frame_000000.png",),
+        lambda run: ("view", run, "--film", "corners", "--to", 1, "--format", "png"),
+    ),
+    "view: sheet": (("contact_sheet.png",), lambda run: ("view", run, "--sheet")),
+}
+"""What a command writes into the run directory unless told otherwise."""
+READ = {"scene", "run", "truth", "detections", "detector", "sequence", "files"}
+"""Parameters that name what is read."""
+WRITTEN = {"out", "page", "coco"}
+"""Parameters that name what is written."""

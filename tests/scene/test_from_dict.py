@@ -1,0 +1,402 @@
+"""A scene without files is the scene that its files would be, and what is wrong with it is said as of a file."""
+
+from __future__ import annotations
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from modsim3d import Scene, load_scene, run_scene, simulate_frames
+from modsim3d.cli import app
+from modsim3d.detector import load_detector
+from modsim3d.errors import InputError
+from modsim3d.runs.run import settings_of
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import data_folder
+from tests.commands.bad_input.builders import ASHORE, GOOD, lens
+
+SCENES = data_folder("scenes")
+THESIS = SCENES / "detectors" / "thesis.yaml"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """The files of a run but for the copy of its scene and the checksum of that."""
+    found = content(folder)
+    del found["run.json"]
+    return {name: data for name, data in found.items() if not name.startswith("scene/")}
+
+
+def good(steps: int = 6) -> dict:
+    """Two vessels of which one comes later, a camera on board and one ashore."""
+    time = np.arange(steps)
+    positions = np.stack([np.stack([time, 0.0 * time], 1), np.stack([40.0 - time, 6.0 + 0 * time], 1)], axis=1)
+    headings = np.tile([0.0, 0.5], (steps, 1))
+    positions[:2, 1], headings[:2, 1] = np.nan, np.nan
+    return {
+        "seed": 3,
+        "vessels": copy.deepcopy(GOOD["vessels"]),
+        "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 0.1},
+        "cameras": {
+            "bow": lens(mount={"vessel": "vehicle1", "position_m": np.array([4.0, 0.0, 1.0])}),
+            "shore": lens(pose=ASHORE),
+        },
+        "annotation": {"mode": 2, "source": "analytic"},
+        "detector": copy.deepcopy(GOOD["detector"]),
+    }
+
+
+def inline(name: str, steps: int) -> dict:
+    """A shipped scene with everything in it that its files hold."""
+    scene, data = load_scene(name, steps=steps), yaml.safe_load((SCENES / f"{name}.yaml").read_text())
+    if isinstance(data["vessels"], str):
+        data["vessels"] = json.loads((SCENES / data["vessels"]).read_text())
+    if "file" in data["poses"]:
+        poses = scene.poses.poses(0, steps)
+        absent = ~poses.present
+        positions, headings = poses.positions_m.copy(), poses.headings_rad.copy()
+        positions[absent], headings[absent] = np.nan, np.nan
+        times = [float(text) for text in scene.timestamps(0, steps)]
+        data["poses"] = {"positions_m": positions, "headings_rad": headings, "times_s": times}
+    data["detector"] = yaml.safe_load((SCENES / data["detector"]).read_text())
+    for vessel in data["vessels"].values():
+        vessel["length_m"] = np.float64(vessel["length_m"])
+    for camera in data["cameras"].values():
+        camera["image_size_px"] = np.array(camera["image_size_px"])
+    return {**data, "steps": np.int64(steps), "seed": np.uint32(data.get("seed", 0))}
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
+def test_a_shipped_scene_given_as_a_mapping_gives_the_bytes_of_its_file(name, tmp_path):
+    run_scene(load_scene(name, steps=5), tmp_path / "file")
+    run_scene(Scene.from_dict(inline(name, 5), name=name), tmp_path / "mapping")
+    assert results(tmp_path / "mapping") == results(tmp_path / "file")
+    frames = [*simulate_frames(Scene.from_dict(inline(name, 5), name=name))]
+    assert len(frames) == json.loads((tmp_path / "file" / "run.json").read_text())["counts"]["frames"]
+
+
+@pytest.mark.parametrize("detector", ["inline", "read", "file"])
+def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    data = good()
+    if detector != "inline":
+        Path("mine.yaml").write_text(yaml.safe_dump(data["detector"]))
+        data["detector"] = Path("mine.yaml") if detector == "file" else load_detector("mine.yaml")
+    scene = Scene.from_dict(data, name="mine")
+    run_scene(scene, Path("run"))
+    assert {"scene/mine.json", "scene/poses.json", "scene/detector.yaml"} <= content(Path("run")).keys()
+    Path("mine.yaml").unlink(missing_ok=True)
+    said = CliRunner().invoke(app, ["repeat", "run"], catch_exceptions=False)
+    assert said.exit_code == 0, said.output
+    again = CliRunner().invoke(app, ["run", "run/scene/mine.json", "--out", "again", "--no-sheet"])
+    assert again.exit_code == 0
+    assert content(Path("again")) == content(Path("run"))
+    assert open_run(Path("run")).scene.sha256 == scene.sha256
+    if detector != "file":
+        run_scene(scene, Path("workers"), workers=2)
+        assert content(Path("workers")) == content(Path("run"))
+
+
+def test_an_interrupted_run_of_it_goes_on(tmp_path):
+    def stop(_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(Scene.from_dict(good()), tmp_path / "run", progress=stop)
+    assert run_scene(Scene.from_dict(good()), tmp_path / "run", resume=True).resumed_steps
+    run_scene(Scene.from_dict(good()), tmp_path / "whole")
+    assert content(tmp_path / "run") == content(tmp_path / "whole")
+
+
+def test_it_keeps_nothing_of_the_callers(tmp_path):
+    data = good()
+    run_scene(Scene.from_dict(good()), tmp_path / "before")
+    scene = Scene.from_dict(data)
+    for array in (data["poses"]["positions_m"], data["poses"]["headings_rad"]):
+        array[:] = 7.0
+    data["vessels"]["vehicle1"]["length_m"] = 99.0
+    data["detector"]["states"]["clear"]["confusion"][0][0] = 0.0
+    data["cameras"]["bow"]["mount"]["position_m"][:] = 0.0
+    run_scene(scene, tmp_path / "after")
+    assert content(tmp_path / "after") == content(tmp_path / "before")
+    with pytest.raises(ValueError, match="read-only"):
+        scene.poses.poses(0, 1).positions_m[:] = 0.0
+
+
+def test_columns_may_be_named_in_any_order_and_places_may_have_a_height(tmp_path):
+    run_scene(Scene.from_dict(good()), tmp_path / "plain")
+    data = good()
+    flat = data["poses"]["positions_m"][:, ::-1]
+    deep = np.concatenate([flat, np.where(np.isnan(flat[..., :1]), np.nan, 0.0)], axis=2)
+    times = [round(0.1 * step, 1) for step in range(6)]
+    headings = data["poses"]["headings_rad"][:, ::-1].tolist()
+    data["poses"] = {
+        "positions_m": deep.tolist(), "headings_rad": headings, "times_s": times, "names": ["vehicle2", "vehicle1"],
+    }  # fmt: skip
+    run_scene(Scene.from_dict(data), tmp_path / "named")
+    assert content(tmp_path / "named") == content(tmp_path / "plain")
+    data = good()
+    one = {key: data["poses"][key][:, :1] for key in ("positions_m", "headings_rad")}
+    data["poses"] = {**one, "time_step_s": np.float32(0.5), "names": np.array(["vehicle1"])}
+    scene = Scene.from_dict(data)
+    assert scene.poses.poses(0, 6).present.tolist() == [[True, False]] * 6
+    assert scene.timestamps(0, 3) == ("0.0", "0.5", "1.0")
+
+
+def test_a_vessel_may_have_any_name_that_one_in_a_file_may_have(tmp_path):
+    data = good()
+    data["vessels"] = {"vehicle1": data["vessels"]["vehicle1"], '"}},{"é': data["vessels"]["vehicle2"]}
+    scene = Scene.from_dict(data)
+    again = load_scene(scene.copy.write(tmp_path / "copy"))
+    for name in ("present", "positions_m", "headings_rad"):
+        first, second = (getattr(each.poses.poses(0, 6), name) for each in (scene, again))
+        np.testing.assert_array_equal(first, second)
+    assert again.timestamps(0, 6) == scene.timestamps(0, 6) and again.sha256 == scene.sha256
+
+
+def test_numbers_come_back_to_the_last_bit(tmp_path):
+    rng, data = np.random.default_rng(0), good(50)
+    data["poses"] = {
+        "positions_m": rng.normal(0, 10.0 ** rng.integers(-8, 8, (50, 2, 3))), "headings_rad": rng.normal(size=(50, 2)),
+        "times_s": np.cumsum(rng.random(50)) - 3.0,
+    }  # fmt: skip
+    scene = Scene.from_dict(data)
+    again = load_scene(scene.copy.write(tmp_path / "copy"))
+    np.testing.assert_array_equal(scene.poses.poses(0, 50).positions_m, data["poses"]["positions_m"])
+    np.testing.assert_array_equal(again.poses.poses(0, 50).positions_m, data["poses"]["positions_m"])
+    np.testing.assert_array_equal(again.times_s(0, 50), scene.times_s(0, 50))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int64, np.uint8])
+def test_arrays_of_any_kind_of_number_will_do(dtype):
+    data = good()
+    data["poses"]["positions_m"] = np.ones((4, 2, 2), dtype=dtype) * np.array([[1, 2], [30, 4]], dtype=dtype)
+    data["poses"]["headings_rad"] = np.ones((4, 2), dtype=dtype)
+    scene = Scene.from_dict(data)
+    assert scene.steps == 4
+    assert scene.poses.poses(0, 4).positions_m[3].tolist() == [[1, 2, 0], [30, 4, 0]]
+
+
+def test_what_the_caller_sets_replaces_what_stands_there(tmp_path):
+    scene = Scene.from_dict(good(), seed=9, steps=np.int64(2), mode=0, source="rectangles", detector=THESIS,
+                            detector_seed=4)  # fmt: skip
+    assert (scene.seed, scene.steps, scene.detector_seed) == (9, 2, 4)
+    assert (scene.annotation.mode, scene.annotation.source) == (0, "rectangles")
+    assert len(scene.detector.states) == 4
+    assert settings_of(scene, "none")["seed"] == 9
+    with pytest.raises(InputError) as error:
+        Scene.from_dict({**good(), "annotation": 7}, mode=1)
+    assert error.value.problems == ("annotation: a mapping of keys is needed (got 7)",)
+
+
+def test_files_of_the_mapping_are_relative_to_the_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("in").mkdir()
+    Path("in/vessels.json").write_text(json.dumps(GOOD["vessels"]))
+    Path("in/poses.json").write_text(json.dumps(GOOD["poses"]))
+    Path("in/detector.yaml").write_text(yaml.safe_dump(GOOD["detector"]))
+    data = good() | {
+        "vessels": Path("in/vessels.json"), "poses": {"file": Path("in/poses.json")}, "detector": "in/detector.yaml",
+    }  # fmt: skip
+    assert Scene.from_dict(data).steps == 4
+    Path("in/vessels.json").unlink()
+    with pytest.raises(InputError, match="no such file") as error:
+        Scene.from_dict(data)
+    assert error.value.source == "scene"
+
+
+def changed(**values: object) -> dict:
+    data = good()
+    data["poses"] = {key: value for key, value in {**data["poses"], **values}.items() if value is not None}
+    return data
+
+
+def spoiled(key: str, place: tuple[int, ...], value: float) -> dict:
+    data = good()
+    data["poses"][key][place] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (changed(positions_m=None), "poses.positions_m: missing; an array of shape (T, N, 2) or (T, N, 3) is needed"),
+        (changed(headings_rad=None), "poses.headings_rad: missing; an array of shape (T, N) is needed"),
+        (
+            changed(positions_m=np.zeros((6, 3, 2))),
+            "poses.positions_m: shape (T, 2, 2) or (T, 2, 3) is needed, a column "
+            "for each of the 2 vessels named (got (6, 3, 2))",
+        ),
+        (
+            changed(positions_m=np.zeros((6, 2, 4))),
+            "poses.positions_m: shape (T, 2, 2) or (T, 2, 3) is needed, a column "
+            "for each of the 2 vessels named (got (6, 2, 4))",
+        ),
+        (
+            changed(headings_rad=np.zeros((6, 3))),
+            "poses.headings_rad: shape (6, 2) is needed, that of positions_m (got (6, 3))",
+        ),
+        (
+            changed(positions_m=np.zeros((0, 2, 2)), headings_rad=np.zeros((0, 2))),
+            "poses.positions_m: at least one step is needed (got none)",
+        ),
+        (changed(positions_m=np.full((6, 2, 2), "1")), "poses.positions_m: numbers are needed (got an array of <U1)"),
+        (
+            changed(headings_rad=np.zeros((6, 2), dtype=bool)),
+            "poses.headings_rad: numbers are needed (got an array of bool)",
+        ),
+        (
+            changed(positions_m=[[[0, 0], [1]]]),
+            "poses.positions_m: an array of shape (T, N, 2) or (T, N, 3) is needed, and its rows differ in length",
+        ),
+        (
+            spoiled("positions_m", (3, 1), np.nan),
+            "poses.positions_m[3]: 'vehicle2' is NaN, but its heading is not; both "
+            "are finite, or both NaN where a vessel is absent",
+        ),
+        (
+            spoiled("positions_m", (3, 1, 0), np.nan),
+            "poses.positions_m[3]: 'vehicle2' is a place of which only a part is "
+            "NaN; both are finite, or both NaN where a vessel is absent",
+        ),
+        (
+            spoiled("headings_rad", (4, 0), np.nan),
+            "poses.headings_rad[4]: 'vehicle1' is NaN, but its position is not; "
+            "both are finite, or both NaN where a vessel is absent",
+        ),
+        (
+            spoiled("headings_rad", (4, 0), np.inf),
+            "poses.headings_rad[4]: 'vehicle1' is infinite; both are finite, or both NaN where a vessel is absent",
+        ),
+        (
+            spoiled("positions_m", (slice(2, 5), 1, 1), -np.inf),
+            "poses.positions_m[2]: 'vehicle2' is more than 1e+09 m "
+            "away, and so in 2 more places; both are finite, or both NaN where a vessel is absent",
+        ),
+        (changed(time_step_s=None), "poses: give exactly one of time_step_s and times_s"),
+        (changed(times_s=np.arange(6)), "poses: give exactly one of time_step_s and times_s"),
+        (changed(time_step_s=0), "poses.time_step_s: a number of seconds from 1e-09 to 1e+09 is needed (got 0)"),
+        (
+            changed(time_step_s="0.1"),
+            "poses.time_step_s: a number of seconds from 1e-09 to 1e+09 is needed (got '0.1')",
+        ),
+        (
+            changed(time_step_s=None, times_s=[0, 1, 2, 2, 3, 4]),
+            "poses.times_s[3]: times must increase, but 2 s comes after 2 s",
+        ),
+        (
+            changed(time_step_s=None, times_s=[0, 1]),
+            "poses.times_s: shape (6,) is needed, a time for each step (got (2,))",
+        ),
+        (
+            changed(time_step_s=None, times_s=[0, 1, 2, np.nan, 3, 4]),
+            "poses.times_s: finite numbers of seconds are needed (got NaN or infinity)",
+        ),
+        (changed(names=["vehicle1", "vehicle3"]), "poses.names: no vessel 'vehicle3' (did you mean 'vehicle2'?)"),
+        (changed(names=["vehicle1", "vehicle1"]), "poses.names: 'vehicle1' appears twice"),
+        (changed(names=[1, 2]), "poses.names: a list of vessel IDs is needed (got [1, 2])"),
+        (changed(position_m=1), "poses.position_m: unknown key (did you mean 'positions_m'?)"),
+        (good() | {"steps": 7}, "steps: 7 asked for, but the pose file has 6"),
+        (good() | {"colour": 1}, "colour: unknown key (known: "),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_line(data, problem):
+    with pytest.raises(InputError) as error:
+        Scene.from_dict(data)
+    assert error.value.source == "scene"
+    (found,) = error.value.problems
+    assert found.startswith(problem)
+    assert problem.endswith("(known: ") or found == problem
+
+
+def test_every_problem_is_said_at_once_with_its_path():
+    data = good()
+    data["cameras"]["bow"]["focal_length_m"] = np.float64(-1.0)
+    data["cameras"]["shore"]["pose"] = {"position_m": np.zeros(2)}
+    data["vessels"]["vehicle2"]["beam_m"] = "wide"
+    data["detector"]["confidence_threshold"] = 3
+    data["obstacles"] = {"pier": {"mesh": "no_such_mesh.glb", "size_m": [1, 1, 1]}}
+    data["poses"]["names"] = ["one", "two"]
+    with pytest.raises(InputError) as error:
+        Scene.from_dict(data)
+    said = "\n".join(error.value.problems)
+    for part in (
+        "cameras.bow.focal_length_m: ", "cameras.shore.pose.position_m[2]: missing", "vessels.vehicle2.beam_m: ",
+        "detector: confidence_threshold: ", "poses.names: no vessel 'one'",
+    ):  # fmt: skip
+        assert part in said, said
+    assert "scene scene" not in said and str(error.value).startswith("scene:\n")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("detector", None, "detector: missing"),
+        ("poses", None, "poses: missing"),
+        ("vessels", None, "vessels: missing"),
+        ("detector", 7, "detector: must be a mapping with the keys labels"),
+        ("poses", np.zeros((6, 2, 2)), "poses: a mapping of keys is needed"),
+        ("vessels", {1: {}}, "vessels: a vessel's ID must be text"),
+        ("cameras", {"bow": object()}, "cameras.bow: a mapping of keys is needed (got <object"),
+        ("seed", 1.5, "seed: "),
+        ("seed", {1, 2}, "seed: "),
+    ],
+)
+def test_what_is_missing_or_of_another_kind_is_said(key, value, problem):
+    data = good()
+    data[key] = value
+    if value is None:
+        del data[key]
+    with pytest.raises(InputError) as error:
+        Scene.from_dict(data)
+    assert any(found.startswith(problem) for found in error.value.problems), error.value.problems
+
+
+def test_a_detector_that_was_changed_is_refused_because_no_file_would_give_it(tmp_path):
+    detector = replace(load_detector(THESIS), confidence_threshold=0.5)
+    with pytest.raises(InputError, match="detector: was changed, or was not made by load_detector"):
+        Scene.from_dict({**good(), "detector": detector})
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a.b", "../a", 7, "a" * 101])
+def test_a_name_must_fit_a_file(name):
+    with pytest.raises(InputError, match="name: it goes into file names"):
+        Scene.from_dict(good(), name=name)
+
+
+def test_what_is_no_mapping_or_holds_itself_is_refused():
+    with pytest.raises(InputError, match="a mapping of keys is needed"):
+        Scene.from_dict([1])
+    data = good()
+    data["waves"] = data
+    with pytest.raises(InputError, match="nested too deeply"):
+        Scene.from_dict(data)
+
+
+def test_errors_of_the_run_name_the_scene(tmp_path):
+    data = spoiled("positions_m", (3, 0), np.nan)
+    data["poses"]["headings_rad"][3, 0] = np.nan
+    with pytest.raises(InputError) as error:
+        run_scene(Scene.from_dict(data), tmp_path / "run")
+    assert str(error.value).startswith("scene:\n  cameras.bow.mount.vessel: 'vehicle1' has no pose at time 0.3 s")
+    with pytest.raises(InputError) as error:
+        run_scene(Scene.from_dict(data, name="mine"), tmp_path / "run")
+    assert error.value.source == "scene mine"
+
+
+def test_its_own_files_are_no_files_that_lie_there_by_chance(tmp_path, monkeypatch):
+    run_scene(Scene.from_dict(good()), tmp_path / "run")
+    monkeypatch.chdir(tmp_path / "run" / "scene")
+    scene = Scene.from_dict(good())
+    assert scene.copy.read == ()
+    run_scene(scene, tmp_path / "run", overwrite=True)

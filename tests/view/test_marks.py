@@ -1,0 +1,206 @@
+"""Wrong classes and boxes that do not fit their vessel are marked in pictures and named in legends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import reduce
+from operator import or_
+
+import numpy as np
+import pytest
+
+from modsim3d.render.plain_ids import PlainIds
+from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.pipeline import simulate_frames
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.selection import select
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view import palette
+from modsim3d.view.films.plan import FilmPlan, mistakes_in
+from modsim3d.view.outcome_words import NAMES, fate, is_a
+from modsim3d.view.pictures import contact_sheet, frame_picture
+from modsim3d.view.pictures.frame_picture import CameraView
+from modsim3d.view.pictures.highlights import pick_highlights
+from modsim3d.view.pictures.labels import Label
+from modsim3d.view.pictures.layers import DETECTIONS, Layers
+from modsim3d.view.pictures.legend import detection_entries
+from modsim3d.view.pictures.window import Window
+from tests.scenes import crossing, mistaken_strait
+
+MARKED = Layers.of(["detections", "mistakes"])
+ALL = reduce(or_, Outcome)
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory) -> CameraView:
+    """A frame in which the sail is detected."""
+    scene = load_scene(crossing(tmp_path_factory.mktemp("marks")), source="analytic")
+    frame = next(frame for frame in simulate_frames(scene) if "sail" in frame.detections.vessels)
+    return CameraView.of(scene, frame)
+
+
+def with_detection(seen: CameraView, away_px: float, label: str = "Vessel", size: float = 60.0) -> CameraView:
+    """The frame with one detection: a square whose upper left corner is away from that of the sail's annotated box."""
+    truth, found = seen.frame.truth, seen.frame.detections
+    corner = truth.boxes_px[truth.vessels.index("sail"), :2] + (away_px, 0)
+    only = replace(
+        found,
+        labels=(label,),
+        confidence=np.array([0.7]),
+        boxes_px=np.array([[*corner, *(corner + size)]]),
+        kinds=("true",),
+        vessels=("sail",),
+        errors_px=np.zeros((1, 4)),
+    )
+    boxes = truth.boxes_px.copy()
+    boxes[truth.vessels.index("sail")] = [*(corner - (away_px, 0)), *(corner - (away_px, 0) + 60.0)]
+    return replace(seen, frame=replace(seen.frame, truth=replace(truth, boxes_px=boxes), detections=only))
+
+
+def drawn(camera_view: CameraView, layers: Layers = MARKED) -> np.ndarray:
+    """The whole image at its own size."""
+    width, _ = camera_view.image_size_px
+    picture = frame_picture.frame_picture(
+        camera_view, Window.whole(camera_view.image_size_px, width), layers, PlainIds(), nominal_width_px=1280
+    )
+    return np.asarray(picture)
+
+
+def box_of(camera_view: CameraView) -> list[int]:
+    return [round(side) for side in camera_view.frame.detections.boxes_px[0].tolist()]
+
+
+def is_alarm(pixels: np.ndarray) -> np.ndarray:
+    """Vermilion, also where a slanted line is half over something else."""
+    return np.abs(pixels.astype(int) - palette.ALARM).sum(axis=-1) < 90
+
+
+def test_a_right_detection_is_a_solid_box_without_marks(seen):
+    right = with_detection(seen, 0)
+    assert frame_outcomes(right.frame) == [NOTHING_WRONG]
+    picture, (x0, y0, x1, _) = drawn(right), box_of(right)
+    assert (picture[y0, x0:x1] == right.colour("sail")).all()
+    assert not is_alarm(picture).any()
+    np.testing.assert_array_equal(picture, drawn(right, Layers(detections=True)))
+
+
+def test_a_wrong_class_fills_the_upper_right_corner(seen):
+    wrong = with_detection(seen, 0, "Buoy")
+    picture, (x0, y0, x1, y1) = drawn(wrong), box_of(wrong)
+    corner = is_alarm(picture[y0 + 1 : y0 + 9, x1 - 9 : x1 - 1])
+    assert corner[np.triu_indices(8, 1)].all()
+    assert not is_alarm(picture[y0:y1, x0 : x1 - 18]).any()
+    assert not is_alarm(drawn(wrong, Layers(detections=True))).any()
+
+
+def test_a_bad_box_is_dashed_and_other_boxes_are_not(seen):
+    bad = with_detection(seen, 40)
+    assert frame_outcomes(bad.frame) == [Outcome.BELOW_HALF_IOU]
+    picture, (x0, y0, x1, _) = drawn(bad), box_of(bad)
+    share = (picture[y0, x0:x1] == bad.colour("sail")).all(axis=-1).mean()
+    assert 0.4 < share < 0.7
+    assert not is_alarm(picture).any()
+
+
+@pytest.mark.parametrize("size", [12, 16, 40])
+def test_a_bad_box_has_gaps_when_it_is_small_too(seen, size):
+    bad = with_detection(seen, 40, size=size)
+    picture, (x0, y0, x1, _) = drawn(bad), box_of(bad)
+    assert (picture[y0, x0:x1] == bad.colour("sail")).all(axis=-1).mean() < 0.8
+
+
+def test_a_line_joins_a_box_that_is_off_to_its_vessel(seen):
+    off = with_detection(seen, 200)
+    assert frame_outcomes(off.frame) == [Outcome.BELOW_HALF_IOU | Outcome.OFF_VESSEL]
+    picture, (x0, y0, x1, y1) = drawn(off), box_of(off)
+    row, left, middle = (y0 + y1) // 2, x0 - 200 + 60, (x0 + x1) // 2
+    line = is_alarm(picture[row - 1 : row + 2, left + 2 : middle]).any(axis=0)
+    assert line.all()
+    assert not is_alarm(picture[:, : left - 2]).any()
+
+
+@pytest.fixture
+def labels(monkeypatch) -> Iterator[list[Label]]:
+    """The labels that are handed over to be drawn."""
+    collected: list[Label] = []
+    monkeypatch.setattr(frame_picture, "draw_labels", lambda canvas, labels, boxes: collected.extend(labels))
+    yield collected
+
+
+def test_the_label_of_a_wrong_class_says_what_the_vessel_is(seen, labels):
+    layers = replace(MARKED, labels=True)
+    drawn(with_detection(seen, 0, "Buoy"), layers)
+    drawn(with_detection(seen, 200), layers)
+    said = [(label.text, label.colour) for label in labels]
+    assert said == [("Buoy 0.70, is a Vessel", palette.ALARM), ("Vessel 0.70", seen.colour("sail"))]
+
+
+def test_an_article_fits_its_noun():
+    labels = ("ferry", "oil tanker", "Vessel", "")
+    assert [is_a(label) for label in labels] == ["is a ferry", "is an oil tanker", "is a Vessel", "is a "]
+
+
+def test_the_legend_names_the_mistakes_that_are_there():
+    every = {entry.text for entry in detection_entries(DETECTIONS, 2, ALL)}
+    none = {entry.text for entry in detection_entries(DETECTIONS, 2, NOTHING_WRONG)}
+    assert every - none == {"wrong class", "IoU below 0.5", "off its vessel"}
+    one = {entry.text for entry in detection_entries(DETECTIONS, 2, Outcome.MISLABELLED)}
+    assert one - none == {"wrong class"}
+    assert {entry.text for entry in detection_entries(replace(DETECTIONS, mistakes=False), 2, ALL)} == none
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> StoredRun:
+    folder = tmp_path_factory.mktemp("marked")
+    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
+    return open_run(folder / "run")
+
+
+def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
+    for steps in ((0, 10), (40, 41), (0, run.steps)):
+        times = [float(text) for text in run.scene.timestamps(*steps)]
+        selection = select(run, (0, 1), from_s=times[0], to_s=times[-1])
+        shown = [frame for step in selection.step_frames() for frame in step.frames if frame is not None]
+        expected = reduce(or_, (outcome for frame in shown for outcome in frame_outcomes(frame)), NOTHING_WRONG)
+        assert mistakes_in(selection) == expected
+        layout = FilmPlan(("detections",), (0, 1), 640, mistakes=expected).layout(run.scene)
+        named = {entry.text for entry in layout.entries} & {NAMES[flag] for flag in Outcome}
+        assert named == {NAMES[flag] for flag in Outcome if flag & expected} | {"false alarm"}
+
+
+def test_highlights_have_each_kind_of_mistake_that_the_run_has(run):
+    highlights = pick_highlights(run.finished_tables, run.scene)
+    said = []
+    for highlight in highlights:
+        frame = run.frame(highlight.camera, highlight.step)
+        said.append(contact_sheet._caption(highlight, frame))
+        x0, y0, x1, y1 = highlight.focus_px
+        assert x0 < x1 and y0 < y1
+    for ending in ("detected", "with IoU below 0.5", "by a box off the vessel", "missed"):
+        assert any(text.endswith(ending) for text in said), ending
+    assert any("detected as " in text for text in said)
+    assert any(text.startswith("a false alarm") for text in said)
+    assert len(set(said)) == len(said)
+
+
+def test_the_highlight_of_boxes_off_their_vessel_shows_the_largest_vessel(run):
+    areas = {}
+    for frame in run.frames():
+        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
+            if row is not None and outcome & Outcome.OFF_VESSEL:
+                x0, y0, x1, y1 = frame.truth.boxes_px[row]
+                areas[frame.camera, frame.step, frame.truth.vessels[row]] = (x1 - x0) * (y1 - y0)
+    chosen = [
+        (highlight.camera, highlight.step, highlight.vessel)
+        for highlight in pick_highlights(run.finished_tables, run.scene)
+        if not highlight.what  # it is about a detection
+    ]
+    assert max(areas, key=areas.__getitem__) in chosen
+
+
+def test_the_fate_of_the_smaller_vessel_in_a_merged_box_is_said(run):
+    frame = next(frame for frame in run.frames() if "merged" in frame.detections.kinds)
+    annotated = [vessel for vessel, known in zip(frame.truth.vessels, frame.truth.annotated, strict=True) if known]
+    assert "detected, in one box with another" in [fate(frame, vessel) for vessel in annotated]

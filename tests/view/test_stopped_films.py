@@ -1,0 +1,154 @@
+"""Films that are stopped while they are drawn, as real processes: nothing of them is left, and nothing is replaced."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.scenes import crossing
+
+STALLING = """
+import sys, time
+from modsim3d import cli
+from modsim3d.view.films.renderer import FilmRenderer
+
+draw, asked = FilmRenderer.draw, []
+
+def stalling(self, step_frames):
+    asked.append(step_frames.step)
+    if len(asked) == {frame}:
+        print("in the middle", flush=True)
+        {then}
+    return draw(self, step_frames)
+
+FilmRenderer.draw = stalling
+sys.argv = ["modsim3d", "view", *sys.argv[1:]]
+cli.main()
+"""
+MIDDLE = 11
+"""Of 12 frames; a GIF draws four for its palette first. They are drawn and written four at a time."""
+WAIT = "time.sleep(600)"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stopped")
+    run_scene(load_scene(crossing(folder, 12)), folder / "run")
+    return folder / "run"
+
+
+def stalled(run, out, *options, frame=MIDDLE, then=WAIT):
+    """A command that has drawn some frames of a film."""
+    program = STALLING.format(frame=frame, then=then)
+    arguments = (run, "--film", "detections", "--width", "320", "--out", out, *options)
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    drawing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert drawing.stdout is not None
+    if drawing.stdout.readline() != "in the middle\n":
+        raise AssertionError(drawing.communicate()[1])
+    return drawing
+
+
+def entries(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def encoders_of(folder):
+    """Processes that write to a folder."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            command = path.read_bytes()
+        except OSError:
+            continue
+        if str(folder).encode() in command and b"ffmpeg" in command:
+            found.append(command)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)], ids=lambda it: str(it)
+)
+@pytest.mark.parametrize("name", ["film.mp4", "film.gif", "film"])
+def test_a_stopped_film_leaves_nothing(run, tmp_path, name, number, status):
+    options = () if "." in name else ("--format", "png")
+    drawing = stalled(run, tmp_path / name, *options)
+    assert any(".partial" in entry for entry in entries(tmp_path))
+    drawing.send_signal(number)
+    _, said = drawing.communicate(timeout=60)
+    assert drawing.returncode == status
+    assert "no film was written" in said
+    assert "Traceback" not in said
+    assert entries(tmp_path) == []
+    assert not encoders_of(tmp_path)
+
+
+def test_a_stopped_film_replaces_nothing(run, tmp_path):
+    (tmp_path / "film.mp4").write_bytes(b"the film before")
+    drawing = stalled(run, tmp_path / "film.mp4", "--overwrite")
+    drawing.send_signal(signal.SIGTERM)
+    drawing.communicate(timeout=60)
+    assert entries(tmp_path) == ["film.mp4"]
+    assert (tmp_path / "film.mp4").read_bytes() == b"the film before"
+
+
+def test_a_film_that_fails_in_the_middle_leaves_nothing(run, tmp_path):
+    drawing = stalled(run, tmp_path / "film.mp4", then="raise ZeroDivisionError")
+    drawing.communicate(timeout=60)
+    assert drawing.returncode != 0
+    assert entries(tmp_path) == []
+    assert not encoders_of(tmp_path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_film_of_several_workers_can_be_stopped(run, tmp_path, number):
+    """Frame 3, as each worker counts its own, and not for long, as a worker ends what it has begun."""
+    drawing = stalled(run, tmp_path / "film.mp4", "--workers", "2", frame=3, then="time.sleep(2)")
+    drawing.send_signal(number)
+    _, said = drawing.communicate(timeout=60)
+    assert drawing.returncode == 128 + number
+    assert "no film was written" in said
+    assert "Traceback" not in said
+    assert entries(tmp_path) == []
+
+
+def test_a_killed_film_leaves_what_the_next_one_removes(run, tmp_path):
+    drawing = stalled(run, tmp_path / "film.mp4")
+    drawing.kill()
+    drawing.communicate(timeout=60)
+    left = entries(tmp_path)
+    assert left
+    assert all(entry.startswith(".film.") and entry.endswith((".partial.mp4", ".lock")) for entry in left), left
+    command = [sys.executable, "-m", "modsim3d.cli", "view", str(run), "--film", "detections", "--width", "320"]
+    subprocess.run([*command, "--out", str(tmp_path / "film.mp4")], check=True, capture_output=True, timeout=60)
+    assert entries(tmp_path) == ["film.mp4"]
+
+
+def test_what_is_coming_is_said_before_it_is_drawn(run, tmp_path):
+    drawing = stalled(run, tmp_path / "film.mp4", frame=1)
+    assert drawing.stderr is not None
+    assert drawing.stderr.readline() == "film.mp4: 12 frames, 12.0 s at 5 pictures/s\n"
+    drawing.send_signal(signal.SIGINT)
+    drawing.communicate(timeout=60)
+
+
+def test_a_worker_is_stopped_without_a_word(run, tmp_path):
+    """A signal to the whole group, as a terminal that is closed sends it."""
+    program = STALLING.format(frame=3, then="time.sleep(2)")
+    arguments = (run, "--film", "detections", "--width", "320", "--out", tmp_path / "film.mp4", "--workers", "2")
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    drawing = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert drawing.stdout is not None
+    assert drawing.stdout.readline() == "in the middle\n"
+    os.killpg(drawing.pid, signal.SIGHUP)
+    _, said = drawing.communicate(timeout=60)
+    assert drawing.returncode == 129
+    assert "Traceback" not in said
+    assert entries(tmp_path) == []
