@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+
+def scene_copy(run: Path) -> Path:
+    """The scene file in a run's copy of its scene."""
+    return next((run / "scene").glob("*.json"))
+
+
 Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
 WRITERS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
     "rerun": ("run.rrd", lambda run, out: ("rerun", run, "--out", out)),
     "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
-    "compare": ("compare.html", lambda run, out: ("compare", run / "scene" / "scene.json", "--out", out.parent)),
-    "export": ("dt.json", lambda run, out: ("export", run, "--coco", out.parent)),
+    "compare": ("compare.html", lambda run, out: ("compare", scene_copy(run), "--out", out.parent)),
+    "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",
@@ -46,5 +52,5 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
 """What a command writes into the run directory unless told otherwise."""
 READ = {"scene", "run", "truth", "detections", "detector", "sequence", "files"}
 """Parameters that name what is read."""
-WRITTEN = {"out", "page", "coco"}
+WRITTEN = {"out", "page"}
 """Parameters that name what is written."""
