@@ -1,9 +1,9 @@
 """Times whole films as a user draws them, and writes benchmarks/FILMS.md.
 
 Every kind of film of three scenes is drawn by `modsim3d view` in a process of its own, one kind after another, round
-after round; a figure is the median of the rounds. Times are processor times of the program and the encoder together, from
-the start of the program, so that another program on the machine disturbs them little. `python -m benchmarks.films`;
-`--quick` is a trial that writes nothing.
+after round; a figure is the median of the rounds. Times are processor times of the program and the encoder together,
+from the start of the program, so that another program on the machine disturbs them little. Run it with
+`python -m benchmarks.films`; `--quick` is a trial that writes nothing.
 """
 
 from __future__ import annotations

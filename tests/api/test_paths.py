@@ -126,14 +126,6 @@ def test_a_shipped_detector_goes_by_its_name():
     assert [state.name for state in scene.detector.states] == ["foggy_cloudy"]
 
 
-def test_a_scene_file_names_a_detectors_file(tmp_path, scene):
-    """Relative to itself, and by no shipped name."""
-    path = scene.copy.write(tmp_path)
-    path.write_text(path.read_text().replace('"detector.yaml"', '"thesis"'))
-    with pytest.raises(InputError, match=r"detector .*/thesis: no such file$"):
-        modsim3d.load_scene(path)
-
-
 def test_a_file_comes_before_the_shipped_detector_of_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (DETECTORS / "conditions/foggy_cloudy.yaml").read_text()

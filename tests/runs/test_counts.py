@@ -18,13 +18,14 @@ from modsim3d.runs.run import RunResult, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from tests.scenes import mistaken_strait
 
 OF_A_VESSEL = ("true", "merged", "split")
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return load_scene("strait", steps=60, source="analytic")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return load_scene(mistaken_strait(tmp_path_factory.mktemp("scene"), 60), source="analytic")
 
 
 @pytest.fixture(scope="module")

@@ -137,6 +137,17 @@ def test_the_label_of_a_wrong_class_says_what_the_vessel_is(seen, labels):
     assert said == [("Buoy 0.70, is a Vessel", palette.ALARM), ("Vessel 0.70", seen.colour("sail"))]
 
 
+@pytest.mark.parametrize(
+    "kind, remark",
+    [("false_positive", "false: "), ("persistent_false_positive", "false: "), ("duplicate", "duplicate: ")],
+)
+def test_the_label_of_a_false_alarm_says_so(seen, labels, kind, remark):
+    one = with_detection(seen, 0)
+    false = replace(one, frame=replace(one.frame, detections=replace(one.frame.detections, kinds=(kind,))))
+    drawn(false, Layers(false_positives=True, labels=True))
+    assert [(label.text, label.colour) for label in labels] == [(f"{remark}Vessel 0.70", palette.ALARM)]
+
+
 def test_an_article_fits_its_noun():
     labels = ("ferry", "oil tanker", "Vessel", "")
     assert [is_a(label) for label in labels] == ["is a ferry", "is an oil tanker", "is a Vessel", "is a "]

@@ -170,4 +170,4 @@ def _remark(kind: str) -> str:
     """The words before the label of a detection that is not simply a vessel's."""
     if kind == "true":
         return ""
-    return "false: " if kind == "false_positive" else f"{kind.replace('_', ' ')}: "
+    return "false: " if kind.endswith("false_positive") else f"{kind}: "

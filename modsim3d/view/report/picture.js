@@ -136,7 +136,7 @@ class Picture {
     this.box(box, colour, 2, wrong ? [5, 3] : bad ? [9, 6] : []);
     if (mislabelled) this.flag(box, colours);
     const words = this.narrow ? confidence.toFixed(2) : `${label} ${confidence.toFixed(2)}`;
-    const remark = wrong ? `${kind === 'false_positive' ? 'false' : kind.replaceAll('_', ' ')}: ` : '';
+    const remark = wrong ? `${kind.endsWith('false_positive') ? 'false' : kind}: ` : '';
     const text = this.narrow ? words : remark + words + (mislabelled ? `, ${isA(vessels[vessel].label)}` : '');
     this.plates.push({ box, colour: mislabelled ? colours.alarm : colour, text });
   }

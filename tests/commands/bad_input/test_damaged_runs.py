@@ -20,6 +20,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from tests.commands.bad_input.builders import ASHORE, Call, lens
+from tests.commands.bad_input.writers import scene_file
 
 DETECTOR = Path(__file__).parents[3] / "scenes" / "detectors" / "rich.yaml"
 STEPS = 24
@@ -276,12 +277,12 @@ def test_settings_of_another_scene_are_refused(run, name):
 
 
 def test_a_changed_copy_of_the_scene_is_refused(call, run, tmp_path):
-    scene = run / "scene" / "scene.json"
+    scene = scene_file(run)
     scene.write_text(scene.read_text().replace('"time_step_s": 0.5', '"time_step_s": 0.25'))
     relist(run)
     assert "scene is not the scene that the run was made of" in assert_refused(call, run, "export", tmp_path / "out")
     scene.unlink()
-    assert "scene.json is missing" in assert_refused(call, run, "film", tmp_path / "out")
+    assert f"{scene.name} is missing" in assert_refused(call, run, "film", tmp_path / "out")
 
 
 def test_an_interrupted_run_whose_settings_are_damaged_is_refused(call, tmp_path, runs):

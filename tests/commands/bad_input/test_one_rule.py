@@ -86,7 +86,8 @@ HOW: dict[str, Callable[[Path, Path], None]] = {
 @pytest.mark.parametrize("name", writers.WRITERS)
 def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, tmp_path, name: str, how) -> None:
     file, line = writers.WRITERS[name]
-    read = run / ("scene/scene.json" if name == "compare" else "truth.parquet")
+    others = {"compare": writers.scene_file(run), "guess": run / "scene" / "detector.yaml"}
+    read = others.get(name, run / "truth.parquet")
     (tmp_path / "out").mkdir()
     how(tmp_path / "out" / file, read)
     before = content(tmp_path)
@@ -167,7 +168,7 @@ def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path
     assert call(*line, "--out", tmp_path / "labels.yaml")[0] == 0
 
 
-@pytest.mark.parametrize("name", sorted(writers.WRITERS.keys() - {"compare"}))  # which reads a scene
+@pytest.mark.parametrize("name", sorted(writers.WRITERS.keys() - {"compare", "guess"}))  # which read no run
 def test_nothing_is_written_among_the_unfinished_files_of_the_run_that_is_read(run, call: Call, name: str) -> None:
     file, line = writers.WRITERS[name]
     out = run / "unfinished" / "new" / file

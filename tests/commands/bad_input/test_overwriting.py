@@ -16,6 +16,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import data_folder, load_scene
 from tests.commands.bad_input.builders import Call, Inputs
+from tests.commands.bad_input.writers import scene_file
 
 NOTES = {"notes.txt": "mine", "scene/notes.txt": "mine too", "mine/frame_000001.png": "no film"}
 
@@ -95,7 +96,7 @@ def test_a_run_of_a_version_without_a_list_of_files_is_replaced_too(inputs, tmp_
     assert content(out) == content(tmp_path / "new") | notes
 
 
-@pytest.mark.parametrize("file", ["scene.json", "poses.json", "detector.yaml"])
+@pytest.mark.parametrize("file", ["scene", "poses.json", "detector.yaml"])
 def test_a_run_does_not_replace_what_it_reads(inputs, tmp_path, call, file):
     out = tmp_path / "run"
     run_scene(load_scene(inputs.write()), out)
@@ -106,7 +107,8 @@ def test_a_run_does_not_replace_what_it_reads(inputs, tmp_path, call, file):
         (inputs.folder / "link.yaml").symlink_to(out / "scene" / file)
         inputs.data["scene"]["detector"] = "link.yaml"
         inputs.data.pop("detector")
-    scene = out / "scene" / file if file == "scene.json" else inputs.write()
+    scene = scene_file(out) if file == "scene" else inputs.write()
+    file = scene.name if file == "scene" else file
     before = content(out)
     status, said = call("run", scene, "--out", out, "--overwrite")
     assert status == 2
@@ -127,14 +129,14 @@ def interrupted(scene: Path, out: Path) -> None:
 def test_an_interrupted_run_is_not_replaced_by_a_run_of_its_own_copy(inputs, tmp_path, call, option):
     interrupted(inputs.write(), tmp_path / "run")
     before = content(tmp_path / "run")
-    scene = tmp_path / "run" / "unfinished" / "scene" / "scene.json"
+    scene = scene_file(tmp_path / "run" / "unfinished")
     status, said = call("run", scene, "--out", tmp_path / "run", option)
     assert status == 2
     assert f"{scene} belongs to the run in" in said
     assert content(tmp_path / "run") == before
 
 
-@pytest.mark.parametrize("name", ["truth.parquet", "scene/scene.json", "scene"])
+@pytest.mark.parametrize("name", ["truth.parquet", "scene/detector.yaml", "scene"])
 def test_a_file_in_the_way_that_no_run_has_written_is_named_and_stays(inputs, tmp_path, call, name):
     interrupted(inputs.write(), tmp_path / "run")
     write(tmp_path / "run", {name: "mine"})

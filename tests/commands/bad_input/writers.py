@@ -6,9 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def scene_copy(run: Path) -> Path:
-    """The scene file in a run's copy of its scene."""
-    return next((run / "scene").glob("*.json"))
+def scene_file(run: Path) -> Path:
+    """The scene in the copy that a run keeps."""
+    (path,) = (path for path in (run / "scene").glob("*.json") if path.name not in ("vessels.json", "poses.json"))
+    return path
 
 
 Line = Callable[[Path, Path], tuple[object, ...]]
@@ -17,9 +18,16 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
     "rerun": ("run.rrd", lambda run, out: ("rerun", run, "--out", out)),
     "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
-    "compare": ("compare.html", lambda run, out: ("compare", scene_copy(run), "--out", out.parent)),
+    "compare": ("compare.html", lambda run, out: ("compare", scene_file(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
+    "guess": (
+        "guess.yaml",
+        lambda run, out: (
+            *("guess", run / "scene" / "detector.yaml"),
+            *("--from", "noon_clear", "--to", "foggy_cloudy", "--out", out),
+        ),
+    ),
     "learn: page": (
         "page.html",
         lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out.with_name("d.yaml"), "--page", out),
