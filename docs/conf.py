@@ -24,7 +24,7 @@ MENU = {
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
-    "From Python": ["docs/python", "docs/api", "docs/plugins"],
+    "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING"],
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],

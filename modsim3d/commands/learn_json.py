@@ -32,6 +32,7 @@ def learn_json(report: Report, written: Sequence[Path]) -> dict[str, Any]:
         "state_conditions": dict(report.state_map.states),
         "numbers": [number for each in learned.intervals(report.level) for number in _numbers(each)],
         "lost_average_precision": {share.kind.value: share.gain_points for share in report.shares.shares},
+        "warning": report.warning,
         "remarks": list(report.remarks),
         "left_simple": list(learned.notes),
         "written": list(written),

@@ -53,7 +53,7 @@ At = Annotated[
     str | None,
     typer.Option(metavar="STEP|TIME", help="Step or time that --map shows.", show_default="the last step"),
 ]
-Sheet = Annotated[bool, typer.Option("--sheet", help="Draw contact_sheet.png of the run again.")]
+Sheet = Annotated[bool, typer.Option("--sheet", help="Draw contact_sheet.png of the run again, with --overwrite.")]
 Cameras = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME", help="Camera whose images are drawn; repeatable.", show_default="all cameras"),

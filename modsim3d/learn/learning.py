@@ -22,6 +22,7 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
+from modsim3d.inputs.opening import inputs_noted
 from modsim3d.inputs.validation import Count, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
 from modsim3d.learn.learn_detector import LearnOptions
@@ -196,7 +197,8 @@ def learn_detector(
         interval_s = opened.scene.detector.transition_interval_s
     else:
         pairs = _pairs(truth, detections, given.conditions)
-        labelled, inputs = _read(pairs, given), [path for _, *pair in pairs for path in pair]
+        with inputs_noted() as inputs:  # also of files that are not named, such as data.yaml
+            labelled = _read(pairs, given)
     rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
     settings = Settings(rule, given.confidence, given.replicates, given.seed)
     options = LearnOptions(*wanted, interval_s=interval_s)

@@ -112,8 +112,8 @@ class VerifiedRun:
         """Write `verify.json` and `verify.html`.
 
         Args:
-            folder: Where to; the run directory if None, in which those of an earlier verification are replaced.
-            overwrite: Replace those that are there in another folder.
+            folder: Where to; the run directory if None.
+            overwrite: Replace those that are there.
 
         Returns:
             The paths of both.
@@ -127,7 +127,7 @@ class VerifiedRun:
         target = self.run.folder if folder is None else as_path(folder, "folder")
         paths = tuple(target / name for name in FILES)
         read = [*read_of_run(self.run.folder), *([self.detector] if self.detector else [])]
-        with claimed(paths, overwrite=overwrite or folder is None, inputs=read):
+        with claimed(paths, overwrite=overwrite, inputs=read):
             write_report(self, target)
         return paths
 

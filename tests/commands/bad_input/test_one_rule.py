@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import modsim3d
 from modsim3d.cli import app
 from modsim3d.errors import OutputError
 from modsim3d.formats.coco import write_coco
@@ -86,8 +87,7 @@ HOW: dict[str, Callable[[Path, Path], None]] = {
 @pytest.mark.parametrize("name", writers.WRITERS)
 def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, tmp_path, name: str, how) -> None:
     file, line = writers.WRITERS[name]
-    others = {"compare": writers.scene_file(run), "guess": run / "scene" / "detector.yaml"}
-    read = others.get(name, run / "truth.parquet")
+    read = writers.INPUTS[name](run) if name in writers.INPUTS else run / "truth.parquet"
     (tmp_path / "out").mkdir()
     how(tmp_path / "out" / file, read)
     before = content(tmp_path)
@@ -168,7 +168,31 @@ def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path
     assert call(*line, "--out", tmp_path / "labels.yaml")[0] == 0
 
 
-@pytest.mark.parametrize("name", sorted(writers.WRITERS.keys() - {"compare", "guess"}))  # which read no run
+def test_neither_does_a_result_in_python_replace_what_it_was_learned_from(tmp_path) -> None:
+    yolo(tmp_path)
+    paths = {"truth": tmp_path / "labels", "detections": tmp_path / "found"}
+    result = modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20)
+    before = content(tmp_path)
+    for name in ("data.yaml", "labels/a.txt"):
+        with pytest.raises(OutputError, match="is read by this command"):
+            result.write(tmp_path / name, overwrite=True)
+    assert content(tmp_path) == before
+    result.write(tmp_path / "labels" / "detector.yaml")
+    with pytest.raises(OutputError, match="exists: use --overwrite"):
+        result.write(tmp_path / "labels" / "detector.yaml")
+
+
+def test_neither_does_a_verification_in_python_replace_a_page(run: Path) -> None:
+    verified = modsim3d.verify_run(run)
+    verified.write()
+    before = content(run)
+    with pytest.raises(OutputError, match="exists: use --overwrite"):
+        verified.write()
+    assert content(run) == before
+    verified.write(overwrite=True)
+
+
+@pytest.mark.parametrize("name", sorted(writers.WRITERS.keys() - writers.INPUTS.keys()))
 def test_nothing_is_written_among_the_unfinished_files_of_the_run_that_is_read(run, call: Call, name: str) -> None:
     file, line = writers.WRITERS[name]
     out = run / "unfinished" / "new" / file

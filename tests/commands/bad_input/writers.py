@@ -21,16 +21,15 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "compare": ("compare.html", lambda run, out: ("compare", scene_file(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
-    "guess": (
-        "guess.yaml",
-        lambda run, out: (
-            *("guess", run / "scene" / "detector.yaml"),
-            *("--from", "noon_clear", "--to", "foggy_cloudy", "--out", out),
-        ),
-    ),
     "learn: page": (
         "page.html",
         lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out.with_name("d.yaml"), "--page", out),
+    ),
+    "guess": (
+        "guess.yaml",
+        lambda run, out: (
+            *("guess", run / "scene" / "detector.yaml", "--from", "noon_clear", "--to", "foggy_cloudy", "--out", out),
+        ),
     ),
     "view: picture": ("picture.png", lambda run, out: ("view", run, "--frame", 3, "--width", 160, "--out", out)),
     "view: map": ("map.png", lambda run, out: ("view", run, "--map", "--width", 160, "--out", out)),
@@ -40,6 +39,11 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
 }
 """Those that write files, by the command: the name of a file that it writes, and its command line."""
+INPUTS: dict[str, Callable[[Path], Path]] = {
+    "compare": scene_file,
+    "guess": lambda run: run / "scene" / "detector.yaml",
+}
+"""A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais")
 """Those that write a folder of their own, which they alone recognise."""
 NO_WRITERS = ("check", "scenes", "repeat")
