@@ -82,12 +82,14 @@ def _show_version(requested: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
     start_afresh()
+    context.call_on_close(start_afresh)
 
 
 def check_memory() -> None:

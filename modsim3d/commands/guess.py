@@ -9,8 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.commands.shared import OverwriteOption, print_line, print_rows
-from modsim3d.commands.terminal import open_console
+from modsim3d.commands.shared import (
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    out_file,
+    print_rows,
+    print_written,
+)
+from modsim3d.commands.tables import print_prose
+from modsim3d.commands.terminal import open_console, tell_files, warn
 
 if TYPE_CHECKING:
     from modsim3d.learn.guess import ConditionChange
@@ -20,16 +28,20 @@ STRANGE_SPREAD = 4.0
 """Box errors of the thesis's conditions on the same images differ by factors of 3.4 at most."""
 _STRANGE = (
     "the box errors of the two conditions differ by more than a factor of four. If they were measured on different "
-    "images, this is not the effect of the condition.\n"
+    "images, this is not the effect of the condition"
 )
 
 
 def guess_command(
-    detector: Annotated[Path, typer.Argument(metavar="DETECTOR", help="The detector file to change.")],
-    measured_in: Annotated[str, typer.Option("--from", metavar="CONDITION", help="What it was measured in.")],
-    wanted_in: Annotated[str, typer.Option("--to", metavar="CONDITION", help="What it is wanted in.")],
-    out: Annotated[Path, typer.Option(help="Detector file to write.")],
+    detector: Annotated[Path, typer.Argument(metavar="DETECTOR", help="Detector file to change.")],
+    measured_in: Annotated[
+        str, typer.Option("--from", metavar="CONDITION", help="Condition that the detector was measured in.")
+    ],
+    wanted_in: Annotated[str, typer.Option("--to", metavar="CONDITION", help="Condition to guess the detector in.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Detector file to write.")],
     overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Guess how a detector performs in another condition: it changes as much as another detector did between the two.
 
@@ -46,6 +58,8 @@ def guess_command(
     from modsim3d.outputs.placing import write_files
 
     files = [Path(name) if Path(name).is_file() else find_condition(name) for name in (measured_in, wanted_in)]
+    out = out_file(out, Path("detector.yaml"))
+    tell_files([detector, *files])
     with claimed([out], overwrite=overwrite, inputs=[detector, *files]):
         before, after = (
             (name, load_detector(file)) for name, file in zip((measured_in, wanted_in), files, strict=True)
@@ -55,11 +69,11 @@ def guess_command(
         result = guessed(content, change, f"detector {detector}")
         write_files({out: detector_text(result, _comments(detector, measured_in, wanted_in, change))})
     console = open_console()
-    if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
-        print_line(console, f"Remark: {_STRANGE}", style="bold")
-    print_line(console, f"{_guess(detector, measured_in, wanted_in)}")
+    print_prose(console, _guess(detector, measured_in, wanted_in))
     print_rows(console, "In each state", list(_rows(content, result)))
-    print_line(console, f"\nwritten  {out}")
+    print_written(console, [out])
+    if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
+        warn(_STRANGE)
 
 
 def _guess(detector: Path, measured_in: str, wanted_in: str) -> str:

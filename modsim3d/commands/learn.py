@@ -90,13 +90,16 @@ def learn_command(
     match: Annotated[
         Match | None,
         typer.Option(
-            help="How boxes are matched. [default: provenance for --run, which knows what each detection is of; "
-            "confidence for files]"
+            metavar="HOW",
+            help="How boxes are matched: confidence, optimal, centre or provenance.",
+            show_default="provenance for --run, confidence for files",
         ),
     ] = None,
     iou: Annotated[
         float | None,
-        typer.Option(min=0.01, max=1, help="Least IoU, for --match confidence and optimal.", show_default="0.5"),
+        typer.Option(
+            min=0.01, max=1, metavar="R", help="Least IoU, for --match confidence and optimal.", show_default="0.5"
+        ),
     ] = None,
     distance: Annotated[
         float | None,

@@ -173,10 +173,12 @@ def say_error(error: ModsimError) -> None:
 def _say_prose(lines: Iterable[str], style: str = "") -> None:
     """Write lines to standard error, on a terminal broken between words."""
     console = open_console(stderr=True, quiet=False)
+    # Not by COLUMNS alone: readline sets it for every program that an interactive Python starts.
+    width = console.width if console.is_terminal else UNBROKEN
     for line in lines:
         words = visible(line).lstrip(" ")
         indent = " " * (len(line) - len(line.lstrip(" ")))
-        for piece in wrapped(words, console.width - len(indent)):
+        for piece in wrapped(words, width - len(indent)):
             console.print(indent + piece, style=style, highlight=False, soft_wrap=True)
 
 

@@ -99,6 +99,7 @@ def test_what_a_run_counts_is_in_its_object_by_itself(
     found = parsed(modsim3d(*lines["run"], "--json"))
     assert {field.name for field in fields(RunResult)} <= set(found)
     assert {field.name for field in fields(Counts)} == set(found["counts"])
+    assert all(set(counts) == set(found["counts"]) for counts in found["camera_counts"].values())
     stored = json.loads((tmp_path / "run" / "run.json").read_text())
     assert found["counts"] == stored["counts"]
     assert found["contact_sheet"] == str(tmp_path / "run" / "contact_sheet.png")

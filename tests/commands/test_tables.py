@@ -129,6 +129,13 @@ def test_an_error_on_a_terminal_is_broken_between_words(width: int) -> None:
         assert word in said.split()
 
 
+def test_an_error_in_a_pipe_is_not_broken_whatever_columns_says(
+    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    assert modsim3d("check", "nowhere.yaml").err.count("\n") == 2
+
+
 def test_a_long_path_stands_on_a_line_of_its_own() -> None:
     file, path = io.StringIO(), Path("a_folder/" * 8)
     console = open_console(file=file, width=60)

@@ -210,7 +210,7 @@ def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, 
     status, said = call(*arguments)
     assert status == 0, said
     assert "A guess, not a measurement: rich.yaml in foggy_cloudy" in said
-    assert "Remark" not in said
+    assert "warning" not in said
     comments = [line for line in out.read_text().splitlines() if line.startswith("#")]
     assert "Written by modsim3d guess. A guess, not a measurement" in comments[0]
     assert "noon_clear" in " ".join(comments)
@@ -225,7 +225,7 @@ def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_pat
     between = ("--from", "noon_clear", "--to", "real_world_experiment_1", "--out", str(tmp_path / "real.yaml"))
     status, said = call("guess", str(RICH), *between)
     assert status == 0
-    assert "Remark: the box errors of the two conditions differ by more than a factor of four" in said
+    assert "warning: the box errors of the two conditions differ by more than a factor of four" in said
 
 
 def test_the_detector_itself_is_never_written_over(call: Call, tmp_path: Path) -> None:
