@@ -45,8 +45,8 @@ def test_every_kind_of_detection_is_explained() -> None:
 
 
 def test_the_example_of_dropout_is_right() -> None:
-    (block,) = re.findall(r"\n\n(    dropout:\n(?:    .*\n)+)", PAGE)
-    model = parse_detector(detector_data(**yaml.safe_load(re.sub(r"^    ", "", block, flags=re.M))))
+    (block,) = re.findall(r"```yaml\n(dropout:\n.*?)```", PAGE, flags=re.DOTALL)
+    model = parse_detector(detector_data(**yaml.safe_load(block)))
     assert model.dropout.anchored
     assert len(model.dropout.effects) == 2
 

@@ -128,7 +128,8 @@ def scenes() -> tuple[Files, ...]:
         "scene.yaml": _shipped("simulation_1.yaml"),
         "detectors/thesis.yaml": _shipped("detectors/thesis.yaml"),
     }
-    strait: Files = {**shipped, "scene.yaml": _shipped("strait.yaml").replace(b"steps: 300", b"steps: 20")}
+    coastal: Files = {**shipped, "detectors/coastal.yaml": _shipped("detectors/coastal.yaml")}
+    strait: Files = {**coastal, "scene.yaml": _shipped("strait.yaml").replace(b"steps: 300", b"steps: 20")}
     return (*named, *named, shipped, strait)
 
 

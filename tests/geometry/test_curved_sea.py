@@ -122,7 +122,7 @@ def test_run_warns_once_with_how_many_and_how_far(tmp_path, monkeypatch, capsys)
         with pytest.raises(SystemExit) as stopped:
             cli.main()
         assert stopped.value.code == 0
-        return capsys.readouterr().out, json.loads((tmp_path / sea / "run.json").read_text())["counts"]
+        return "".join(capsys.readouterr()), json.loads((tmp_path / sea / "run.json").read_text())["counts"]
 
     out, counts = said("flat")
     # `far` in each of four frames, by 5000 px · 5000 m / 12 742 000 m = 1.96 px; `near` by 0.8 px is not worth a word.

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from modsim3d.boxes import iou
@@ -25,7 +26,9 @@ OF_A_VESSEL = ("true", "merged", "split")
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return load_scene(mistaken_strait(tmp_path_factory.mktemp("scene"), 60), source="analytic")
+    path = mistaken_strait(tmp_path_factory.mktemp("scene"), 60)
+    far_off = {f"detector.states.{state}.box_error.covariance": np.diag([4000.0] * 4) for state in ("clear", "haze")}
+    return load_scene(path, source="analytic", settings=far_off)
 
 
 @pytest.fixture(scope="module")

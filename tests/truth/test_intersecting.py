@@ -43,7 +43,7 @@ def test_run_names_intersecting_vessels_whose_visibility_it_leaves_open(
     with pytest.raises(SystemExit) as stopped:
         cli.main()
     assert stopped.value.code == 0
-    said = capsys.readouterr().out
+    said = "".join(capsys.readouterr())
     assert ("rafted1 and rafted2 intersect" in said) == (source == "analytic")
     assert any(line.split()[:2] == ["annotated", str(annotated)] for line in said.splitlines())
 

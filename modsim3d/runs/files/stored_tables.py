@@ -79,7 +79,7 @@ class StoredTable:
     def _checked(self, begin: int, end: int, first: int, stop: int) -> Rows:
         """The checked rows of steps first to stop − 1 in row groups begin to end − 1."""
         with self._of_one_run(), damage_named(self.path), pq.ParquetFile(self.path, metadata=self._metadata) as file:
-            table = file.read_row_groups(range(begin, end)).combine_chunks()
+            table = file.read_row_groups(range(begin, end), use_threads=False).combine_chunks()
             table.validate()
         if self._of_format_1:
             table = from_format_1(table)
@@ -111,7 +111,7 @@ class StoredTable:
                 ranges.append((found.min, found.max))
                 continue
             with pq.ParquetFile(self.path) as file:
-                steps = file.read_row_group(group, columns=["step"])["step"].drop_null().to_numpy()
+                steps = file.read_row_group(group, columns=["step"], use_threads=False)["step"].drop_null().to_numpy()
             if len(steps):
                 ranges.append((steps.min(), steps.max()))
             else:
