@@ -25,7 +25,7 @@ MENU = {
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
-    "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING"],
+    "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING", "benchmarks/FILMS"],
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
