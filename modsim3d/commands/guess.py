@@ -33,7 +33,7 @@ _STRANGE = (
 
 
 def guess_command(
-    detector: Annotated[Path, typer.Argument(metavar="DETECTOR", help="Detector file to change.")],
+    detector: Annotated[Path, typer.Argument(metavar="DETECTOR", help="Detector file or shipped name to change.")],
     measured_in: Annotated[
         str, typer.Option("--from", metavar="CONDITION", help="Condition that the detector was measured in.")
     ],
@@ -49,6 +49,7 @@ def guess_command(
 
     Example: modsim3d guess detector.yaml --from noon_clear --to foggy_cloudy --out in_fog.yaml
     """
+    from modsim3d.detector.file.finding import find_detector
     from modsim3d.detector.file.reading import load_detector
     from modsim3d.detector.file.writing import detector_text
     from modsim3d.inputs.conditions import find_condition
@@ -58,7 +59,7 @@ def guess_command(
     from modsim3d.outputs.placing import write_files
 
     files = [Path(name) if Path(name).is_file() else find_condition(name) for name in (measured_in, wanted_in)]
-    out = out_file(out, Path("detector.yaml"))
+    detector, out = find_detector(detector), out_file(out, Path("detector.yaml"))
     tell_files([detector, *files])
     with claimed([out], overwrite=overwrite, inputs=[detector, *files]):
         before, after = (

@@ -45,9 +45,10 @@ def check_command(
         loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
     tell_files(loaded.copy.read)
     console = open_console()
-    print_line(console, f"{loaded.path}: no problems found")
-    print_rows(console, "", _rows(loaded))
     warnings = blind_at_first(loaded)
+    found = f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
+    print_line(console, f"{loaded.path}: {found}")
+    print_rows(console, "", _rows(loaded))
     for warning in warnings:
         warn(warning)
     say_json(_check_json(loaded, warnings))

@@ -138,7 +138,13 @@ class Settings:
 
 
 def settings_of(values: Mapping[str, object]) -> list[Setting]:
-    """The settings that the option `--set` gives, from keys with dots to values."""
+    """The settings that the option `--set` gives, from keys with dots to values.
+
+    Raises:
+        TypeError: It is no mapping.
+    """
+    if not isinstance(values, Mapping):
+        raise TypeError(f"settings: a mapping of keys to values is needed (got {type(values).__name__})")
     return [Setting(str(key), plain(value), f"--set {key}") for key, value in values.items()]
 
 

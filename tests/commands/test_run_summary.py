@@ -111,7 +111,8 @@ def test_check_warns_of_the_sign_of_the_pitch(
     with pytest.raises(SystemExit) as stopped:
         cli.main()
     assert not stopped.value.code
-    said = capsys.readouterr().err
+    out, said = capsys.readouterr()
+    assert "no errors, 1 warning" in out
     assert "camera 'C0' sees no vessel in the 29 frames looked at: it looks 23.8° above the horizon" in said
     assert "positive pitch_rad looks down" in said
     assert "ahead of it but below the picture" in said
