@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from modsim3d.motion.poses.arrays import FILE, KEYS, ArrayKeys, pose_file
 from modsim3d.scene.parts import SceneParts, title_of
 from modsim3d.scene.reading import assembled
 from modsim3d.scene.scene import Scene
+from modsim3d.scene.settings import Setting, replacing
 
 DETECTOR_FILE = "detector.yaml"
 """The file in a copy of the scene that holds a detector from no file."""
@@ -47,15 +48,22 @@ def scene_from_dict(
         raise InputError("scene", [f"name: {problem} (got {shown(name)})"])
     try:
         content = {_plain(key): _plain(value) for key, value in data.items() if key not in ("poses", "detector")}
-        _override(content, {"seed": seed, "steps": steps, "detector_seed": detector_seed})
-        annotation = {"mode": mode, "source": source, "supersample": supersample, "render": render}
-        if any(value is not None for value in annotation.values()):
-            _override(content.setdefault("annotation", {}), annotation)
         arrays = _arrays(content, data)
         inline = _inline(content, data.get("detector") if detector is None else detector)
     except RecursionError:
         raise InputError("scene", ["is nested too deeply"]) from None
-    return assembled(_DictParts(name, content, arrays, inline))
+    settings = replacing(
+        {
+            "seed": seed,
+            "steps": steps,
+            "annotation.mode": mode,
+            "annotation.source": source,
+            "annotation.supersample": supersample,
+            "annotation.render": render,
+            "detector_seed": detector_seed,
+        }
+    )
+    return assembled(_DictParts(name, content, arrays, inline, settings))
 
 
 def _arrays(content: dict[str, Any], data: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -78,11 +86,6 @@ def _inline(content: dict[str, Any], detector: object) -> object:
     return None if isinstance(plain, str) else plain
 
 
-def _override(section: Any, values: Mapping[str, Any]) -> None:
-    if isinstance(section, dict):  # validation of the keys reports it otherwise
-        section |= {key: _plain(value) for key, value in values.items() if value is not None}
-
-
 def _plain(value: Any) -> Any:
     """A copy of a value as a YAML file would have it: NumPy's numbers and arrays are numbers and lists."""
     if isinstance(value, Mapping):
@@ -99,7 +102,14 @@ def _plain(value: Any) -> Any:
 class _DictParts(SceneParts):
     """The parts of a scene that is in no file; paths in it are relative to the working directory."""
 
-    def __init__(self, name: str, data: dict[str, Any], arrays: Mapping[str, Any] | None, detector: object) -> None:
+    def __init__(
+        self,
+        name: str,
+        data: dict[str, Any],
+        arrays: Mapping[str, Any] | None,
+        detector: object,
+        settings: Iterable[Setting],
+    ) -> None:
         """Read all parts.
 
         Args:
@@ -107,9 +117,10 @@ class _DictParts(SceneParts):
             data: The content with plain values; where something stands for a file, the file of the scene's copy.
             arrays: The section `poses` if it has arrays.
             detector: Content of a detector file, or a detector that was read; None if `data` names a file.
+            settings: What replaces keys of `data`.
         """
         self._arrays, self._inline = arrays, detector
-        super().__init__(Path(name), data)
+        super().__init__(Path(name), data, settings)
         if arrays is not None and isinstance(self.poses, RecordedPoses) and self.vessels is not None:
             poses, names = self.poses, [vessel.name for vessel in self.vessels]
             self._keep(FILE, lambda: pose_file(poses, names, self.name))

@@ -29,7 +29,7 @@ from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SCENE_FILE, SceneParts
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.settings import Setting, plain, settings_of
+from modsim3d.scene.settings import Setting, replacing, settings_of
 from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.vessel import Vessel
 
@@ -121,8 +121,7 @@ def load_scene(
         "detector": None if detector is None else str(find_detector(detector).absolute()),
         "detector_seed": detector_seed,
     }
-    wanted = [Setting(key, plain(value)) for key, value in given.items() if value is not None]
-    wanted += _state_settings(state, state_from, detector)
+    wanted = [*replacing(given), *_state_settings(state, state_from, detector)]
     return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
 
 

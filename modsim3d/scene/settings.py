@@ -137,6 +137,11 @@ class Settings:
         return content
 
 
+def replacing(values: Mapping[str, object]) -> list[Setting]:
+    """The settings of those keys whose value is given, not None."""
+    return [Setting(key, plain(value)) for key, value in values.items() if value is not None]
+
+
 def settings_of(values: Mapping[str, object]) -> list[Setting]:
     """The settings that the option `--set` gives, from keys with dots to values.
 

@@ -13,6 +13,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^(?P<lead>[^\n]*)\n\n?```(?P<language>\w*)\n(?P<text>.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 SAVED = re.compile(r"[Ss]ave this as `([^`]+)`")
 LONGEST_S = 240
+SUMMARY = "frames "
+"""How the summary of a run begins: what a page shows of one is what its commands print."""
 
 
 def blocks(page):
@@ -33,18 +35,23 @@ def run_shell(text, folder):
         timeout=LONGEST_S,
     )
     assert finished.returncode == 0, f"{text}\n{finished.stdout}\n{finished.stderr}"
+    return finished.stdout
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_a_page_runs_as_printed(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = {"__name__": "__main__"}
+    names, said = {"__name__": "__main__"}, ""
     for language, text, file in blocks(page):
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
         elif language == "bash":
-            run_shell(text, tmp_path)
+            said += run_shell(text, tmp_path)
+        elif language == "text" and text.startswith(SUMMARY):
+            assert {" ".join(line.split()) for line in text.splitlines()} <= {
+                " ".join(line.split()) for line in said.splitlines()
+            }
         elif language == "python":
             exec(compile(text, str(page), "exec"), names)
 

@@ -196,7 +196,12 @@ def test_what_the_caller_sets_replaces_what_stands_there(tmp_path):
     assert settings_of(scene, "none")["seed"] == 9
     with pytest.raises(InputError) as error:
         Scene.from_dict({**good(), "annotation": 7}, mode=1)
-    assert error.value.problems == ("annotation: a mapping of keys is needed (got 7)",)
+    assert "annotation: a mapping of keys is needed (got 7)" in error.value.problems
+    file = yaml.safe_load(load_scene("simulation_1").path.read_text()) | {"annotation": 7, "detector": "thesis"}
+    (tmp_path / "traffic.json").write_text(json.dumps(file))
+    with pytest.raises(InputError) as of_file:
+        load_scene(tmp_path / "traffic.json", mode=1)
+    assert error.value.problems == of_file.value.problems
 
 
 def test_files_of_the_mapping_are_relative_to_the_working_directory(tmp_path, monkeypatch):
