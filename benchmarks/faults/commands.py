@@ -30,7 +30,7 @@ PREPARED = (
     "modsim3d.truth.rendered",
     "modsim3d.ais.traffic",
     "modsim3d.ais.scene_folder",
-    "modsim3d.formats.coco",
+    "modsim3d.formats.writing.coco",
     "modsim3d.learn.report",
     "modsim3d.verify.report",
     "modsim3d.view.report.report",

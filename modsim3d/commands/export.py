@@ -2,46 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, print_written
 from modsim3d.commands.terminal import open_console, tell_files, timed
+from modsim3d.formats.writing.registry import FORMATS
 
-if TYPE_CHECKING:
-    from modsim3d.formats.labelled import LabelledSet
-
-
-class ExportFormat(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """Formats of other programs."""
-
-    coco = "coco"
-
-
-Writer = Callable[["LabelledSet", Path], tuple[Path, ...]]
-"""Writes a labelled set into a folder, and returns the files."""
-
-
-def _coco() -> tuple[tuple[str, ...], Writer]:
-    from modsim3d.formats.coco import FILES, write_coco
-
-    return FILES, write_coco
-
-
-WRITERS: dict[ExportFormat, Callable[[], tuple[tuple[str, ...], Writer]]] = {ExportFormat.coco: _coco}
-"""What gives the names of a format's files and their writer."""
+ExportFormat = Enum("ExportFormat", {name: name for name in FORMATS}, type=str)  # type: ignore[misc]
+_CONTENTS = "; ".join(f"{name} ({format_.content})" for name, format_ in FORMATS.items())
 
 
 def export_command(
     run: RunArgument,
-    format_: Annotated[
-        ExportFormat, typer.Option("--format", metavar="FORMAT", help="Format to write: coco (gt.json and dt.json).")
-    ],
+    format_: Annotated[ExportFormat, typer.Option("--format", metavar="FORMAT", help=f"Format to write: {_CONTENTS}.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    camera: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only this camera; may be given more than once.")
+    ] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -50,16 +31,18 @@ def export_command(
 
     Example: modsim3d export runs/first --format coco --out exported
     """
-    from modsim3d.formats.labelled_run import labelled_run
+    from modsim3d.formats.writing.request import ExportRequest
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.files.replacing import read_of_run
+    from modsim3d.runs.selection import select_cameras
+    from modsim3d.runs.stored_run import open_run
 
-    names, write = WRITERS[format_]()
-    read = read_of_run(run)
-    with claimed([out / name for name in names], overwrite=overwrite, inputs=read):
-        with timed("reading the run"):
-            labelled, _ = labelled_run(run)
-        tell_files(read)
-        with timed("files"):
-            written = write(labelled, out)
-    print_written(open_console(), written)
+    chosen, read = FORMATS[format_.value], read_of_run(run)
+    with timed("opening the run"):
+        opened = open_run(run)
+        request = ExportRequest(opened, tuple(sorted(select_cameras(opened, camera or ()))))
+        paths = [out / name for name in chosen.files(request)]
+    tell_files(read)
+    with claimed(paths, overwrite=overwrite, inputs=read), timed("files"):
+        chosen.write(request, out)
+    print_written(open_console(), paths)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from modsim3d.arrays import Indices
@@ -13,12 +15,18 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 
 
-def labelled_run(run: StoredRun | StrPath) -> tuple[LabelledSet, StoredRun]:
-    """Read a run as a labelled set, with an image for each frame and a condition for each performance state."""
+def labelled_run(run: StoredRun | StrPath, cameras: Sequence[int] | None = None) -> tuple[LabelledSet, StoredRun]:
+    """Read a run as a labelled set, with an image for each frame and a condition for each performance state.
+
+    Args:
+        run: The run.
+        cameras: Indices of the cameras whose images are read; all if None.
+    """
     run = opened_run(run)
     rows, detector = RunRows.of(run), run.scene.detector
-    cameras = len(run.scene.cameras)
-    frames = rows.frames[np.lexsort((rows.frames // cameras, rows.frames % cameras))]  # in order of camera and step
+    count = len(run.scene.cameras)
+    frames = rows.frames[np.lexsort((rows.frames // count, rows.frames % count))]  # in order of camera and step
+    frames = frames[np.isin(frames % count, range(count) if cameras is None else cameras)]
     truth, states = _truth(rows, frames), tuple(state.name for state in detector.states)
     labelled = LabelledSet(detector.labels, states, _images(rows, frames), truth, _results(rows, frames, truth))
     return labelled, run
@@ -40,9 +48,10 @@ def _images(rows: RunRows, frames: Indices) -> Images:
 
 def _truth(rows: RunRows, frames: Indices) -> Annotations:
     """The annotated vessels of all images."""
-    annotated, scene = np.flatnonzero(rows.annotated), rows.scene
+    image, scene = positions(frames, rows.truth_frame), rows.scene
+    annotated = np.flatnonzero(rows.annotated & (image >= 0))
     return Annotations(
-        image=positions(frames, rows.truth_frame[annotated]),
+        image=image[annotated],
         label=indices(rows.truth, "label", scene.detector.labels)[annotated],
         boxes_px=rows.boxes_px("visible" if scene.annotation.mode == 2 else "full")[annotated],
         ignored=np.zeros(len(annotated), dtype=bool),
@@ -57,12 +66,13 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
     """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
     image, vessels = positions(frames, rows.detection_frame), len(rows.scene.vessels)
     own = ~np.isin(indices(rows.detections, "kind", KINDS), FALSE_KINDS) & (rows.detection_vessel >= 0)
+    kept = np.flatnonzero(image >= 0)
     return Results(
-        image=image,
-        label=indices(rows.detections, "label", rows.scene.detector.labels),
-        boxes_px=rows.detection_boxes_px(),
-        confidence=numbers(rows.detections, "confidence"),
+        image=image[kept],
+        label=indices(rows.detections, "label", rows.scene.detector.labels)[kept],
+        boxes_px=rows.detection_boxes_px()[kept],
+        confidence=numbers(rows.detections, "confidence")[kept],
         origin=positions(
-            truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.detection_vessel, NOBODY)
+            truth.image * vessels + truth.identity, np.where(own, image * vessels + rows.detection_vessel, NOBODY)[kept]
         ),
     ).by_image()

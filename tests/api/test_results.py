@@ -13,8 +13,8 @@ import pytest
 
 import modsim3d
 from modsim3d.errors import InputError, ModsimError, OutputError
-from modsim3d.formats.coco import write_coco
 from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco import write_coco
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.motion.poses import LivePoses
 

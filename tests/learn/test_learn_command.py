@@ -12,11 +12,11 @@ from modsim3d.cli import app
 from modsim3d.detector import load_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.formats.coco import write_coco
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
+from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.entries import entries_of
 from modsim3d.learn.gate_bias import bias_of, simulated
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector

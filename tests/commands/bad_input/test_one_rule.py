@@ -14,8 +14,8 @@ import pytest
 import modsim3d
 from modsim3d.cli import app
 from modsim3d.errors import OutputError
-from modsim3d.formats.coco import write_coco
 from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco import write_coco
 from modsim3d.outputs.claims import check_free
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.formats.coco import write_coco
 from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco import write_coco
 from modsim3d.outputs.locks import locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene

@@ -13,9 +13,22 @@ from typing import Any
 import orjson
 
 from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.outputs.placing import write_files
 
 FILES = ("gt.json", "dt.json")
+
+
+def files(request: ExportRequest) -> tuple[str, ...]:
+    """The paths of the files."""
+    return FILES
+
+
+def write(request: ExportRequest, folder: Path) -> None:
+    """Write a run."""
+    labelled, _ = labelled_run(request.run, request.cameras)
+    write_coco(labelled, folder)
 
 
 def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
