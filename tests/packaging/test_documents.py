@@ -24,8 +24,19 @@ def blocks(page):
         yield found["language"], found["text"], Path(saved[1]) if saved else None
 
 
-def run_shell(text, folder):
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+@pytest.fixture(scope="module")
+def commands(tmp_path_factory):
+    """The folder of a `modsim3d` that starts at once."""
+    folder = tmp_path_factory.mktemp("commands")
+    line = [sys.executable, "-m", "tests.packaging.prepared_commands", str(folder)]
+    with subprocess.Popen(line, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout.readline() == "ready\n"
+        yield folder
+        server.stdin.close()
+
+
+def run_shell(text, folder, commands):
+    path = os.pathsep.join([str(commands), str(Path(sys.executable).parent), os.environ["PATH"]])
     finished = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", text],
         cwd=folder,
@@ -39,7 +50,7 @@ def run_shell(text, folder):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_a_page_runs_as_printed(page, tmp_path, monkeypatch):
+def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, commands):
     monkeypatch.chdir(tmp_path)
     names, said = {"__name__": "__main__"}, ""
     for language, text, file in blocks(page):
@@ -47,7 +58,7 @@ def test_a_page_runs_as_printed(page, tmp_path, monkeypatch):
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(text, encoding="utf-8")
         elif language == "bash":
-            said += run_shell(text, tmp_path)
+            said += run_shell(text, tmp_path, commands)
         elif language == "text" and text.startswith(SUMMARY):
             assert {" ".join(line.split()) for line in text.splitlines()} <= {
                 " ".join(line.split()) for line in said.splitlines()

@@ -1,0 +1,82 @@
+"""`modsim3d` for the pages' commands: forks of one process that has imported everything, each started in milliseconds.
+
+    python -m tests.packaging.prepared_commands FOLDER
+
+writes an executable `modsim3d` into the folder and serves it until its standard input ends.
+"""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+from pathlib import Path
+
+from benchmarks.faults.commands import prepare
+
+CLIENT = """\
+#!{python} -IS
+import json, os, socket, sys
+with socket.socket(socket.AF_UNIX) as server:
+    server.connect({address!r})
+    asked = json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode()
+    socket.send_fds(server, [len(asked).to_bytes(8, "big")], [0, 1, 2])
+    server.sendall(asked)
+    sys.exit(int(server.recv(8) or b"1"))
+"""
+
+
+def serve(folder: Path) -> None:
+    """Answer each client with the exit status of its command, which has the client's arguments, folder and files."""
+    prepare()
+    with socket.socket(socket.AF_UNIX) as listening:
+        address = str(folder / "socket")
+        listening.bind(address)
+        listening.listen()
+        client = folder / "modsim3d"
+        client.write_text(CLIENT.format(python=sys.executable, address=address), encoding="utf-8")
+        client.chmod(0o755)
+        print("ready", flush=True)
+        while sys.stdin not in select.select([sys.stdin, listening], [], [])[0]:
+            connection = listening.accept()[0]
+            if os.fork() == 0:
+                listening.close()
+                answer(connection)
+            connection.close()
+            with contextlib.suppress(ChildProcessError):
+                while os.waitpid(-1, os.WNOHANG)[0]:
+                    pass
+
+
+def answer(connection: socket.socket) -> None:
+    """Run the command of a client in a process of its own; a client that goes away takes it along."""
+    length, files, _, _ = socket.recv_fds(connection, 8, 3)
+    arguments, folder, environment = json.loads(connection.recv(int.from_bytes(length, "big"), socket.MSG_WAITALL))
+    command = os.fork()
+    if command == 0:
+        for place, file in enumerate(files):
+            os.dup2(file, place)
+        sys.stdin, sys.stdout, sys.stderr = (open(place, mode, closefd=False) for place, mode in enumerate("rww"))  # noqa: SIM115
+        connection.close()
+        os.chdir(folder)
+        os.environ.clear()
+        os.environ.update(environment)
+        sys.argv = ["modsim3d", *arguments]
+        from modsim3d.cli import main
+
+        sys.exit(main())
+    for file in (0, 1, 2, *files):  # a reader of the command's output waits until nobody can write to it
+        os.close(file)
+    ended = os.pidfd_open(command)
+    if connection in select.select([connection, ended], [], [])[0]:
+        os.kill(command, signal.SIGTERM)
+    status = os.waitstatus_to_exitcode(os.waitpid(command, 0)[1])
+    with contextlib.suppress(BrokenPipeError):
+        connection.sendall(str(status if status >= 0 else 128 - status).encode())
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    serve(Path(sys.argv[1]))
