@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
     from rosbags.rosbag2 import Writer
     from rosbags.typesys.store import Typestore
 
-VERSION = 8
+VERSION: Final = 8
 """Of `metadata.yaml`: ROS 2 Humble cannot read the profiles of version 9, and every newer ROS reads 8."""
 
 

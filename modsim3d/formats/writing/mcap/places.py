@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Mask
 from modsim3d.formats.writing.mcap.messages import Place, quaternions
 from modsim3d.formats.writing.mcap.names import MAP, BagNames
 from modsim3d.geometry.kinematics import first_derivative, slopes
@@ -96,7 +96,7 @@ def _own_motion(
     )
 
 
-def vessels_in_map(scene: Scene, first: int, stop: int) -> list[tuple[Place, Array]]:
+def vessels_in_map(scene: Scene, first: int, stop: int) -> list[tuple[Place, Mask]]:
     """All vessels at steps first to stop − 1, and whether each is present, shape (stop − first,): the truth."""
     motion = scene.motion.at(np.arange(first, stop))
     found = []

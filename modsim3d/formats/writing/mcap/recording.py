@@ -10,11 +10,10 @@ from modsim3d.arrays import Indices
 from modsim3d.formats.writing.mcap.bag import Bag
 from modsim3d.formats.writing.mcap.boxes import Boxes, detected_boxes, true_boxes
 from modsim3d.formats.writing.mcap.definitions import CAMERA_INFO, DETECTIONS, IMU, ODOMETRY, TRANSFORMS
-from modsim3d.formats.writing.mcap.messages import Messages
+from modsim3d.formats.writing.mcap.messages import Messages, Place
 from modsim3d.formats.writing.mcap.names import BagNames
 from modsim3d.formats.writing.mcap.places import (
     OwnMotion,
-    Place,
     moving_cameras,
     own_motions,
     static_places,
