@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mcap.reader import make_reader
 from mcap.records import Chunk
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
@@ -123,14 +122,12 @@ def plain(message: Any) -> Any:
     return message
 
 
-def all_bytes(bag: Path) -> Iterator[bytes]:
-    """The bytes of all files of a bag, and those of the compressed parts as they were before."""
-    for path in bag.iterdir():
-        yield path.read_bytes()
+def all_bytes(bag: Path) -> bytes:
+    """The bytes of all files of a bag, none of which is compressed."""
     with (bag / f"{bag.name}.mcap").open("rb") as stream:
-        for record in StreamReader(stream, emit_chunks=True).records:
-            if isinstance(record, Chunk):
-                yield get_chunk_data_stream(record)[0].read(record.uncompressed_size)
+        parts = [record for record in StreamReader(stream, emit_chunks=True).records if isinstance(record, Chunk)]
+    assert parts and {part.compression for part in parts} == {""}
+    return b"\n".join(path.read_bytes() for path in bag.iterdir())
 
 
 def stamp_of(header: Any) -> int:

@@ -39,12 +39,13 @@ class Bag:
 
 @contextmanager
 def open_bag(folder: Path, store: Typestore) -> Iterator[Bag]:
-    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`."""
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`.
 
-    writer = Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
+    It is not compressed: the bytes of zstd depend on which copy of its library the process has loaded.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
         yield Bag(writer, store)
 
 

@@ -61,7 +61,7 @@ def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
         same = [names[other] for other, known in tokens.items() if known == token]
         if same:
             problem = f"{kind}s '{same[0]}' and '{name}' are both called '{token}' in ROS"
-            raise InputError(source, [f"{problem}: export their cameras one by one with --camera, or rename one"])
+            raise InputError(source, [f"{problem}: rename one, or export one at a time with --camera"])
         tokens[index] = token
     return tokens
 
