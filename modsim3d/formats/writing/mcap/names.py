@@ -19,8 +19,8 @@ class BagNames:
 
     Attributes:
         cameras: For each camera, by its index, its name in topics and frames.
-        vessels: For each vessel that carries one of these, by its index, what comes before its topics and frames: its
-            name and a slash where vessels of the scene carry cameras, and nothing where only one does.
+        vessels: For each vessel that carries one of these, by its index, the prefix of its topics and frames: its name
+            and a slash, or nothing if it is the only vessel of the scene that carries cameras.
     """
 
     cameras: Mapping[int, str]
