@@ -113,6 +113,15 @@ class StoredRun:
             if wanted:
                 yield from frames_of(self._block(start, end, wanted), self.scene, wanted)
 
+    def blocks(self) -> Iterator[Block]:
+        """Truth and detections of all steps that are there, in blocks of steps as columns: faster than `frames()`.
+
+        Raises:
+            RunDirectoryError: A row of a table is not what a run has written.
+        """
+        for first, stop in self._ranges():
+            yield self._block(first, stop, range(first, stop))
+
     def frame(self, camera: str, step: int) -> Frame:
         """The frame that a camera took at a step.
 

@@ -40,4 +40,5 @@ class Format:
 
 FORMATS = {
     "coco": Format("coco", "gt.json and dt.json"),
+    "mcap": Format("mcap", "ROS 2 bags: detections, and truth apart"),
 }
