@@ -39,7 +39,7 @@ def position_fields(station: Station, seen: Measured, row: int, at_rest: bool, b
     """
     speed, course = float(seen.speed_kn[row]), float(seen.course_deg[row])
     fields: Fields = {
-        "type": 18 if station.ais_class == "B" else 3 if between else 1,
+        "msg_type": 18 if station.ais_class == "B" else 3 if between else 1,
         "mmsi": station.mmsi,
         "lat": float(seen.latitude_deg[row]),
         "lon": float(seen.longitude_deg[row]),
@@ -52,7 +52,12 @@ def position_fields(station: Station, seen: Measured, row: int, at_rest: bool, b
         return fields | flags | {"heading": NO_HEADING, "radio": CARRIER_SENSE_STATE}
     turn = turn_field(float(seen.turn_deg_min[row])) if station.length_m >= HEADING_FROM_M else NO_TURN
     status = AT_ANCHOR if at_rest else UNDER_WAY
-    return fields | {"heading": round(float(seen.heading_deg[row])) % 360, "turn": turn, "status": status}
+    return fields | {
+        "heading": round(float(seen.heading_deg[row])) % 360,
+        "turn": turn,
+        "status": status,
+        "maneuver": 0,
+    }
 
 
 def turn_field(turn_deg_min: float) -> float:
@@ -70,14 +75,14 @@ def static_fields(station: Station, part: int) -> Fields:
     name, call_sign = {"shipname": station.ship_name}, {"callsign": station.call_sign}
     fields: Fields = {"mmsi": station.mmsi, "ship_type": station.ship_type, **sides, **call_sign}
     if station.ais_class == "A":
-        return fields | name | {"type": 5, "epfd": BY_GPS, "hour": NO_HOUR, "minute": NO_MINUTE}
+        return fields | name | {"msg_type": 5, "epfd": BY_GPS, "hour": NO_HOUR, "minute": NO_MINUTE}
     # The number of the mother ship is for the tenders of ships, whose MMSI begins with 98.
-    return fields | name | {"type": 24, "partno": part, "mothership_mmsi": 0}
+    return fields | name | {"msg_type": 24, "partno": part, "mothership_mmsi": 0}
 
 
 def payload(fields: Fields) -> tuple[str, int]:
     """The encoded message, and how many bits fill up its last character."""
-    encoded: tuple[str, int] = data_to_payload(fields["type"], fields).encode()
+    encoded: tuple[str, int] = data_to_payload(fields["msg_type"], fields).encode()
     return encoded
 
 

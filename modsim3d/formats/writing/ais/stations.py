@@ -59,12 +59,12 @@ class Station:
     @property
     def ship_name(self) -> str:
         """A made-up name."""
-        return f"SIM {self.mmsi % MADE_UP_NUMBERS:06d}"
+        return f"SIM {self.mmsi:09d}"
 
     @property
     def call_sign(self) -> str:
-        """A made-up call sign."""
-        return f"S{self.mmsi % MADE_UP_NUMBERS:06d}"
+        """A made-up call sign, of seven letters and digits at most."""
+        return f"S{np.base_repr(self.mmsi, 36)}"
 
 
 def stations(scene: Scene, own: Collection[int]) -> tuple[Station, ...]:
