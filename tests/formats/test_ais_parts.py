@@ -17,7 +17,14 @@ from modsim3d.formats.writing.ais.reporting import (
     rate,
     static_schedule,
 )
-from modsim3d.formats.writing.ais.sensors import COMPASS_NOISE_DEG, COMPASS_OFFSET_DEG, KNOT_M_S, Measured, measured
+from modsim3d.formats.writing.ais.sensors import (
+    COMPASS_NOISE_DEG,
+    COMPASS_OFFSET_DEG,
+    KNOT_M_S,
+    Measured,
+    Noise,
+    measured,
+)
 from modsim3d.formats.writing.ais.sentences import (
     EPOCH_S,
     NO_TURN,
@@ -212,6 +219,10 @@ def test_nothing_is_sent_before_there_is_a_fix_or_after_the_vessel_has_left():
 # ---- how it is measured ---------------------------------------------------------------------------------------------
 
 
+def noise(vessel, streams):
+    return Noise.of(vessel, streams, 401)
+
+
 def resting(times_s, heading_rad=0.3, velocity=(0.0, 0.0)):
     n = len(times_s)
     return Stay(
@@ -224,7 +235,7 @@ def test_positions_scatter_as_asked_and_their_errors_last():
     streams, origin, stay = Streams(4), (56.0, 12.0), resting(np.array([0, 1, 400]))
     errors = []
     for vessel in range(500):
-        found = measured(stay, f"v{vessel}", streams, origin, 3.0)
+        found = measured(stay, noise(f"v{vessel}", streams), origin, 3.0)
         errors.append(local_metres(found.latitude_deg, found.longitude_deg, origin) - [1000.0, -500.0])
     scaled = np.array(errors) / 3.0  # vessel, second, axis
     for second in range(3):
@@ -233,13 +244,13 @@ def test_positions_scatter_as_asked_and_their_errors_last():
     shared = np.corrcoef(scaled[:, 0].ravel(), scaled[:, 1].ravel())[0, 1]
     assert shared == pytest.approx(0.99, abs=0.003)
     assert abs(np.corrcoef(scaled[:, 0].ravel(), scaled[:, 2].ravel())[0, 1]) < 0.12  # 0.99⁴⁰⁰ = 0.018
-    exact = measured(stay, "v0", streams, origin, 0.0)
+    exact = measured(stay, noise("v0", streams), origin, 0.0)
     assert local_metres(exact.latitude_deg, exact.longitude_deg, origin) == pytest.approx(np.tile([1000, -500], (3, 1)))
 
 
 def test_speed_course_and_heading_scatter_about_the_truth():
     streams, stay = Streams(9), resting(np.arange(400), velocity=(3.0, 4.0))
-    found = [measured(stay, f"v{k}", streams, (0.0, 0.0), 3.0) for k in range(60)]
+    found = [measured(stay, noise(f"v{k}", streams), (0.0, 0.0), 3.0) for k in range(60)]
     speed = np.array([each.speed_kn for each in found]) * KNOT_M_S
     assert speed.mean() == pytest.approx(5.0, abs=0.002)
     assert speed.std() == pytest.approx(0.05, rel=0.03)
@@ -258,12 +269,12 @@ def test_headings_are_from_true_north_where_the_vessel_is(origin):
     """North of a place, found by a step along its meridian, against the world's second axis."""
     stay = resting(np.array([0]))
     stay = Stay(stay.times_s, 0.0, np.array([[30_000.0, 8000.0]]), stay.velocity_m_s, *([np.zeros(1)] * 2), True)
-    found = measured(stay, "x", Streams(0), origin, 0.0)
+    found = measured(stay, noise("x", Streams(0)), origin, 0.0)
     step = local_metres(found.latitude_deg + np.array([0.0, 1e-4]), found.longitude_deg.repeat(2), origin)
     east, north = np.diff(step, axis=0)[0]
     offset = float(found.heading_deg[0]) - (90 - np.rad2deg(np.arctan2(east, north)))
     assert abs(offset) < 5 * np.hypot(COMPASS_OFFSET_DEG, COMPASS_NOISE_DEG)
-    flat = measured(resting(np.array([0]), 0.0), "x", Streams(0), (0.0, 0.0), 0.0)
+    flat = measured(resting(np.array([0]), 0.0), noise("x", Streams(0)), (0.0, 0.0), 0.0)
     assert offset == pytest.approx(float(flat.heading_deg[0]) - 90, abs=0.02)
 
 
@@ -331,12 +342,12 @@ def test_rate_of_turn_is_sent_as_its_root_positive_to_starboard(turn, side):
 
 def test_static_data_come_back_without_the_vessels_id():
     ship = sent(static_fields(station(), 0))
-    assert (ship.msg_type, ship.shipname, ship.callsign, ship.ship_type) == (5, "SIM 219000001", "S3MDXHT", 60)
+    assert (ship.msg_type, ship.shipname, ship.callsign, ship.ship_type) == (5, "SIM 219000001", "S3MDXHD", 60)
     assert (ship.to_bow, ship.to_stern, ship.to_port, ship.to_starboard) == (60, 30, 7, 8)
     assert (ship.month, ship.day, ship.hour, ship.minute, ship.imo, ship.draught) == (0, 0, 24, 60, 0, 0)
     name, size = (sent(static_fields(station("B"), part)) for part in (0, 1))
     assert (name.msg_type, name.partno, name.shipname) == (24, 0, "SIM 219000001")
-    assert (size.msg_type, size.partno, size.callsign, size.to_bow, size.to_starboard) == (24, 1, "S3MDXHT", 60, 8)
+    assert (size.msg_type, size.partno, size.callsign, size.to_bow, size.to_starboard) == (24, 1, "S3MDXHD", 60, 8)
     assert sent(static_fields(station("B", mmsi=982190001), 1)).mothership_mmsi == 0
 
 

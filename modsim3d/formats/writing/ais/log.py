@@ -19,7 +19,7 @@ from modsim3d.formats.writing.ais.reporting import (
     rate,
     static_schedule,
 )
-from modsim3d.formats.writing.ais.sensors import Measured, measured
+from modsim3d.formats.writing.ais.sensors import Measured, Noise, measured
 from modsim3d.formats.writing.ais.sentences import lines, payload, position_fields, static_fields
 from modsim3d.formats.writing.ais.stations import NO_CLASS, Station, stations
 from modsim3d.formats.writing.ais.stays import Stay, stays
@@ -110,7 +110,8 @@ def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[
     """All reports that are received in the first steps of a scene, those of one station after another."""
     streams = Streams(scene.seed)
     for station, found in zip(carried, stays(scene, steps, carried), strict=True):
-        sender = _Sender(scene, station, streams)
+        seconds = int(found[-1].times_s[-1]) + 1 if found else 0
+        sender = _Sender(scene, station, streams, Noise.of(station.name, streams, seconds))
         for number, stay in enumerate(found):
             yield from sender.reports(stay, number)
 
@@ -118,14 +119,14 @@ def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[
 class _Sender:
     """A station at work; it counts what it sends."""
 
-    def __init__(self, scene: Scene, station: Station, streams: Streams) -> None:
-        self._scene, self._station, self._streams = scene, station, streams
+    def __init__(self, scene: Scene, station: Station, streams: Streams, noise: Noise) -> None:
+        self._scene, self._station, self._streams, self._noise = scene, station, streams, noise
         self._sent = [0, 0, 0]
 
     def reports(self, stay: Stay, number: int) -> Iterator[Report]:
         """What is received during a stay; `number` is its own, from 0."""
         station, scene = self._station, self._scene
-        seen = measured(stay, station.name, self._streams, scene.origin or NOWHERE, scene.ais.position_noise_m)
+        seen = measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
         phases = self._streams.uniforms(Purpose.AIS_PHASE, station.name, first=number, count=1)[0].tolist()
         if station.own:
             yield from self._own_positions(seen, stay)

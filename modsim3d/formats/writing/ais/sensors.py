@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-from modsim3d.ais.geography import places
+from modsim3d.ais.geography import places, wrapped_deg
 from modsim3d.arrays import Array, Indices
 from modsim3d.formats.writing.ais.stays import Stay
 from modsim3d.random_streams import Purpose, Streams, grid_normals
@@ -44,35 +44,52 @@ class Measured:
     turn_deg_min: Array
 
 
-def measured(
-    stay: Stay, vessel: str, streams: Streams, origin: tuple[float, float], position_noise_m: float
-) -> Measured:
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard normal errors of a vessel's sensors at each second of a run, from the first step on.
+
+    Attributes:
+        position: Along w1 and w2; what is left of them lasts. Shape (n, 2).
+        velocity: The same of the velocity, shape (n, 2).
+        heading: Of the compass from second to second, shape (n,).
+        heading_offset: Of the compass all the time.
+    """
+
+    position: Array
+    velocity: Array
+    heading: Array
+    heading_offset: float
+
+    @classmethod
+    def of(cls, vessel: str, streams: Streams, seconds: int) -> Noise:
+        """The errors of a vessel by its ID, for a number of seconds."""
+        drawn = grid_normals(streams.uniforms(Purpose.AIS_SENSORS, vessel, first=0, count=seconds))
+        offset = grid_normals(streams.uniforms(Purpose.AIS_COMPASS, vessel, first=0, count=1))
+        return cls(_lasting(drawn[:, :2]), drawn[:, 2:4], drawn[:, 4], float(offset[0, 0]))
+
+
+def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noise_m: float) -> Measured:
     """What the sensors of a vessel measure during a stay.
 
     Args:
         stay: Where the vessel is.
-        vessel: Its ID, which keys the noise.
-        streams: Random numbers of the run.
+        noise: Errors of its sensors, to the end of the stay at least.
         origin: Latitude and longitude of w1 = w2 = 0.
         position_noise_m: Standard deviation of a position along each axis.
     """
-    count = int(stay.times_s[-1]) + 1
-    noise = grid_normals(streams.uniforms(Purpose.AIS_SENSORS, vessel, first=0, count=count))
-    offset = grid_normals(streams.uniforms(Purpose.AIS_COMPASS, vessel, first=0, count=1))[0, 0]
-    wander = position_noise_m * _lasting(noise[:, :2])[stay.times_s]
-    noise = noise[stay.times_s]
-    latitude, longitude = places(stay.antenna_m + wander, origin)
-    velocity = stay.velocity_m_s + VELOCITY_NOISE_M_S * noise[:, 2:4]
+    now = stay.times_s
+    latitude, longitude = places(stay.antenna_m + position_noise_m * noise.position[now], origin)
+    velocity = stay.velocity_m_s + VELOCITY_NOISE_M_S * noise.velocity[now]
     # True north differs from w2 by the convergence of the meridians.
-    north = np.asarray((longitude - origin[1] + 180) % 360 - 180) * np.sin(np.deg2rad(latitude))
+    north = wrapped_deg(longitude - origin[1]) * np.sin(np.deg2rad(latitude))
     heading = 90 - np.rad2deg(stay.heading_rad) + north
     return Measured(
-        times_s=stay.times_s,
+        times_s=now,
         latitude_deg=latitude,
         longitude_deg=longitude,
         speed_kn=np.linalg.norm(velocity, axis=1) / KNOT_M_S,
         course_deg=np.rad2deg(np.arctan2(velocity[:, 0], velocity[:, 1])) + north,
-        heading_deg=heading + COMPASS_OFFSET_DEG * offset + COMPASS_NOISE_DEG * noise[:, 4],
+        heading_deg=heading + COMPASS_OFFSET_DEG * noise.heading_offset + COMPASS_NOISE_DEG * noise.heading[now],
         turn_deg_min=-60 * np.rad2deg(stay.turn_rad_s),
     )
 
@@ -80,5 +97,5 @@ def measured(
 def _lasting(noise: Array) -> Array:
     """A first-order process with the variance of white noise, shape (n, k), that it is made of."""
     driven = np.sqrt(1 - POSITION_KEPT**2) * noise
-    driven[0] = noise[0]
+    driven[:1] = noise[:1]
     return np.asarray(signal.lfilter([1.0], [1.0, -POSITION_KEPT], driven, axis=0))
