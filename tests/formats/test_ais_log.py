@@ -22,7 +22,9 @@ from modsim3d.errors import ModsimError
 from modsim3d.formats.writing.ais.log import files, notes, reports, write
 from modsim3d.formats.writing.ais.sentences import EPOCH_S
 from modsim3d.formats.writing.ais.stations import stations
+from modsim3d.formats.writing.ais.stays import stays
 from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.random_streams import Streams
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
@@ -295,6 +297,41 @@ def test_blocks_of_steps_do_not_show(monkeypatch):
     whole = list(reports(scene, 100, stations(scene, ())))
     monkeypatch.setattr("modsim3d.formats.writing.ais.stays.BLOCK_STEPS", 7)
     assert list(reports(scene, 100, stations(scene, ()))) == whole
+
+
+def test_no_random_number_is_used_twice(monkeypatch):
+    drawn: list[tuple[Any, ...]] = []
+    uniforms = Streams.uniforms
+
+    def recorded(self, purpose, *names, first, count):
+        drawn.extend((purpose, *names, step) for step in range(first, first + count))
+        return uniforms(self, purpose, *names, first=first, count=count)
+
+    monkeypatch.setattr(Streams, "uniforms", recorded)
+    scene = scene_of()
+    assert list(reports(scene, STEPS, stations(scene, ())))
+    assert len(drawn) == len(set(drawn)) > 0
+
+
+def test_a_track_is_steady_where_the_heading_passes_the_world_s_first_axis():
+    scene = scene_of()
+    turner = [station for station in stations(scene, ()) if station.name == "turner"]
+    ((stay,),) = stays(scene, STEPS, turner)
+    assert np.rad2deg(stay.turn_rad_s) == pytest.approx(1.0, abs=1e-6)
+    assert np.linalg.norm(stay.velocity_m_s, axis=1) == pytest.approx(np.deg2rad(1) * np.hypot(250, 15), rel=1e-3)
+    assert np.rad2deg(np.ptp(stay.heading_rad)) == pytest.approx(STEPS - 1)
+    assert not stay.at_rest
+
+
+def test_what_is_lost_is_others():
+    """Own ship's receiver has its reports from its own station; class B sends its size after its name."""
+    scene = scene_of(ais={"drop_out": 1})
+    assert {(each.own, each.kind) for each in reports(scene, 20, stations(scene, (0,)))} == {(True, 0), (True, 1)}
+    scene = scene_of(ais={"vessels": {"sloop": "B"}, "drop_out": 0})
+    sloop = next(station for station in stations(scene, ()) if station.name == "sloop")
+    found = list(reports(scene, STEPS, (sloop,)))
+    name, size = (next(each.time_s for each in found if each.kind == kind) for kind in (1, 2))
+    assert 26 <= (size - name) % 360 <= 34
 
 
 # ---- read by modsim3d ais -------------------------------------------------------------------------------------------

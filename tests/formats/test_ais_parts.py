@@ -10,6 +10,7 @@ from scipy import stats
 from modsim3d.ais.geography import local_metres, places
 from modsim3d.formats.writing.ais.reporting import (
     Rate,
+    Schedule,
     changes_course,
     due_times,
     heard,
@@ -214,6 +215,9 @@ def test_nothing_is_sent_before_there_is_a_fix_or_after_the_vessel_has_left():
     assert found.times_s.min() >= 50.2 and found.times_s.max() <= 61
     assert (found.rows >= 0).all()
     assert (times[found.rows] <= found.times_s).all()
+    late = Schedule(np.full(200, 60.5), np.full(200, 2.0))
+    found = heard(late, times, 61.0, 0.0, np.random.default_rng(1).random((200, 2)))
+    assert 60 < len(found.times_s) < 160 and found.times_s.max() <= 61
 
 
 # ---- how it is measured ---------------------------------------------------------------------------------------------
