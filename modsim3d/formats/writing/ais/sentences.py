@@ -27,7 +27,7 @@ AT_ANCHOR, UNDER_WAY = 1, 0
 BY_GPS = 1
 NO_HOUR, NO_MINUTE = 24, 60
 CARRIER_SENSE_STATE = 0b1_1100000000000000110
-"""What class B "CS" sends where others tell about their slots (ITU-R M.1371-5, annex 8, § 3.16)."""
+"""What class B "CS" sends where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
 
 Fields = dict[str, Any]
 
