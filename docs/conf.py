@@ -20,7 +20,15 @@ ROOT = Path(__file__).resolve().parent.parent
 
 MENU = {
     "First steps": ["README", "docs/run", "docs/limits"],
-    "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
+    "Build a scene": [
+        "docs/scene",
+        "docs/poses",
+        "docs/cameras",
+        "docs/waves",
+        "docs/shapes",
+        "docs/ais",
+        "docs/ais_out",
+    ],
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
     "Give it to a tracker": ["docs/ros"],

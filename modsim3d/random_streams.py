@@ -40,6 +40,10 @@ class Purpose(Enum):
     WAVE_ANGLES = "waves", 3, "noise of roll, pitch and yaw in waves without a spectrum (vessel)"
     IMU_NOISE = "imu_noise", 6, "noise of an inertial unit's rates and specific force (vessel)"
     IMU_BIAS = "imu_bias", 6, "offset of an inertial unit's rates and specific force (vessel)"
+    AIS_PHASE = "ais.phase", 2, "phases of position and static reports since a vessel came (vessel)"
+    AIS_SLOT = "ais.slot", 2, "time within its interval and loss of a report (vessel, kind of report)"
+    AIS_SENSORS = "ais.sensors", 5, "noise of position, velocity and heading each second (vessel)"
+    AIS_COMPASS = "ais.compass", 1, "constant error of a compass (vessel)"
     PLUGIN = "plug-in", None, "whatever a plug-in draws (name of the plug-in, names of its choice)"
 
     STATE = "detector.state", 1, "transitions of the performance state (camera, if each has its own chain)"

@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 
 from modsim3d.arrays import Array, Mask
 
+SEA_LEVEL_STEPS = 4
+"""Each step takes the height above the ellipsoid off the height above the tangent plane."""
+
 
 def wrapped_deg(angle_deg: ArrayLike) -> Array:
     """Angles of any shape, brought into [−180, 180)."""
@@ -53,6 +56,21 @@ def local_metres(latitude_deg: Array, longitude_deg: Array, origin: tuple[float,
 
     east, north, _ = pymap3d.geodetic2enu(latitude_deg, longitude_deg, 0.0, *origin, 0.0)
     return np.stack([np.asarray(east, dtype=np.float64), np.asarray(north, dtype=np.float64)], axis=-1)
+
+
+def places(metres: Array, origin: tuple[float, float]) -> tuple[Array, Array]:
+    """Latitude and longitude of places at sea level, shape (n,) each, from metres east and north of an origin, (n, 2).
+
+    The other way round than `local_metres`, to a millimetre within 200 km.
+    """
+    import pymap3d
+
+    east, north = metres[:, 0], metres[:, 1]
+    up = np.zeros(len(metres))
+    for _ in range(SEA_LEVEL_STEPS):
+        latitude, longitude, height = pymap3d.enu2geodetic(east, north, up, *origin, 0.0)
+        up = up - np.asarray(height, dtype=np.float64)
+    return np.asarray(latitude, dtype=np.float64), wrapped_deg(longitude)
 
 
 def median_place(latitude_deg: Array, longitude_deg: Array) -> tuple[float, float]:

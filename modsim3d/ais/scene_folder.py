@@ -23,10 +23,11 @@ SCENE, REPORT = "scene.yaml", "report.json"
 FILES = (SCENE, REPORT, "vessels.json", "detector.yaml", "poses.json.gz")
 SCENE_TEXT = """\
 # Traffic from AIS: {vessels} vessels from {start}, one step every {time_step:g} s; made by `modsim3d ais`.
-# w1 points east, w2 north of latitude {latitude:.7f}, longitude {longitude:.7f}. report.json says what was left out
+# w1 points east, w2 north of the origin. report.json says what was left out
 # and what was filled in; the identities in vessels.json are MMSI, and every air draft is typical of the ship type.
 steps: {steps}
 seed: 0
+origin: {{latitude_deg: {latitude:.7f}, longitude_deg: {longitude:.7f}}}
 vessels: vessels.json
 poses: {{file: poses.json.gz}}
 cameras:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, print_written
-from modsim3d.commands.terminal import open_console, tell_files, timed
+from modsim3d.commands.terminal import open_console, tell_files, timed, warn
 from modsim3d.formats.writing.registry import FORMATS
 
 ExportFormat = Enum("ExportFormat", {name: name for name in FORMATS}, type=str)  # type: ignore[misc]
@@ -46,3 +46,5 @@ def export_command(
     with claimed(paths, overwrite=overwrite, inputs=read), timed("files"):
         chosen.write(request, out)
     print_written(open_console(), paths)
+    for note in chosen.notes(request):
+        warn(note)

@@ -9,6 +9,7 @@ import numpy as np
 from modsim3d.arrays import Indices
 from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera
+from modsim3d.inputs.validation import nearest
 from modsim3d.scene.scene import Scene
 from modsim3d.vessels.obstacles import PREFIX
 
@@ -22,6 +23,11 @@ def scene_problems(scene: Scene) -> list[str]:
         f"cameras.{camera.name}.distortion: {problem}"
         for camera in scene.cameras
         if (problem := camera.intrinsics.lens_problem())
+    ]
+    problems += [
+        f"ais.vessels.{name}: no vessel '{name}' ({nearest(name, scene.vessel_names)})"
+        for name in scene.ais.vessels
+        if name not in scene.vessel_names
     ]
     if scene.live:
         return problems + _live_problems(scene)

@@ -187,6 +187,21 @@ class ImuKeys(Strict):
     acceleration_bias_m_s2: NotNegative = 0.0
 
 
+class OriginKeys(Strict):
+    """The place on the Earth where w1 = w2 = 0; w1 points east, w2 north."""
+
+    latitude_deg: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-90, le=90)]
+    longitude_deg: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-180, le=180)]
+
+
+class AisKeys(Strict):
+    """The AIS equipment of the vessels, for `modsim3d export --format ais`."""
+
+    vessels: dict[str, Literal["A", "B", "none"]] = Field(default_factory=dict)
+    drop_out: Probability = 0.05
+    position_noise_m: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1000)] = 3.0
+
+
 class ObstacleKeys(Strict):
     """An obstacle: a prism over a polygon, or a mesh."""
 
@@ -238,6 +253,8 @@ class SceneKeys(Strict):
     sea: Literal["flat", "curved"] = "flat"
     obstacles: dict[str, ObstacleKeys] = Field(default_factory=dict)
     imu: ImuKeys | None = None
+    origin: OriginKeys | None = None
+    ais: AisKeys = AisKeys()
     annotation: AnnotationKeys = AnnotationKeys()
     detector: str
 

@@ -24,6 +24,7 @@ from modsim3d.motion.vessel_motion import Waves
 from modsim3d.motion.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 from modsim3d.motion.waves.levels import Axes
 from modsim3d.paths import StrPath, as_path
+from modsim3d.scene.ais import Ais
 from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
@@ -166,6 +167,8 @@ def assembled(parts: SceneParts) -> Scene:
         obstacles=parts.obstacles,
         waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
         imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
+        origin=(keys.origin.latitude_deg, keys.origin.longitude_deg) if keys.origin else None,
+        ais=Ais(**keys.ais.model_dump()),
         plugins=parts.plugins,
     )
     problems = scene_problems(scene)

@@ -19,6 +19,7 @@ from modsim3d.inputs.plugins import Plugin
 from modsim3d.motion.imu import PERFECT_IMU, Imu
 from modsim3d.motion.poses import LivePoses, PoseSource, times_s
 from modsim3d.motion.vessel_motion import PosesInWaves, VesselMotion, Waves
+from modsim3d.scene.ais import USUAL_AIS, Ais
 from modsim3d.scene.copy import SceneCopy
 from modsim3d.scene.frame_timing import takes_frame
 from modsim3d.scene.parts import title_of
@@ -55,6 +56,8 @@ class Scene:
         sea: `flat` or `curved`.
         obstacles: Obstacles in the order of the scene file.
         imu: Inertial unit on board each vessel that carries a camera.
+        origin: Latitude and longitude in degrees of w1 = w2 = 0, if the scene lies on the Earth.
+        ais: AIS equipment of the vessels.
         plugins: Plug-ins that the scene uses.
     """
 
@@ -75,6 +78,8 @@ class Scene:
     sea: str = "flat"
     obstacles: tuple[Obstacle, ...] = ()
     imu: Imu = PERFECT_IMU
+    origin: tuple[float, float] | None = None
+    ais: Ais = USUAL_AIS
     plugins: tuple[Plugin, ...] = ()
 
     def __repr__(self) -> str:

@@ -18,7 +18,7 @@ class Format:
 
     Attributes:
         module: Module below this package that writes it. It has `files`, which gives the paths inside the folder before
-            anything is done, and `write`, which writes them all.
+            anything is done, and `write`, which writes them all. It may have `notes`.
         content: What it writes, for the command's help.
     """
 
@@ -29,6 +29,12 @@ class Format:
         """Paths, relative to the folder, of the files that `write` will write."""
         paths: tuple[str, ...] = self._imported().files(request)
         return paths
+
+    def notes(self, request: ExportRequest) -> tuple[str, ...]:
+        """What the user should know of the files."""
+        module = self._imported()
+        told: tuple[str, ...] = module.notes(request) if hasattr(module, "notes") else ()
+        return told
 
     def write(self, request: ExportRequest, folder: Path) -> None:
         """Write the files into a folder, which is made where it is not there."""
@@ -41,4 +47,5 @@ class Format:
 FORMATS = {
     "coco": Format("coco", "gt.json and dt.json"),
     "mcap": Format("mcap", "ROS 2 bags: detections, and truth apart"),
+    "ais": Format("ais.log", "the log of an AIS receiver, ais.nmea, and ais_truth.csv"),
 }
