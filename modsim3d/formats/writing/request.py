@@ -14,10 +14,12 @@ class ExportRequest:
     Attributes:
         run: The run.
         cameras: Indices into the scene's cameras, ascending.
+        masks: Whether the pixels of the vessels are written too.
     """
 
     run: StoredRun
     cameras: tuple[int, ...]
+    masks: bool = False
 
     @property
     def camera_names(self) -> tuple[str, ...]:
