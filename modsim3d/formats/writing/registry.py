@@ -51,4 +51,6 @@ class Format:
 
 FORMATS = {
     "coco": Format("coco", "gt.json and dt.json", options=("--masks",)),
+    "mot": Format("mot", "sequences of MOTChallenge for trackers and their evaluators"),
+    "yolo": Format("yolo", "labels, predictions and data.yaml"),
 }

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+from modsim3d.formats.writing.sequences import CameraSequence, camera_sequences
 from modsim3d.runs.stored_run import StoredRun
 
 
@@ -20,6 +22,11 @@ class ExportRequest:
     run: StoredRun
     cameras: tuple[int, ...]
     masks: bool = False
+
+    @cached_property
+    def sequences(self) -> tuple[CameraSequence, ...]:
+        """The frames of the cameras, with what is true in them and what a tracker may read of them."""
+        return camera_sequences(self.run, self.cameras)
 
     @property
     def camera_names(self) -> tuple[str, ...]:
