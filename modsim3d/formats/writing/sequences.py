@@ -38,6 +38,8 @@ class TrueBoxes(_Rows):
         annotated: Whether it was given to the detector, shape (n,).
         boxes_px: The box of the annotation mode, or the whole vessel's where it is not annotated, shape (n, 4).
         visible_fraction: NaN where unknown, shape (n,).
+        silhouette_px: Pixels of the whole vessel, hidden or not, shape (n,).
+        visible_px: Pixels of it that are visible; NaN where unknown, shape (n,).
     """
 
     frame: Indices
@@ -46,6 +48,8 @@ class TrueBoxes(_Rows):
     annotated: Mask
     boxes_px: Array
     visible_fraction: Array
+    silhouette_px: Array
+    visible_px: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +121,7 @@ def _truth(rows: RunRows, frames: Indices) -> TrueBoxes:
         indices(rows.truth, "label", labels),
         rows.annotated,
         np.where(rows.annotated[:, None], rows.annotated_boxes_px, rows.boxes_px("full")),
-        rows.numbers("visible_fraction"),
+        *(rows.numbers(name) for name in ("visible_fraction", "silhouette_px", "visible_px")),
     )
     order = np.lexsort((every.vessel, every.frame))
     return every.take(order[every.frame[order] >= 0])
