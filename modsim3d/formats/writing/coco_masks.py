@@ -78,8 +78,8 @@ def _block_entries(
         vessel = int(truth.vessel[row])
         parts = drawn[int(truth.frame[row]) - first, vessel]
         size = sequence.size_px
-        whole = _Pixels.of([(part.silhouette, part.region) for part in parts], size)
-        seen = _Pixels.of([(part.visible, part.region) for part in parts], size)
+        whole = Pixels.of([(part.silhouette, part.region) for part in parts], size)
+        seen = Pixels.of([(part.visible, part.region) for part in parts], size)
         counted, found = (truth.silhouette_px[row], truth.visible_px[row]), (whole.area, seen.area)
         if counted != found:
             raise ModsimError(
@@ -91,7 +91,7 @@ def _block_entries(
         yield _entry(whole, seen, scene.annotation.mode)
 
 
-def _entry(whole: _Pixels, seen: _Pixels, mode: int) -> dict[str, Any]:
+def _entry(whole: Pixels, seen: Pixels, mode: int) -> dict[str, Any]:
     boxed = seen if mode == 2 else whole
     return {
         "segmentation": boxed.encoded,
@@ -102,7 +102,7 @@ def _entry(whole: _Pixels, seen: _Pixels, mode: int) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pixels:
+class Pixels:
     """Pixels of an image as runs down its columns, each of which continues the one before it.
 
     Attributes:
@@ -116,12 +116,13 @@ class _Pixels:
     stops: Indices
 
     @classmethod
-    def of(cls, parts: Sequence[tuple[Mask, Region]], size_px: tuple[int, int]) -> _Pixels:
+    def of(cls, parts: Sequence[tuple[Mask, Region]], size_px: tuple[int, int]) -> Pixels:
         """The pixels of masks (h, w), no two of which share one, and which lie at regions of the image."""
         runs = [_runs(mask, region, size_px[1]) for mask, region in parts]
         starts, stops = np.sort(np.concatenate([np.empty((2, 0), dtype=np.int64), *runs], axis=1), axis=1)
-        touching = starts[1:] == stops[:-1]
-        return cls(size_px, starts[~np.append(False, touching)], stops[~np.append(touching, False)])
+        first, last = np.ones(len(starts), dtype=bool), np.ones(len(stops), dtype=bool)
+        first[1:] = last[:-1] = starts[1:] != stops[:-1]
+        return cls(size_px, starts[first], stops[last])
 
     @property
     def area(self) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 
@@ -36,14 +37,15 @@ def write(request: ExportRequest, folder: Path) -> None:
     """Write a run."""
     make_folder(folder)
     contents = {"images": _pictures, "labels": _labels, "predictions": _predictions}
-    for name, pattern in FOLDERS.items():
-        with put_folder_in_place(folder / name, pattern) as partial:
+    labels = dict(enumerate(request.run.scene.detector.labels))
+    data = {"train": "images", "val": "images", "nc": len(labels), "names": labels}
+    with ExitStack() as places:  # none gets its place before all are complete
+        for name, pattern in FOLDERS.items():
+            partial = places.enter_context(put_folder_in_place(folder / name, pattern))
             for sequence in request.sequences:
                 for step, content in zip(sequence.steps.tolist(), contents[name](sequence), strict=True):
                     (partial / f"{sequence.camera.name}_{step:06d}{Path(pattern).suffix}").write_bytes(content)
-    labels = dict(enumerate(request.run.scene.detector.labels))
-    data = {"train": "images", "val": "images", "nc": len(labels), "names": labels}
-    write_files({folder / DATA_FILE: yaml.safe_dump(data, sort_keys=False, allow_unicode=True)})
+        write_files({folder / DATA_FILE: yaml.safe_dump(data, sort_keys=False, allow_unicode=True)})
 
 
 def _pictures(sequence: CameraSequence) -> Iterator[bytes]:
