@@ -26,7 +26,7 @@ def export_command(
         list[str] | None, typer.Option(metavar="NAME", help="Only this camera; may be given more than once.")
     ] = None,
     masks: Annotated[
-        bool, typer.Option("--masks", help="For coco: also which pixels each vessel has, whole and visible.")
+        bool, typer.Option("--masks", help="Write which pixels each vessel has, whole and visible (coco only).")
     ] = False,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def check_masks(request: ExportRequest) -> None:
     if annotation.supersample != 1:
         raise ModsimError(
             f"{folder}: --masks needs one pixel of the truth for each of the image, and this one was drawn with "
-            f"supersample {annotation.supersample}: run the scene with --supersample 1"
+            f"supersample {annotation.supersample}: run the scene with --set annotation.supersample=1"
         )
 
 
@@ -141,7 +142,7 @@ class Pixels:
         bottom = height if spanned.any() else int((last % height).max()) + 1
         return [left, top, max(right, int(last[-1]) // height) + 1 - left, bottom - top]
 
-    @property
+    @cached_property
     def encoded(self) -> dict[str, Any]:
         """COCO's compressed run-length encoding."""
         width, height = self.size_px

@@ -42,7 +42,7 @@ def test_masks_need_a_truth_of_pixels(modsim3d: Modsim3d, run: Path, tmp_path: P
 def test_masks_need_the_pixels_of_the_image(modsim3d: Modsim3d, tmp_path: Path) -> None:
     run_scene(load_scene(crossing(tmp_path, 2), supersample=2), tmp_path / "run")
     said = export(modsim3d, tmp_path / "run", tmp_path / "out", "--format", "coco", "--masks")
-    assert "supersample 2: run the scene with --supersample 1" in said
+    assert "supersample 2: run the scene with --set annotation.supersample=1" in said
 
 
 @pytest.mark.parametrize(
