@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,10 +21,12 @@ class Format:
         module: Module below this package that writes it. It has `files`, which gives the paths inside the folder before
             anything is done, and `write`, which writes them all. It may have `notes`.
         content: What it writes, for the command's help.
+        options: Options of the command that it takes beside those that every format takes.
     """
 
     module: str
     content: str
+    options: tuple[str, ...] = ()
 
     def files(self, request: ExportRequest) -> tuple[str, ...]:
         """Paths, relative to the folder, of the files that `write` will write."""
@@ -36,6 +39,14 @@ class Format:
         told: tuple[str, ...] = module.notes(request) if hasattr(module, "notes") else ()
         return told
 
+    def folders(self) -> Mapping[str, str]:
+        """The pattern of the names in each folder of which `write` makes everything; relative to the folder.
+
+        A format with a file for each frame has them as `FOLDERS`.
+        """
+        folders: Mapping[str, str] = getattr(self._imported(), "FOLDERS", {})
+        return folders
+
     def write(self, request: ExportRequest, folder: Path) -> None:
         """Write the files into a folder, which is made where it is not there."""
         self._imported().write(request, folder)
@@ -45,7 +56,9 @@ class Format:
 
 
 FORMATS = {
-    "coco": Format("coco", "gt.json and dt.json"),
+    "mot": Format("mot", "sequences of MOTChallenge for trackers and their evaluators"),
+    "coco": Format("coco", "gt.json and dt.json", options=("--masks",)),
+    "yolo": Format("yolo", "labels, predictions and data.yaml"),
     "mcap": Format("mcap", "ROS 2 bags: detections, and truth apart"),
     "ais": Format("ais.log", "the log of an AIS receiver, ais.nmea, and ais_truth.csv"),
 }
