@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from modsim3d.streaming.server import LineServer
 
 WAIT_S = 60.0
-LONGEST_WAIT_S = 1e6
+LONGEST_WAIT_S = 100_000
 
 
 def stream_command(
@@ -93,7 +93,7 @@ def _address(to: str, wait: float | None) -> Address | None:
     from modsim3d.streaming.address import STANDARD_OUTPUT, Address
 
     if wait is not None and not 0 < wait <= LONGEST_WAIT_S:
-        raise ModsimError(f"--wait {wait:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S:g}")
+        raise ModsimError(f"--wait {wait:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S}")
     if to != STANDARD_OUTPUT:
         return Address.parse(to)
     if wait is not None:
@@ -139,10 +139,8 @@ def _finish_what_came(server: LineServer) -> None:
     """Let readers who are there have the lines from before an error."""
     from modsim3d.streaming.server import NobodyReads
 
-    try:
+    with suppress(NobodyReads):
         server.finish(come_back=False)
-    except NobodyReads:
-        pass
 
 
 def _send_steps(scene: Scene, realtime: bool, send: Callable[[bytes], bool]) -> None:

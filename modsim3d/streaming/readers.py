@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from contextlib import suppress
 
 from modsim3d.streaming.backlog import Backlog
 
@@ -94,11 +95,9 @@ class Reader:
 
     def close(self) -> None:
         """Hang up. What was sent still arrives."""
-        try:
+        with suppress(OSError):  # it is not there any more, or it has sent nothing
             self.connection.shutdown(socket.SHUT_WR)
             self.connection.recv(DROP_BYTES)
-        except OSError:  # it is not there any more, or it has sent nothing
-            pass
         self.connection.close()
 
     def waited_for_s(self, waits: bool) -> float:

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 
 from modsim3d.errors import ModsimError
@@ -160,10 +161,8 @@ class LineServer:
         return bool(self._readers) and all(reader.next >= kept_from for reader in self._readers)
 
     def _wake(self) -> None:
-        try:
+        with suppress(OSError):  # it has been woken often enough, or has ended
             self._waker.send(b"\0")
-        except OSError:  # it has been woken often enough, or has ended
-            pass
 
     def _run(self) -> None:
         try:
@@ -255,7 +254,12 @@ class LineServer:
             connection.close()
             self._warn(f"reader {name} is turned away: there are {MOST_READERS} already")
             return
-        self._readers.append(Reader(connection, name, self._header, self._backlog.first))
+        try:
+            reader = Reader(connection, name, self._header, self._backlog.first)
+        except OSError:  # some systems set nothing on a connection that has ended
+            connection.close()
+            return
+        self._readers.append(reader)
         self._came += 1
         self._tell(f"{name} has connected")
 
