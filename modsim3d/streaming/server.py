@@ -43,6 +43,7 @@ class LineServer:
 
     Attributes:
         address: Where it listens, with the port that was chosen.
+        wait_s: How long to wait while there is no reader.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class LineServer:
         """
         self._listener = address.listen(RECEIVE_BYTES)
         self.address = Address(address.host, self._listener.getsockname()[1])
-        self._wait_s, self._stall_s, self._header = wait_s, PATIENCE * wait_s, header
+        self.wait_s, self._header = wait_s, header
         self._warn, self._tell = warn, tell
         self._backlog = Backlog(backlog_bytes)
         self._readers: list[Reader] = []
@@ -110,7 +111,7 @@ class LineServer:
         with self._changed:
             if not self._wait_until(lambda: self._came > 0):
                 raise ModsimError(
-                    f"{self.address}: nobody has connected for {self._wait_s:g} s: start the reader, or give --wait"
+                    f"{self.address}: nobody has connected for {self.wait_s:g} s: start the reader, or give --wait"
                 )
 
     def send(self, lines: bytes) -> None:
@@ -148,7 +149,7 @@ class LineServer:
                 raise self._problem
             if holds():
                 return True
-            left = None if self._readers else self._alone_since + self._wait_s - time.monotonic()
+            left = None if self._readers else self._alone_since + self.wait_s - time.monotonic()
             if left is not None and left <= 0:
                 return False
             self._changed.wait(left)
@@ -195,7 +196,7 @@ class LineServer:
         if reader not in self._readers:
             return None
         waits = reader.leaving or reader.wants(self._backlog)
-        left = self._stall_s - reader.waited_for_s(waits)
+        left = PATIENCE * self.wait_s - reader.waited_for_s(waits)
         if left <= 0:
             self._give_up(reader)
             return None
@@ -234,7 +235,7 @@ class LineServer:
             self._remove(reader, "has not hung up")
             return
         self._remove(reader, "is disconnected")
-        self._warn(f"reader {reader.name} has taken nothing for {self._stall_s:g} s, and is disconnected")
+        self._warn(f"reader {reader.name} has taken nothing for {PATIENCE * self.wait_s:g} s, and is disconnected")
 
     def _remove(self, reader: Reader, why: str) -> None:
         self._readers.remove(reader)

@@ -55,9 +55,9 @@ def test_what_is_no_address_is_told(text: str, part: str) -> None:
 
 
 def test_a_port_that_is_taken_and_an_address_of_another_computer_are_told() -> None:
-    with closing(Address("127.0.0.1", 0).listen(4096)) as taken:
-        with pytest.raises(ModsimError, match=r"cannot listen there: .*; port 0 takes any free port"):
-            Address("127.0.0.1", taken.getsockname()[1]).listen(4096)
+    said = r"cannot listen there: .*; port 0 takes any free port"
+    with closing(Address("127.0.0.1", 0).listen(4096)) as taken, pytest.raises(ModsimError, match=said):
+        Address("127.0.0.1", taken.getsockname()[1]).listen(4096)
     with pytest.raises(ModsimError, match=r"--to tcp://192\.0\.2\.1:5000: cannot listen there"):
         Address("192.0.2.1", 5000).listen(4096)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -64,11 +64,16 @@ class Background:
         return self._found
 
 
+def still_open() -> tuple[int, int]:
+    """How many descriptors and threads this process has."""
+    return len(list(Path("/dev/fd").iterdir())), threading.active_count()
+
+
 @pytest.fixture(autouse=True)
 def nothing_stays_open() -> Iterator[None]:
-    open_before, threads_before = len(os.listdir("/dev/fd")), threading.active_count()
+    before = still_open()
     yield
-    assert (len(os.listdir("/dev/fd")), threading.active_count()) == (open_before, threads_before)
+    assert still_open() == before
 
 
 def send_all(server: LineServer, lines: list[bytes] = LINES) -> None:
@@ -125,8 +130,9 @@ def test_what_is_kept_is_bounded_and_a_reader_that_comes_back_gets_it_from_the_o
 
 def test_a_reader_that_takes_nothing_is_disconnected_with_a_word() -> None:
     said: list[str] = []
-    with serve(0.03, warn=said.append, backlog_bytes=10_000) as server, closing(connect(server, small=True)):
+    with serve(warn=said.append, backlog_bytes=10_000) as server, closing(connect(server, small=True)):
         server.wait_for_reader()
+        server.wait_s = 0.03
         with pytest.raises(NobodyReads):
             send_all(server)
             server.finish()
@@ -147,9 +153,10 @@ def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
 
 
 def test_a_stream_that_nobody_takes_ends() -> None:
-    with serve(0.05) as server:
+    with serve() as server:
         connect(server).close()
         server.wait_for_reader()
+        server.wait_s = 0.05
         with pytest.raises(NobodyReads):
             send_all(server)
             server.finish()
@@ -199,9 +206,11 @@ def test_a_fault_in_the_thread_ends_the_stream(monkeypatch: pytest.MonkeyPatch) 
     def broken(*arguments: object) -> None:
         raise OSError("too many open files")
 
-    monkeypatch.setattr(server_module.LineServer, "_accept", broken)
-    with serve() as server, closing(connect(server)), pytest.raises(OSError, match="too many open files"):
-        server.wait_for_reader()
+    monkeypatch.setattr(LineServer, "_wake_up", broken)
+    with serve() as server:
+        server.send(LINES[0])
+        with pytest.raises(OSError, match="too many open files"):
+            server.wait_for_reader()
 
 
 def test_hanging_up_early_ends_at_once_and_what_was_sent_arrives() -> None:
