@@ -39,11 +39,7 @@ class Address:
         if (port := int(found["port"])) > 65535:
             raise ModsimError(f"--to '{text}': a port is a number from 0 to 65535 (got {port})")
         host = found["six"] or ("127.0.0.1" if found["four"] == "localhost" else found["four"])
-        try:
-            version = ipaddress.ip_address(host).version
-        except ValueError:
-            version = 0
-        if version != (6 if found["six"] else 4):
+        if not _is_ip(host, ipaddress.IPv6Address if found["six"] else ipaddress.IPv4Address):
             raise ModsimError(f"--to '{text}': '{host}' is no IP address of this computer: {_EXAMPLE}")
         return cls(host, port)
 
@@ -81,3 +77,11 @@ class Address:
                 f"--to {self}: cannot listen there: {error.strerror or error}; port 0 takes any free port"
             ) from None
         return listener
+
+
+def _is_ip(host: str, kind: type[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bool:
+    try:
+        kind(host)
+    except ValueError:
+        return False
+    return True
