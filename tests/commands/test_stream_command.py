@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
@@ -231,7 +233,22 @@ def test_other_computers_get_it_only_when_asked_for_and_that_is_said(modsim3d: M
     assert said.err.startswith("warning: whoever reaches this computer at tcp://0.0.0.0:")
 
 
-def test_bytes_for_standard_output_leave_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_standard_output_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", None)
     with pytest.raises(ModsimError, match="there is no standard output"):
         streams.write_at_once(b"x")
+
+
+def test_a_pipe_that_does_not_block_gets_every_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a shell or a parent in Node.js may leave it."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    given, received = bytes(range(256)) * 4096, b""
+    with open(reading, "rb") as reader, open(writing, "w", encoding="utf-8") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        sending = threading.Thread(target=streams.write_at_once, args=(given,))
+        sending.start()
+        received = reader.read(len(given))
+        sending.join(LONG_S)
+        monkeypatch.undo()
+    assert received == given

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 from modsim3d.errors import ModsimError
 from modsim3d.streaming import server as server_module
 from modsim3d.streaming.address import Address
+from modsim3d.streaming.readers import Reader, ReaderGone
 from modsim3d.streaming.server import LineServer, NobodyReads
 
 LONG_S = 120.0
@@ -141,13 +144,15 @@ def test_a_reader_that_takes_nothing_is_disconnected_with_a_word() -> None:
 
 
 def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
-    with serve() as server:
+    gone = threading.Event()
+    with serve(tell=lambda text: gone.set() if text.endswith("has gone") else None) as server:
         crashed = connect(server)
         server.wait_for_reader()
         send_all(server, LINES[:100])
         crashed.recv(1000)
         ending = Background(server.finish)
         crashed.close()  # with lines unread: the system tells the sender
+        assert gone.wait(LONG_S)
         assert rest_of(connect(server)) == [HEADER, *LINES[:100]]
         assert ending.result() is None
 
@@ -176,6 +181,35 @@ def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
         server.finish()
         assert reading.result() == [HEADER, *LINES]
         pushing.result()
+
+
+def test_a_reader_that_sends_after_the_last_line_still_gets_all_lines() -> None:
+    with serve() as server:
+        reader = connect(server, small=True)
+        server.wait_for_reader()
+        send_all(server, LINES[:100])
+        ending = Background(server.finish)
+        for _ in range(3):  # a closed connection would answer with a reset, which costs it what it has not read
+            reader.sendall(b"more, please\n")
+            time.sleep(0.1)
+        assert rest_of(reader) == [HEADER, *LINES[:100]]
+        assert ending.result() is None
+
+
+def test_an_end_with_lines_on_the_way_is_no_reader_that_has_everything() -> None:
+    class Ended(socket.socket):
+        """A connection that the other side has closed, and then refused what was still sent."""
+
+        def recv(self, *sizes: int) -> bytes:
+            return b""
+
+        def getsockopt(self, *options: int) -> int:  # type: ignore[override]
+            return errno.EPIPE
+
+    with socket.create_server(("127.0.0.1", 0)) as listener, closing(Ended()) as connection:
+        connection.connect(listener.getsockname())
+        with pytest.raises(ReaderGone):
+            Reader(connection, "it", HEADER, 0).has_hung_up()
 
 
 def test_a_reader_that_ends_its_own_side_first_gets_everything() -> None:
