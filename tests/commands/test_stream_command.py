@@ -244,7 +244,7 @@ def test_a_pipe_that_does_not_block_gets_every_byte(monkeypatch: pytest.MonkeyPa
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     given, received = bytes(range(256)) * 4096, b""
-    with open(reading, "rb") as reader, open(writing, "w", encoding="utf-8") as stdout:
+    with os.fdopen(reading, "rb") as reader, os.fdopen(writing, "w", encoding="utf-8") as stdout:
         monkeypatch.setattr(sys, "stdout", stdout)
         sending = threading.Thread(target=streams.write_at_once, args=(given,))
         sending.start()
