@@ -20,20 +20,20 @@ ROOT = Path(__file__).resolve().parent.parent
 
 MENU = {
     "First steps": ["README", "docs/run", "docs/limits"],
-    "Build a scene": [
-        "docs/scene",
-        "docs/poses",
-        "docs/cameras",
-        "docs/waves",
-        "docs/shapes",
-        "docs/ais",
-    ],
+    "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
-    "Test a tracker": ["docs/export", "docs/ros", "docs/ais_out"],
+    "Test a tracker": ["docs/export", "docs/stream", "docs/ros", "docs/ais_out"],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
-    "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING", "benchmarks/FILMS"],
+    "Reference": [
+        "docs/tables",
+        "docs/json",
+        "benchmarks/RESULTS",
+        "benchmarks/DRAWING",
+        "benchmarks/FILMS",
+        "benchmarks/LATENCY",
+    ],
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }

@@ -21,6 +21,7 @@ from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
 from modsim3d.commands.shared import INTERRUPTED
+from modsim3d.commands.stream import stream_command
 from modsim3d.commands.streams import lost_output, prepare_output
 from modsim3d.commands.terminal import check_arguments, say, say_error, start_afresh
 from modsim3d.commands.verify import verify_command
@@ -45,6 +46,7 @@ RUN, LOOK, CHECK, MAKE = "Run", "Look", "Check", "Make"
 COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (RUN, "run", run_command, "Simulate a scene: truth, detections and a contact sheet."),
     (RUN, "detect", detect_command, "Run another detector or seed over the truth of a run."),
+    (RUN, "stream", stream_command, "Detections line by line, while a scene is simulated."),
     (RUN, "scenes", scenes_command, "List the scenes that come with modsim3d."),
     (LOOK, "report", report_command, "A page that plays a run in the browser."),
     (LOOK, "view", view_command, "Films, pictures and maps of a run."),

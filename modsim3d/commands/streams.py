@@ -8,7 +8,10 @@ verdict, and stopping there would leave undone what the command had still to wri
 from __future__ import annotations
 
 import io
+import select
 import sys
+
+from modsim3d.errors import ModsimError
 
 
 class _Descriptor(io.FileIO):
@@ -16,9 +19,11 @@ class _Descriptor(io.FileIO):
 
     Attributes:
         problem: Why something could not be written, other than that nobody reads it; None if nothing was lost.
+        unread: Nobody reads it any more.
     """
 
     problem: OSError | None = None
+    unread = False
 
     def write(self, data: object, /) -> int:
         """Write data, or drop it."""
@@ -26,6 +31,7 @@ class _Descriptor(io.FileIO):
         try:
             return super().write(view)
         except BrokenPipeError:
+            self.unread = True
             return view.nbytes
         except OSError as error:
             self.problem = self.problem or error
@@ -66,3 +72,24 @@ def lost_output() -> OSError | None:
     sys.stdout.flush()
     raw = getattr(sys.stdout.buffer, "raw", sys.stdout.buffer)
     return raw.problem if isinstance(raw, _Descriptor) else None
+
+
+def write_at_once(data: bytes) -> bool:
+    """Write bytes to standard output past its buffer; False if nobody reads it any more, or it cannot be written to.
+
+    Nothing is left for later, so a command whose reader has stopped reading can be interrupted.
+
+    Raises:
+        ModsimError: There is no standard output.
+    """
+    if sys.stdout is None:
+        raise ModsimError("there is no standard output to write to")
+    sys.stdout.flush()
+    raw = getattr(sys.stdout.buffer, "raw", sys.stdout.buffer)
+    rest = memoryview(data)
+    while rest:
+        written = raw.write(rest)
+        if written is None:  # a pipe that does not block is full
+            select.select([], [raw], [])
+        rest = rest[written or 0 :]
+    return not (isinstance(raw, _Descriptor) and (raw.unread or raw.problem is not None))

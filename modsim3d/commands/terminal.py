@@ -122,6 +122,12 @@ def warn(text: str) -> None:
     _say_prose([f"warning: {text}"], "yellow")
 
 
+def remark(text: str) -> None:
+    """Write text to standard error unless it is not asked for: what a command says while standard output has data."""
+    if not _asked.quiet:
+        say(text, err=True)
+
+
 def tell(name: str, text: str) -> None:
     """Write what only `--verbose` asks for to standard error."""
     if _asked.verbose:

@@ -186,15 +186,19 @@ def block_ranges(steps: int, block_steps: int) -> list[Range]:
     return [(first, min(first + block_steps, steps)) for first in range(0, steps, block_steps)]
 
 
-def step_ranges(scene: Scene) -> Iterator[Range]:
+def step_ranges(scene: Scene, most_steps: int | None = None) -> Iterator[Range]:
     """The blocks of a scene; in a live scene one for each step, which is waited for when its block is asked for.
+
+    Args:
+        scene: The scene.
+        most_steps: Most steps of a block; `block_steps(scene)` if None.
 
     Raises:
         InputError: The poses that came are wrong, or a camera has no place at the step.
     """
     poses = scene.poses
     if not isinstance(poses, LivePoses):
-        yield from block_ranges(scene.steps, block_steps(scene))
+        yield from block_ranges(scene.steps, most_steps or block_steps(scene))
         return
     for step in range(scene.steps):
         if not poses.wait(step):
@@ -233,11 +237,25 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
 
 
 def _simulated(scene: Scene) -> Iterator[Frame]:
+    for block in simulate_blocks(scene):
+        yield from frames_of(block, scene)
+
+
+def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Block]:
+    """Simulate a scene in memory, block by block; a live scene gives a step's block before it waits for the next step.
+
+    Args:
+        scene: The scene.
+        most_steps: Most steps of a block, for whoever cannot wait for a whole one; no result depends on it.
+
+    Raises:
+        ModsimError: The scene asks for what cannot be, at the first block or while blocks are made.
+    """
     with open_renderer(scene) as renderer:
         blocks: Iterable[tuple[Truth, int, int]]
-        blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene))
+        blocks = ((truth_block(scene, *steps, renderer), *steps) for steps in step_ranges(scene, most_steps))
         if scene.detector.needs_census:
             blocks = list(blocks)
         simulation = Simulation(scene, scene_census(scene, blocks))
         for block in blocks:
-            yield from frames_of(simulation.detect(*block), scene)
+            yield simulation.detect(*block)

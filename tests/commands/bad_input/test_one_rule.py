@@ -312,8 +312,8 @@ def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path, how) -> Non
 def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_path, monkeypatch, name) -> None:
     monkeypatch.chdir(tmp_path)
     before = content(tmp_path)
-    line = {"check": ("check", "scene.yaml"), "scenes": ("scenes",), "repeat": ("repeat", "run")}[name]
-    assert call(*line)[0] == 0
+    lines = {"check": ("scene.yaml",), "scenes": (), "repeat": ("run",), "stream": ("scene.yaml", "--steps", 3)}
+    assert call(name, *lines[name])[0] == 0
     assert content(tmp_path) == before
 
 

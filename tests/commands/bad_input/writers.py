@@ -49,7 +49,7 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
 """A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais")
 """Those that write a folder of their own, which they alone recognise."""
-NO_WRITERS = ("check", "scenes", "repeat")
+NO_WRITERS = ("check", "scenes", "repeat", "stream")
 DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]] = {
     "report": (("report.html",), lambda run: ("report", run)),
     "rerun": (("run.rrd",), lambda run: ("rerun", run)),

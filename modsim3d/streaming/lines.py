@@ -1,0 +1,93 @@
+"""The lines of a stream: the cameras first, then what a tracker may read of each frame, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import orjson
+
+from modsim3d.geometry.camera import Camera
+from modsim3d.runs.blocks import Block
+from modsim3d.runs.files.tracker_input import tracker_lines
+from modsim3d.runs.pipeline import simulate_blocks
+from modsim3d.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class StepLines:
+    """What a stream says of one step: a line for each camera that takes a frame, or one line that none does.
+
+    Attributes:
+        step: Number of the step, from 0.
+        time_s: Time since the scene's first step.
+        lines: The complete lines.
+    """
+
+    step: int
+    time_s: float
+    lines: tuple[bytes, ...]
+
+
+def header_line(scene: Scene) -> bytes:
+    """The first line of a stream: what a tracker must know of the scene and its cameras before the first frame."""
+    header = {
+        "scene": scene.name,
+        "steps": None if scene.live else scene.steps,
+        "labels": list(scene.detector.labels),
+        "cameras": {camera.name: _calibration(camera) for camera in scene.cameras},
+    }
+    return orjson.dumps(header) + b"\n"
+
+
+def _calibration(camera: Camera) -> dict[str, Any]:
+    lens, place = camera.intrinsics, asdict(camera.mount)
+    vessel = place.pop("vessel")
+    return {
+        "image_size_px": lens.image_size_px,
+        "focal_px": lens.focal_px,
+        "principal_point_px": lens.principal_point_px,
+        "skew": lens.skew,
+        "distortion": None if lens.distortion is None else asdict(lens.distortion),
+        "frame_rate_hz": camera.frame_rate_hz,
+        "start_offset_s": camera.start_offset_s,
+        **({"pose": place} if vessel is None else {"mount": {"vessel": vessel, **place}}),
+    }
+
+
+def step_lines(scene: Scene, *, one_by_one: bool) -> Iterator[StepLines]:
+    """The lines of each step of a scene; those of a live scene's step come before the next step is waited for.
+
+    Args:
+        scene: The scene.
+        one_by_one: Simulate each step by itself, so that none waits for later ones. It takes longer in all; the lines
+            are the same.
+
+    Raises:
+        ModsimError: The scene asks for what cannot be, or the poses that came are wrong.
+    """
+    for block in simulate_blocks(scene, 1 if one_by_one else None):
+        yield from _lines_of(block, scene)
+
+
+def _lines_of(block: Block, scene: Scene) -> Iterator[StepLines]:
+    cameras = [
+        (
+            orjson.dumps(scene.cameras[part.camera].name),
+            dict(zip(part.steps.tolist(), tracker_lines(block, part, scene), strict=True)),
+        )
+        for part in block.cameras
+    ]
+    for step, time_s in enumerate(scene.times_s(block.first, block.stop).tolist(), block.first):
+        taken = [(name, lines[step]) for name, lines in cameras if step in lines]
+        if taken:
+            lines = tuple(_with_camera(line, name, len(taken)) for name, line in taken)
+        else:
+            lines = (orjson.dumps({"frames_in_step": 0, "time_s": time_s, "step": step}) + b"\n",)
+        yield StepLines(step, time_s, lines)
+
+
+def _with_camera(line: bytes, name: bytes, frames: int) -> bytes:
+    """A line of `tracker_input_<camera>.jsonl` with the camera and the number of the step's frames before its keys."""
+    return b'{"camera":%b,"frames_in_step":%d,' % (name, frames) + line[1:]
