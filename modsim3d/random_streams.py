@@ -40,6 +40,8 @@ class Purpose(Enum):
     WAVE_ANGLES = "waves", 3, "noise of roll, pitch and yaw in waves without a spectrum (vessel)"
     IMU_NOISE = "imu_noise", 6, "noise of an inertial unit's rates and specific force (vessel)"
     IMU_BIAS = "imu_bias", 6, "offset of an inertial unit's rates and specific force (vessel)"
+    ATTITUDE_NOISE = "attitude_noise", 3, "noise of measured roll, pitch and heading (vessel)"
+    ATTITUDE_BIAS = "attitude_bias", 3, "offset of measured roll, pitch and heading (vessel)"
     PLUGIN = "plug-in", None, "whatever a plug-in draws (name of the plug-in, names of its choice)"
 
     STATE = "detector.state", 1, "transitions of the performance state (camera, if each has its own chain)"

@@ -13,6 +13,7 @@ from modsim3d.commands.terminal import open_console, tell_files, timed
 from modsim3d.formats.writing.registry import FORMATS
 
 ExportFormat = Enum("ExportFormat", {name: name for name in FORMATS}, type=str)  # type: ignore[misc]
+Attitude = Enum("Attitude", {name: name for name in ("true", "measured")}, type=str)  # type: ignore[misc]
 _CONTENTS = "; ".join(f"{name} ({format_.content})" for name, format_ in FORMATS.items())
 
 
@@ -22,6 +23,10 @@ def export_command(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     camera: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this camera; may be given more than once.")
+    ] = None,
+    attitude: Annotated[
+        Attitude | None,
+        typer.Option(help="csv: attitude of cameras on board, as the inertial unit measures it (default) or true."),
     ] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
@@ -38,9 +43,13 @@ def export_command(
     from modsim3d.runs.stored_run import open_run
 
     chosen, read = FORMATS[format_.value], read_of_run(run)
+    if attitude is not None and "attitude" not in chosen.options:
+        raise typer.BadParameter(f"goes with --format csv, not {format_.value}", param_hint="'--attitude'")
     with timed("opening the run"):
         opened = open_run(run)
-        request = ExportRequest(opened, tuple(sorted(select_cameras(opened, camera or ()))))
+        request = ExportRequest(
+            opened, tuple(sorted(select_cameras(opened, camera or ()))), (attitude or Attitude.measured).value
+        )
         paths = [out / name for name in chosen.files(request)]
     tell_files(read)
     with claimed(paths, overwrite=overwrite, inputs=read), timed("files"):

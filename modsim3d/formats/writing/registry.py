@@ -20,10 +20,12 @@ class Format:
         module: Module below this package that writes it. It has `files`, which gives the paths inside the folder before
             anything is done, and `write`, which writes them all.
         content: What it writes, for the command's help.
+        options: Options of the command that only some formats take, and this one.
     """
 
     module: str
     content: str
+    options: tuple[str, ...] = ()
 
     def files(self, request: ExportRequest) -> tuple[str, ...]:
         """Paths, relative to the folder, of the files that `write` will write."""
@@ -40,4 +42,5 @@ class Format:
 
 FORMATS = {
     "coco": Format("coco", "gt.json and dt.json"),
+    "csv": Format("csv", "tables with bearings and positions", ("attitude",)),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from modsim3d.positions.locating import Attitude
 from modsim3d.runs.stored_run import StoredRun
 
 
@@ -14,10 +15,12 @@ class ExportRequest:
     Attributes:
         run: The run.
         cameras: Indices into the scene's cameras, ascending.
+        attitude: Of cameras on board: as the inertial unit measures it, or the true one.
     """
 
     run: StoredRun
     cameras: tuple[int, ...]
+    attitude: Attitude = "measured"
 
     @property
     def camera_names(self) -> tuple[str, ...]:
