@@ -3,8 +3,8 @@
 A ray that points below the horizontal by an angle of tangent t leaves a camera at the height H and meets a flat sea at
 the horizontal distance r = H / t. The flat inverse range κ = t / H is therefore linear in t, and nearly so in pixels.
 
-A sea of radius R lies r² / (2 R) lower there (see `curved_sea`), so that 1/r = ρ solves κ = ρ + 1 / (2 R H ρ). Of the two
-solutions the greater is the nearer point. Rays above the horizon, κ < √(2 / (R H)), meet no sea.
+A sea of radius R lies r² / (2 R) lower there (see `curved_sea`), so that 1/r = ρ solves κ = ρ + 1 / (2 R H ρ). Of its
+two solutions the greater is the nearer point. Rays above the horizon, κ < √(2 / (R H)), meet no sea.
 """
 
 from __future__ import annotations

@@ -19,11 +19,10 @@ from modsim3d.positions.viewpoints import Viewpoints
 from modsim3d.scene.scene import Scene
 
 Attitude = Literal["true", "measured"]
-MOST_RANGE_ERROR = 0.1
+MOST_RANGE_ERROR = 0.05
 """Greatest standard deviation of the inverse range, over the inverse range, at which a position is given.
 
-With a share ε the range has a mean error of ε standard deviations, and the smaller of its tails all but vanishes: see
-docs/positions.md, and `script/campaign positions`, which measures it."""
+`script/campaign positions` measures what comes of it, and docs/positions.md says why it is so small."""
 _EDGE_PX = 1e-3  # boxes are rounded to that
 _STEP_PX, _STEP_RAD = 0.5, 1e-5
 _STEPS_AT_ONCE = 4096
@@ -199,24 +198,37 @@ def _on_the_sea(flat_per_m: Array, horizon_per_m: Array, covariance: Array) -> A
     return scaled
 
 
+def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cameras_m: Array) -> tuple[Array, Array]:
+    """Positions (n, 2) from bearings and inverse ranges, and their covariances to first order (n, 2, 2).
+
+    Args:
+        bearing_rad: Shape (n,).
+        inverse_per_m: Shape (n,); NaN gives NaN.
+        covariance: Of bearing and inverse range, shape (n, 2, 2).
+        cameras_m: w1 and w2 of the camera, shape (n, 2).
+    """
+    range_m = (1 / inverse_per_m)[:, None]
+    along = np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=-1)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    slope = np.stack([range_m * across, -(range_m**2) * along], axis=-1)
+    return cameras_m + range_m * along, slope @ covariance @ np.swapaxes(slope, 1, 2)
+
+
 def _given(
-    bearing: Array, inverse: Array, covariance: Array, camera_m: Array, horizon: Array, beside: Mask, below: Mask
+    bearing: Array, inverse: Array, covariance: Array, cameras_m: Array, horizon: Array, beside: Mask, below: Mask
 ) -> Located:
     """What is given of each box: see `Located`."""
     no_bearing, no_range = beside | np.isnan(bearing), below | np.isnan(inverse)
     bearing, inverse = np.where(no_bearing, np.nan, bearing), np.where(no_range, np.nan, inverse)
     deviation = np.sqrt(covariance[:, 1, 1])
     placed = (inverse > horizon) & (deviation <= MOST_RANGE_ERROR * inverse) & ~no_bearing
-    range_m = np.where(placed, 1 / np.where(placed, inverse, 1.0), np.nan)
-    along = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    across = np.stack([-np.sin(bearing), np.cos(bearing)], axis=-1)
-    slope = np.stack([range_m[:, None] * across, -(range_m**2)[:, None] * along], axis=-1)
+    positions, spreads = first_order(bearing, np.where(placed, inverse, np.nan), covariance, cameras_m)
     return Located(
         bearing_rad=bearing,
         bearing_std_rad=np.where(no_bearing, np.nan, np.sqrt(covariance[:, 0, 0])),
         inverse_range_per_m=inverse,
         inverse_range_std_per_m=np.where(no_range, np.nan, deviation),
         covariance_rad_per_m=np.where(no_bearing | no_range, np.nan, covariance[:, 0, 1]),
-        positions_m=camera_m + range_m[:, None] * along,
-        position_covariances_m2=slope @ covariance @ np.swapaxes(slope, 1, 2),
+        positions_m=positions,
+        position_covariances_m2=spreads,
     )
