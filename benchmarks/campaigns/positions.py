@@ -196,9 +196,9 @@ def median(values: Array) -> float:
     return float(np.median(values[np.isfinite(values)]))
 
 
-def position_law() -> list[dict[str, float]]:
+def position_law(draws: int = DRAWS) -> list[dict[str, float]]:
     """The range from a normal inverse range whose standard deviation is a share of it, to first order."""
-    normal, rows = np.random.default_rng(0).standard_normal(DRAWS), []
+    normal, rows = np.random.default_rng(0).standard_normal(draws), []
     for share in SHARES:
         inverse = 1 + share * normal  # in units of the true one
         error = np.where(inverse > 0, (1 / inverse - 1) / (share / inverse**2), np.inf)

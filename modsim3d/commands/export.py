@@ -48,7 +48,7 @@ def export_command(
     with timed("opening the run"):
         opened = open_run(run)
         request = ExportRequest(
-            opened, tuple(sorted(select_cameras(opened, camera or ()))), (attitude or Attitude.measured).value
+            opened, tuple(sorted(select_cameras(opened, camera or ()))), attitude.value if attitude else "measured"
         )
         paths = [out / name for name in chosen.files(request)]
     tell_files(read)
