@@ -172,6 +172,19 @@ def test_poses_from_a_perfect_unit_are_the_true_ones(composition: str) -> None:
         np.testing.assert_allclose(rebuilt.positions_m, true.positions_m, atol=1e-9)
 
 
+def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None:
+    """They jump from π to −π there; derivatives must not."""
+    middle = np.array([620.0, 370, 660, 430])
+    across = np.linspace(-0.6, 0.6, 13)[:, None] * [1, 0, 1, 0]
+    boxes = middle + across
+    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
+    back = replace(scene, cameras=(replace(shore, mount=replace(shore.mount, yaw_rad=np.pi)),))
+    ahead, behind = (locate(each, "shore", 0, boxes) for each in (scene, back))
+    assert (np.abs(behind.bearing_rad) > 3.1).all() and len({*np.sign(behind.bearing_rad)}) == 2
+    np.testing.assert_allclose(behind.bearing_std_rad, ahead.bearing_std_rad, rtol=1e-6)
+    np.testing.assert_allclose(behind.covariance_rad_per_m, ahead.covariance_rad_per_m, rtol=1e-3, atol=1e-12)
+
+
 def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
     boxes = np.array([[0.0, 400, 60, 460], [1200, 400, 1280, 460], [600, 700, 700, 800], [600, 0, 700, 450.0]])
     found = locate(scene, "shore", 0, boxes)
