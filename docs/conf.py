@@ -22,6 +22,7 @@ MENU = {
     "First steps": ["README", "docs/run", "docs/limits"],
     "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
     "Look at it": ["docs/pictures", "docs/report"],
+    "To a tracker": ["docs/positions"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
     "Test a tracker": ["docs/export", "docs/stream", "docs/ros", "docs/ais_out"],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
@@ -37,7 +38,7 @@ MENU = {
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
-CAMPAIGNS = ["compare", "fuzz", "learn_coverage", "mutants", "platforms", "verify_changes", "verify_seeds"]
+CAMPAIGNS = ["compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "verify_changes", "verify_seeds"]
 
 project = "modsim3d"
 root_doc = "README"

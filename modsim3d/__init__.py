@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from modsim3d.detector.file.reading import load_detector
     from modsim3d.errors import ModsimError
     from modsim3d.learn.learning import learn_detector
+    from modsim3d.positions.locating import locate
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.pipeline import simulate_frames
     from modsim3d.runs.run import run_scene
@@ -35,6 +36,7 @@ __all__ = [
     "learn_detector",
     "load_detector",
     "load_scene",
+    "locate",
     "open_run",
     "run_scene",
     "simulate_frames",
@@ -48,6 +50,7 @@ _HOMES = {
     "learn_detector": "modsim3d.learn.learning",
     "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",
+    "locate": "modsim3d.positions.locating",
     "open_run": "modsim3d.runs.stored_run",
     "run_scene": "modsim3d.runs.run",
     "simulate_frames": "modsim3d.runs.pipeline",

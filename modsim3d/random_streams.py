@@ -44,6 +44,8 @@ class Purpose(Enum):
     AIS_SLOT = "ais.slot", 2, "time within its interval and loss of a report (vessel, kind of report)"
     AIS_SENSORS = "ais.sensors", 5, "noise of position, velocity and heading each second (vessel)"
     AIS_COMPASS = "ais.compass", 1, "constant error of a compass (vessel)"
+    ATTITUDE_NOISE = "attitude_noise", 3, "noise of measured roll, pitch and heading (vessel)"
+    ATTITUDE_BIAS = "attitude_bias", 3, "offset of measured roll, pitch and heading (vessel)"
     PLUGIN = "plug-in", None, "whatever a plug-in draws (name of the plug-in, names of its choice)"
 
     STATE = "detector.state", 1, "transitions of the performance state (camera, if each has its own chain)"

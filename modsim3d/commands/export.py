@@ -15,6 +15,7 @@ from modsim3d.errors import ModsimError
 from modsim3d.formats.writing.registry import FORMATS
 
 ExportFormat = Enum("ExportFormat", {name: name for name in FORMATS}, type=str)  # type: ignore[misc]
+Attitude = Enum("Attitude", {name: name for name in ("true", "measured")}, type=str)  # type: ignore[misc]
 _CONTENTS = "; ".join(f"{name} ({format_.content})" for name, format_ in FORMATS.items())
 
 
@@ -28,6 +29,10 @@ def export_command(
     masks: Annotated[
         bool, typer.Option("--masks", help="Write which pixels each vessel has, whole and visible (coco only).")
     ] = False,
+    attitude: Annotated[
+        Attitude | None,
+        typer.Option(help="csv: attitude of cameras on board, as the inertial unit measures it (default) or true."),
+    ] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -43,10 +48,11 @@ def export_command(
     from modsim3d.runs.stored_run import open_run
 
     chosen, read = FORMATS[format_.value], read_of_run(run)
-    _check_options(format_.value, {"--masks": masks})
+    _check_options(format_.value, {"--masks": masks, "--attitude": attitude})
     with timed("opening the run"):
         opened = open_run(run)
-        request = ExportRequest(opened, tuple(sorted(select_cameras(opened, camera or ()))), masks)
+        cameras = tuple(sorted(select_cameras(opened, camera or ())))
+        request = ExportRequest(opened, cameras, masks, attitude.value if attitude else "measured")
         paths = [out / name for name in chosen.files(request)]
         folders = {out / name: pattern for name, pattern in chosen.folders().items()}
     tell_files(read)

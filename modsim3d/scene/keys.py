@@ -185,6 +185,10 @@ class ImuKeys(Strict):
     rate_bias_rad_s: NotNegative = 0.0
     acceleration_noise_m_s2: NotNegative = 0.0
     acceleration_bias_m_s2: NotNegative = 0.0
+    attitude_noise_rad: NotNegative = 0.0
+    attitude_bias_rad: NotNegative = 0.0
+    heading_noise_rad: NotNegative = 0.0
+    heading_bias_rad: NotNegative = 0.0
 
 
 class OriginKeys(Strict):

@@ -30,6 +30,7 @@ class OwnShips:
             at rest has +g along v3.
         measured_rates_rad_s: Angular velocity with the unit's errors, shape (S, K, 3).
         measured_forces_m_s2: Specific force with the unit's errors, shape (S, K, 3).
+        measured_attitudes_rad: Measured roll, pitch and heading, the heading with the yaw in waves, shape (S, K, 3).
     """
 
     vessels: Indices
@@ -40,6 +41,7 @@ class OwnShips:
     forces_m_s2: Array
     measured_rates_rad_s: Array
     measured_forces_m_s2: Array
+    measured_attitudes_rad: Array
 
 
 def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
@@ -56,17 +58,33 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
     rates = first_derivative(times_s, turning(times_s, attitude))
     forces = specific_force(attitude, second_derivative(times_s, slopes(times_s, unit)))
     streams, wanted = Streams(scene.seed), slice(first - begin, stop - begin)
-    errors = [scene.imu.errors(streams, scene.vessel_names[i], first, stop - first) for i in own]
+    names = [scene.vessel_names[i] for i in own]
+    errors = [scene.imu.errors(streams, name, first, stop - first) for name in names]
+    tilts = [scene.imu.attitude_errors(streams, name, first, stop - first) for name in names]
+    headings, angles = sea.poses.headings_rad[wanted][:, own], sea.angles_rad[wanted][:, own]
     return OwnShips(
         vessels=np.array(own),
         positions_m=positions[wanted],
-        headings_rad=sea.poses.headings_rad[wanted][:, own],
-        angles_rad=sea.angles_rad[wanted][:, own],
+        headings_rad=headings,
+        angles_rad=angles,
         rates_rad_s=rates[wanted],
         forces_m_s2=forces[wanted],
         measured_rates_rad_s=rates[wanted] + np.stack([rate for rate, _ in errors], axis=1),
         measured_forces_m_s2=forces[wanted] + np.stack([force for _, force in errors], axis=1),
+        measured_attitudes_rad=true_attitudes(headings, angles) + np.stack(tilts, axis=1),
     )
+
+
+def true_attitudes(headings_rad: Array, angles_rad: Array) -> Array:
+    """Roll, pitch and heading, the heading with the yaw in waves, shape (..., 3).
+
+    Args:
+        headings_rad: Headings without waves, shape (...).
+        angles_rad: Roll, pitch and yaw in waves, shape (..., 3).
+    """
+    attitudes: Array = angles_rad.copy()
+    attitudes[..., 2] += headings_rad
+    return attitudes
 
 
 def specific_force(world_R_body: Array, accelerations_m_s2: Array) -> Array:

@@ -198,7 +198,7 @@ class Scene:
             InputError: The vessel that carries the camera has no pose at a step.
         """
         vessel_poses = self.motion.at(steps)
-        camera_poses = self._camera_poses(camera, vessel_poses, steps)
+        camera_poses = self.camera_poses(camera, vessel_poses, steps)
         curved = self.sea == "curved"
         return line_of_sight(camera, camera_poses, steps, self.vessels, vessel_poses, self.obstacles, curved)
 
@@ -213,7 +213,7 @@ class Scene:
             raise ModsimError(f"{self.title}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
         steps = np.array([step])
         vessel_poses = self.motion.at(steps)
-        camera_poses = tuple(self._camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
+        camera_poses = tuple(self.camera_poses(camera, vessel_poses, steps) for camera in self.cameras)
         return Snapshot(self.vessels, vessel_poses, self.obstacles, self.cameras, camera_poses)
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
@@ -223,10 +223,15 @@ class Scene:
         """
         if not len(steps):
             return np.empty((0, 3))
-        poses = self._camera_poses(camera, self.motion.at(steps), steps)
+        poses = self.camera_poses(camera, self.motion.at(steps), steps)
         return camera.intrinsics.sea_half_plane(poses.camera_R_world)
 
-    def _camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:
+    def camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:
+        """Poses of a camera at ascending steps of shape (S,), at which the vessels have the given poses.
+
+        Raises:
+            InputError: The vessel that carries the camera has no pose at a step.
+        """
         carrier = camera.mount.vessel
         if carrier is None:
             return poses_ashore(camera.mount, len(steps))

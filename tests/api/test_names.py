@@ -23,6 +23,7 @@ NAMES = {
     "learn_detector",
     "load_detector",
     "load_scene",
+    "locate",
     "open_run",
     "run_scene",
     "simulate_frames",

@@ -1,8 +1,9 @@
 """Own ship's motion and its inertial unit, against motions whose rates and forces are known."""
 
+import hashlib
 import json
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,8 +20,10 @@ from modsim3d.motion.poses.base import generated_timestamps
 from modsim3d.motion.poses.circular import CircularMotion
 from modsim3d.motion.vessel_motion import Waves
 from modsim3d.motion.waves import GRAVITY_M_S2, Motion
+from modsim3d.runs.files.own_ships_table import MEASURED_ATTITUDE
 from modsim3d.runs.run import run_scene
-from modsim3d.scene.own_ships import own_ships_at
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.own_ships import own_ships_at, true_attitudes
 from modsim3d.scene.reading import load_scene
 from tests.scenes import write_scene
 
@@ -161,12 +164,12 @@ def test_rates_carry_the_attitude_from_step_to_step(scene):
 
 def test_no_row_depends_on_how_the_run_is_split(scene):
     noisy = replace(
-        on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=Imu((1.0, 2.0, 3.0), 0.01, 0.02, 0.1, 0.2)
+        on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=Imu((1.0, 2.0, 3.0), *np.arange(1, 9) / 50)
     )
     whole = own_ship(noisy)
     for first, stop in ((0, 1), (1, 2), (0, 2), (57, 80), (STEPS - 2, STEPS - 1), (STEPS - 1, STEPS)):
         part = own_ships_at(noisy, first, stop)
-        for name in ("rates_rad_s", "forces_m_s2", "measured_rates_rad_s", "measured_forces_m_s2", "positions_m"):
+        for name in (field.name for field in fields(whole) if field.name != "vessels"):
             np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop], err_msg=name)
 
 
@@ -189,6 +192,45 @@ def test_errors_have_the_asked_spread_and_a_bias_stays(scene):
         biases.append([*(error[0, 0] / 0.3), *((own.measured_rates_rad_s - own.rates_rad_s)[0, 0] / 0.02)])
     spread = np.mean(np.square(biases))
     assert abs(spread - 1) < 4 * np.sqrt(2 / np.size(biases))
+
+
+def test_measured_attitudes_have_the_asked_spread_and_a_bias_that_stays(scene):
+    rough = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05)))
+    noisy = replace(rough, imu=Imu(attitude_noise_rad=0.01, heading_noise_rad=0.03))
+    perfect, other = own_ship(rough), own_ship(noisy)
+    true = true_attitudes(perfect.headings_rad, perfect.angles_rad)
+    np.testing.assert_array_equal(perfect.measured_attitudes_rad, true)
+    np.testing.assert_array_equal(true[..., 2], perfect.headings_rad + perfect.angles_rad[..., 2])
+    for name in ("measured_rates_rad_s", "measured_forces_m_s2", "angles_rad"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(perfect, name))
+    error = (other.measured_attitudes_rad - true) / [0.01, 0.01, 0.03]
+    assert abs(error.mean()) < 4 / np.sqrt(error.size) and abs(np.mean(error**2) - 1) < 4 * np.sqrt(2 / error.size)
+    assert abs(np.corrcoef(error[:-1].ravel(), error[1:].ravel())[0, 1]) < 4 / np.sqrt(error.size)
+    biases = []
+    for seed in range(200):
+        own = own_ships_at(replace(scene, imu=Imu(attitude_bias_rad=0.02, heading_bias_rad=0.3), seed=seed), 0, 3)
+        error = own.measured_attitudes_rad - true_attitudes(own.headings_rad, own.angles_rad)
+        np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), atol=1e-12)
+        biases.append(error[0, 0] / [0.02, 0.02, 0.3])
+    np.testing.assert_allclose(np.mean(np.square(biases), axis=0), 1, atol=4 * np.sqrt(2 / 200))
+    np.testing.assert_allclose(Imu(attitude_noise_rad=3, attitude_bias_rad=4).attitude_std_rad, [5, 5, 0])
+
+
+def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfect_unit(tmp_path, scene):
+    run_scene(replace(scene, waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05))), tmp_path / "run")
+    path = tmp_path / "run" / "ownship.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.drop_columns(list(MEASURED_ATTITUDE)), path)
+    data = json.loads((tmp_path / "run" / "run.json").read_text())
+    data["files"]["ownship.parquet"] = {
+        "bytes": path.stat().st_size,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+    }
+    (tmp_path / "run" / "run.json").write_text(json.dumps(data))
+    again = open_run(tmp_path / "run").table("ownship")
+    assert again.column_names == table.column_names
+    for name in table.column_names:
+        assert again[name].equals(table[name]), name
 
 
 def test_run_writes_a_row_for_each_step_and_own_ship(tmp_path, scene):
@@ -243,6 +285,8 @@ def test_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path):
         ({"rate_noise_rad_s": 0.1}, "imu: no camera is mounted on a vessel"),
         ({"rate_noise": 0.1}, "imu.rate_noise: unknown key"),
         ({"rate_noise_rad_s": -1}, "imu.rate_noise_rad_s"),
+        ({"heading_noise_rad": -0.1}, "imu.heading_noise_rad"),
+        ({"attitude_rad": 0.1}, "imu.attitude_rad: unknown key"),
     ):
         path.write_text(json.dumps({**data, "imu": imu}))
         with pytest.raises(InputError, match=said):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from modsim3d.formats.writing.sequences import CameraSequence, camera_sequences
+from modsim3d.positions.locating import Attitude
 from modsim3d.runs.stored_run import StoredRun
 
 
@@ -17,11 +18,13 @@ class ExportRequest:
         run: The run.
         cameras: Indices into the scene's cameras, ascending.
         masks: Whether the pixels of the vessels are written too.
+        attitude: Of cameras on board: as the inertial unit measures it, or the true one.
     """
 
     run: StoredRun
     cameras: tuple[int, ...]
     masks: bool = False
+    attitude: Attitude = "measured"
 
     @cached_property
     def sequences(self) -> tuple[CameraSequence, ...]:

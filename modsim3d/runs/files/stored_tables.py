@@ -14,6 +14,7 @@ from modsim3d.arrays import Indices
 from modsim3d.errors import RunDirectoryError
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
 from modsim3d.runs.files.format_1 import FORMAT_1_DETECTIONS, from_format_1
+from modsim3d.runs.files.own_ships_table import BEFORE_ATTITUDE, with_attitude
 from modsim3d.runs.files.replacing import RUN_FILE
 from modsim3d.runs.files.row_checks import (
     Rows,
@@ -153,7 +154,9 @@ class StoredTables:
         self._own_ship = folder / f"{OWN_SHIP}.parquet"
         if OWN_SHIP in schemas_of(scene):
             with damage_named(self._own_ship):
-                _check_schema(self._own_ship, pq.read_schema(self._own_ship), schemas_of(scene)[OWN_SHIP])
+                found, wanted = pq.read_schema(self._own_ship), schemas_of(scene)[OWN_SHIP]
+                former = found.names == BEFORE_ATTITUDE.names
+                _check_schema(self._own_ship, found, BEFORE_ATTITUDE if former else wanted)
 
     def check_counts(self, counts: dict[str, float]) -> None:
         """Check the number of rows of each table against the counts of `run.json`.
@@ -196,7 +199,8 @@ class StoredTables:
         path = self._own_ship
         self._check_checksum(path)
         with damage_named(path):
-            return pq.read_table(path)
+            table = pq.read_table(path)
+        return with_attitude(table) if table.column_names == BEFORE_ATTITUDE.names else table
 
     def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
         """The rows of steps first to stop − 1 by the table's name.

@@ -131,6 +131,9 @@ OWN_SHIP = (
     _number("measured_f1_m_s2", "m/s²", "f1_m_s2 as the inertial unit measures it"),
     _number("measured_f2_m_s2", "m/s²", "f2_m_s2 as the inertial unit measures it"),
     _number("measured_f3_m_s2", "m/s²", "f3_m_s2 as the inertial unit measures it"),
+    _number("measured_roll_rad", "rad", "roll_rad as the inertial unit measures it"),
+    _number("measured_pitch_rad", "rad", "pitch_rad as the inertial unit measures it"),
+    _number("measured_heading_rad", "rad", "heading_rad + yaw_rad as the inertial unit measures it"),
 )
 COLUMNS = {"frames": FRAMES, "truth": TRUTH, "detections": DETECTIONS, "ownship": OWN_SHIP}
 """The columns of each table of a run, in order."""

@@ -1,0 +1,208 @@
+"""The tables of `export --format csv`: read back as text, and nothing of the truth in what a tracker reads."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from modsim3d.cli import app
+from modsim3d.detector.records import KINDS
+from modsim3d.geometry.rotations import camera_R_parent
+from modsim3d.positions.locating import locate
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import StoredRun, open_run
+from tests.positions.position_scenes import position_scene
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "positions.md").read_text(encoding="utf-8")
+BOX = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+Table = dict[str, list[str]]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    scene = position_scene()
+    return open_run(run_scene(scene, tmp_path_factory.mktemp("csv") / "run").folder)
+
+
+def export(run: StoredRun, folder: Path, *options: str) -> Any:
+    arguments = ["export", str(run.folder), "--format", "csv", "--out", str(folder), *options]
+    return CliRunner().invoke(app, arguments, catch_exceptions=False, env={"COLUMNS": "200"})
+
+
+@pytest.fixture(scope="module")
+def exported(run: StoredRun) -> Path:
+    folder = run.folder.parent / "exported"
+    assert export(run, folder).exit_code == 0
+    return folder
+
+
+def read(path: Path) -> Table:
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    with path.open(newline="", encoding="utf-8") as file:
+        names = next(csv.reader(file))
+    return {name: [row[name] for row in rows] for name in names}
+
+
+def numbers(table: Table, *names: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    columns = [[float(text) if text else np.nan for text in table[name]] for name in names]
+    return np.array(columns[0] if len(names) == 1 else columns).T
+
+
+def documented(file: str) -> list[str]:
+    """The columns that the page lists for a file."""
+    section = PAGE.partition(f"\n### {file}\n")[2].partition("\n#")[0]
+    return re.findall(r"`([a-z0-9_]+)`", "\n".join(re.findall(r"^\| (`[^|]+) \|", section, re.MULTILINE)))
+
+
+@pytest.mark.parametrize(
+    ("name", "section"),
+    [
+        ("detections_bow", "detections_CAMERA.csv"),
+        ("frames_shore", "frames_CAMERA.csv"),
+        ("truth_bow", "truth_CAMERA.csv"),
+        ("cameras", "cameras.csv"),
+        ("ownship", "ownship.csv"),
+    ],
+)
+def test_the_page_lists_the_columns_of_every_file(exported: Path, name: str, section: str) -> None:
+    assert list(read(exported / f"{name}.csv")) == documented(section)
+
+
+@pytest.mark.parametrize("camera", ["bow", "shore"])
+def test_every_detection_is_there_where_its_rounded_box_is_located(run: StoredRun, exported: Path, camera: str) -> None:
+    table = read(exported / f"detections_{camera}.csv")
+    frames = [frame for frame in run.frames() if frame.camera == camera]
+    boxes, steps = numbers(table, *BOX), numbers(table, "step").astype(int)
+    assert len(boxes) == sum(len(frame.detections) for frame in frames) > 20
+    for frame in frames:
+        mine = np.flatnonzero(steps == frame.step)
+        confidence = numbers(table, "confidence")[mine]
+        assert (np.diff(confidence) <= 0).all()
+        order = np.lexsort((*frame.detections.boxes_px.T[::-1], -frame.detections.confidence))
+        np.testing.assert_allclose(boxes[mine], frame.detections.boxes_px[order], atol=5.01e-4)
+        assert [table["label"][row] for row in mine] == [frame.detections.labels[row] for row in order]
+    found = locate(run.scene, camera, steps, boxes)
+    pairs = {
+        "bearing_rad": found.bearing_rad,
+        "bearing_std_rad": found.bearing_std_rad,
+        "inverse_range_per_m": found.inverse_range_per_m,
+        "inverse_range_std_per_m": found.inverse_range_std_per_m,
+        "covariance_rad_per_m": found.covariance_rad_per_m,
+        "w1_m": found.positions_m[:, 0],
+        "w2_m": found.positions_m[:, 1],
+        "w1_variance_m2": found.position_covariances_m2[:, 0, 0],
+        "w1_w2_covariance_m2": found.position_covariances_m2[:, 0, 1],
+        "w2_variance_m2": found.position_covariances_m2[:, 1, 1],
+    }
+    for name, expected in pairs.items():
+        np.testing.assert_allclose(numbers(table, name), expected, rtol=1e-8, err_msg=name)
+
+
+@pytest.mark.parametrize("camera", ["bow", "shore"])
+def test_every_frame_is_there_with_the_pose_of_the_camera(run: StoredRun, exported: Path, camera: str) -> None:
+    table = read(exported / f"frames_{camera}.csv")
+    assert numbers(table, "step").tolist() == list(range(run.steps))
+    assert table["timestamp"] == list(run.scene.timestamps(0, run.steps))
+    places = numbers(table, "camera_w1_m", "camera_w2_m", "camera_w3_m")
+    angles = numbers(table, "camera_roll_rad", "camera_pitch_rad", "camera_yaw_rad")
+    index = [each.name for each in run.scene.cameras].index(camera)
+    for step in (0, 11):
+        true = run.scene.at(step).camera_poses[index]
+        turned = camera_R_parent(*angles[step]) @ true.camera_R_world[0].T
+        error = np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))
+        assert error < 1e-6 if camera == "shore" else 1e-4 < error < 0.06
+        np.testing.assert_allclose(places[step], true.positions_m[0], atol=1e-5 if camera == "shore" else 0.5)
+
+
+def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, exported: Path, tmp_path: Path) -> None:
+    assert export(run, tmp_path / "true", "--attitude", "true").exit_code == 0
+    frames = read(tmp_path / "true" / "frames_bow.csv")
+    angles = numbers(frames, "camera_roll_rad", "camera_pitch_rad", "camera_yaw_rad")
+    true = run.scene.at(7).camera_poses[0].camera_R_world[0]
+    np.testing.assert_allclose(camera_R_parent(*angles[7]), true, atol=1e-7)
+    own = run.table("ownship")
+    kinds = {"true": ("roll_rad", "pitch_rad"), "exported": ("measured_roll_rad", "measured_pitch_rad")}
+    for folder, names in kinds.items():
+        said = numbers(
+            read(
+                run.folder.parent / folder / "ownship.csv"
+                if folder == "exported"
+                else tmp_path / folder / "ownship.csv"
+            ),
+            "roll_rad",
+            "pitch_rad",
+        )
+        np.testing.assert_allclose(said, np.column_stack([own[name] for name in names]), rtol=1e-7, atol=1e-12)
+    assert (tmp_path / "true" / "truth_bow.csv").read_bytes() == (exported / "truth_bow.csv").read_bytes()
+    same = read(tmp_path / "true" / "detections_bow.csv"), read(exported / "detections_bow.csv")
+    assert same[0]["x_min_px"] == same[1]["x_min_px"] and same[0]["bearing_rad"] != same[1]["bearing_rad"]
+    stds = [numbers(table, "bearing_std_rad") for table in same]
+    assert (stds[0] < stds[1])[np.isfinite(stds[0])].all()
+
+
+def test_nothing_that_a_tracker_reads_names_a_vessel_a_state_or_an_origin(run: StoredRun, exported: Path) -> None:
+    scene = run.scene
+    secrets = [name for name in scene.vessel_names if name != "flagship"]  # own ship is known to be there
+    secrets += [state.name for state in scene.detector.states] + [kind for kind in KINDS if kind != "true"]
+    for path in exported.glob("*.csv"):
+        if path.name.startswith("truth_"):
+            assert b"mermaid" in path.read_bytes()
+            continue
+        assert [name for name in secrets if name.encode() in path.read_bytes()] == [], path.name
+    for camera in ("bow", "shore"):  # and the last bits of an edge do not tell a cut true box from a false one
+        table = read(exported / f"detections_{camera}.csv")
+        assert all(len(text.partition(".")[2]) <= 3 for name in BOX for text in table[name])
+
+
+def test_truth_has_the_vessels_and_where_their_centres_are(run: StoredRun, exported: Path) -> None:
+    table, rows = read(exported / "truth_shore.csv"), run.table("truth")
+    mine = [row for row in rows.to_pylist() if row["camera"] == "shore"]
+    assert table["vessel"] == [row["vessel"] for row in mine]
+    assert table["annotated"] == [str(row["annotated"]).lower() for row in mine]
+    for at, row in list(enumerate(mine))[::7]:
+        place = run.scene.at(row["step"])
+        column = run.scene.vessel_names.index(row["vessel"])
+        centre = place.vessel_poses.poses.positions_m[0, column, :2]
+        away = centre - [-50, 30]
+        said = numbers(table, "w1_m", "w2_m", "bearing_rad", "inverse_range_per_m")[at]
+        expected = [*centre, np.arctan2(away[1], away[0]), 1 / np.hypot(*away)]
+        np.testing.assert_allclose(said, expected, rtol=1e-6, atol=1e-9)
+        full = [row[f"full_{side}"] for side in BOX]
+        np.testing.assert_allclose(numbers(table, *BOX)[at], full, atol=5.01e-4)
+
+
+def test_one_camera_alone_and_a_run_without_own_ship(run: StoredRun, exported: Path, tmp_path: Path) -> None:
+    assert export(run, tmp_path / "shore", "--camera", "shore").exit_code == 0
+    names = {"detections_shore.csv", "frames_shore.csv", "truth_shore.csv", "cameras.csv", "ownship.csv"}
+    assert {path.name for path in (tmp_path / "shore").iterdir()} == names
+    for name in names - {"cameras.csv"}:
+        assert (tmp_path / "shore" / name).read_bytes() == (exported / name).read_bytes()
+    assert read(tmp_path / "shore" / "cameras.csv")["camera"] == ["shore"]
+    cameras = {"shore": {"frame_rate_hz": 1, "start_offset_s": 1.5, **_place(run)}}
+    empty = position_scene(cameras=cameras, waves=None, imu=None, annotation={"source": "analytic", "min_box_px": 500})
+    ashore = open_run(run_scene(empty, tmp_path / "ashore").folder)
+    assert export(ashore, tmp_path / "out").exit_code == 0
+    assert not (tmp_path / "out" / "ownship.csv").exists()
+    assert numbers(read(tmp_path / "out" / "frames_shore.csv"), "step").tolist() == list(range(3, run.steps, 2))
+    detections = read(tmp_path / "out" / "detections_shore.csv")
+    assert list(detections) == documented("detections_CAMERA.csv") and detections["step"] == []
+    assert set(read(tmp_path / "out" / "truth_shore.csv")["annotated"]) == {"false"}
+
+
+def _place(run: StoredRun) -> dict[str, Any]:
+    lens = run.scene.copy.document["cameras"]["shore"]
+    return {key: lens[key] for key in lens if key not in ("frame_rate_hz", "start_offset_s")}
+
+
+def test_the_attitude_goes_with_csv_alone(run: StoredRun, tmp_path: Path) -> None:
+    arguments = ["export", str(run.folder), "--format", "coco", "--out", str(tmp_path / "out"), "--attitude", "true"]
+    done = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
+    assert done.exit_code == 2 and "goes with --format csv" in done.output and not (tmp_path / "out").exists()
+    assert "is not one of" in export(run, tmp_path / "out", "--attitude", "guessed").output
