@@ -14,7 +14,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
-from modsim3d.formats.labelled import NOBODY, Annotations, Images, LabelledSet, Results
+from modsim3d.formats.labelled import NOBODY, Annotations, FileIds, Images, LabelledSet, Results
 from modsim3d.inputs.budgets import MAX_PROBLEMS
 from modsim3d.inputs.validation import shown
 
@@ -164,11 +164,17 @@ class AnnotationRows(_Rows):
         self.places.append(place)
         self.attributes.append((ignored, crowd, identity, visible_fraction, depth_m))
 
+    @property
+    def identities(self) -> tuple[Any, ...]:
+        """All identities, in the order in which they appear."""
+        of_rows = (identity for _, _, identity, _, _ in self.attributes)
+        return tuple(dict.fromkeys(each for each in of_rows if each is not None))
+
     def annotations(self) -> Annotations:
         """The rows as columns, ordered by image; identities are numbered in the order in which they appear."""
         nothing = ((),) * 5
+        numbers = {name: number for number, name in enumerate(self.identities)}
         ignored, crowd, identity, visible_fraction, depth_m = tuple(zip(*self.attributes, strict=True)) or nothing
-        numbers = {name: k for k, name in enumerate(dict.fromkeys(each for each in identity if each is not None))}
         return Annotations(
             *self._columns(),
             ignored=np.array(ignored, dtype=bool),
@@ -230,6 +236,7 @@ def labelled_set(
     annotations: AnnotationRows,
     results: ResultRows,
     notes: Sequence[str],
+    ids: FileIds | None = None,
 ) -> LabelledSet:
     """A labelled set of one source; images that name no condition of their own have the given one.
 
@@ -255,5 +262,5 @@ def labelled_set(
         np.array(images.time_s, dtype=np.float64),
     )
     return LabelledSet(
-        tuple(labels), conditions, columns, annotations.annotations(), results.results(len(labels)), tuple(notes)
+        tuple(labels), conditions, columns, annotations.annotations(), results.results(len(labels)), tuple(notes), ids
     )
