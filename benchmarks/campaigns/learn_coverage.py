@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.formats.coco import write_coco
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
+from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.learned import Settings, learn
 from modsim3d.learn.observed import Observed
 from modsim3d.learn.states import each_its_own, transitions_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ import typer
 
 from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, print_written
 from modsim3d.commands.terminal import open_console, tell_files, timed
+from modsim3d.errors import ModsimError
 from modsim3d.formats.writing.registry import FORMATS
 
 ExportFormat = Enum("ExportFormat", {name: name for name in FORMATS}, type=str)  # type: ignore[misc]
@@ -23,6 +25,9 @@ def export_command(
     camera: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this camera; may be given more than once.")
     ] = None,
+    masks: Annotated[
+        bool, typer.Option("--masks", help="Write which pixels each vessel has, whole and visible (coco only).")
+    ] = False,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -32,17 +37,35 @@ def export_command(
     Example: modsim3d export runs/first --format coco --out exported
     """
     from modsim3d.formats.writing.request import ExportRequest
-    from modsim3d.outputs.claims import claimed
+    from modsim3d.outputs.claims import claimed, claimed_folders
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.selection import select_cameras
     from modsim3d.runs.stored_run import open_run
 
     chosen, read = FORMATS[format_.value], read_of_run(run)
+    _check_options(format_.value, {"--masks": masks})
     with timed("opening the run"):
         opened = open_run(run)
-        request = ExportRequest(opened, tuple(sorted(select_cameras(opened, camera or ()))))
+        request = ExportRequest(opened, tuple(sorted(select_cameras(opened, camera or ()))), masks)
         paths = [out / name for name in chosen.files(request)]
+        folders = {out / name: pattern for name, pattern in chosen.folders().items()}
     tell_files(read)
-    with claimed(paths, overwrite=overwrite, inputs=read), timed("files"):
+    with (
+        claimed(paths, overwrite=overwrite, inputs=read),
+        claimed_folders(folders, overwrite=overwrite, inputs=read),
+        timed("files"),
+    ):
         chosen.write(request, out)
-    print_written(open_console(), paths)
+    print_written(open_console(), [*paths, *folders])
+
+
+def _check_options(name: str, given: Mapping[str, object]) -> None:
+    """Refuse options that a format does not take.
+
+    Raises:
+        ModsimError: One is given.
+    """
+    for option, value in given.items():
+        if value and option not in FORMATS[name].options:
+            takers = " or ".join(other for other, format_ in FORMATS.items() if option in format_.options)
+            raise ModsimError(f"{option} goes with --format {takers}, not with {name}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -35,6 +35,43 @@ def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = 
                 raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
             check_free(path, overwrite, inputs)  # another process may have ended just now
         yield
+
+
+@contextmanager
+def claimed_folders(patterns: Mapping[Path, str], *, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[None]:
+    """The same for folders all of whose files are written; each has the pattern of the names that it may hold.
+
+    Raises:
+        OutputError: One of the folders may not be written, or cannot be.
+    """
+    inputs = tuple(inputs)
+    with ExitStack() as locks:
+        for path, pattern in patterns.items():
+            check_not_read(path, inputs)
+            check_free_folder(path, pattern, overwrite)
+            try:
+                locks.enter_context(locked_file(path))
+            except OSError as error:
+                raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
+            check_free_folder(path, pattern, overwrite)  # another process may have ended just now
+        yield
+
+
+def check_free_folder(path: Path, pattern: str, overwrite: bool) -> None:
+    """Check that a folder may be written; see `claimed_folders`.
+
+    Raises:
+        OutputError: It is a file, holds other files than those of its pattern, or any that are not to be overwritten.
+    """
+    if not path.exists() and not path.is_symlink():
+        return
+    if not path.is_dir():
+        raise OutputError(f"{path} is a file, and a folder is to be written there: choose another name")
+    names = sorted(entry.name for entry in path.iterdir())
+    if strange := [name for name in names if not Path(name).match(pattern)]:
+        raise OutputError(f"{path} holds other files than {pattern} ({strange[0]}): choose another folder")
+    if names and not overwrite:
+        raise OutputError(f"{path} exists: use --overwrite, or choose another name")
 
 
 def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:

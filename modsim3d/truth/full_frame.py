@@ -6,6 +6,7 @@ This is the reference that `rendered` is tested against, and what `--render full
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,20 @@ def full_frame_occlusion(
         visible_px=visible.px / area,
         hidden=HiddenPixels.of(row, hider, np.array(list(hiders.values()), dtype=np.float64) / area),
     )
+
+
+def vessel_masks(
+    outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
+) -> Iterator[tuple[int, PixelMasks]]:
+    """Draw every frame: the pixels that `full_frame_occlusion` counts, for each row of the outlines that gets a box.
+
+    A row comes more than once where the image is drawn in tiles, each time with other pixels.
+    """
+    drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
+    for rows in frame_slices(outlines.frame):
+        for tile in tiles_of(drawing.image):
+            for row, masks, _ in _drawn_masks(drawing, rows, tile):
+                yield row, masks
 
 
 def pixel_masks(
@@ -121,6 +136,16 @@ def _count(
     hiders: Counter[tuple[int, int]],
 ) -> None:
     """Count the pixels of a frame's vessels in a tile."""
+    for row, masks, seen in _drawn_masks(drawing, rows, tile):
+        silhouettes.add(row, masks.silhouette, masks.region)
+        visible.add(row, masks.visible, masks.region)
+        hidden = masks.silhouette & ~masks.visible
+        for hider, pixels in zip(*np.unique(seen[hidden], return_counts=True), strict=True):
+            hiders[row, int(hider) - 1] += int(pixels)
+
+
+def _drawn_masks(drawing: _Drawing, rows: slice, tile: Region) -> Iterator[tuple[int, PixelMasks, Ids]]:
+    """Each vessel of a frame that may have pixels in a tile: its row, those pixels, and the IDs seen around them."""
     scene = drawing.draw(rows, tile)
     for row in (rows.start + np.flatnonzero(drawing.outlines.boxed[rows])).tolist():
         region = drawing.region(row).common(tile)
@@ -131,10 +156,7 @@ def _count(
         overlaps = _overlaps_another(drawing.outlines.boxes_px, row, rows)
         silhouette = drawing.draw(slice(row, row + 1), region) > 0 if overlaps else mask
         mask |= silhouette & (seen == 0)  # far outside the buffer OpenGL cuts edges itself, here and there differently
-        silhouettes.add(row, silhouette, region)
-        visible.add(row, mask, region)
-        for hider, pixels in zip(*np.unique(seen[silhouette & ~mask], return_counts=True), strict=True):
-            hiders[row, int(hider) - 1] += int(pixels)
+        yield row, PixelMasks(region, silhouette, mask), seen
 
 
 def _overlaps_another(boxes_px: Array, row: int, rows: slice) -> bool:

@@ -174,6 +174,8 @@ def test_mot(tmp_path):
     assert labelled.labels == ("boat",)
     assert labelled.images.time_s.tolist() == pytest.approx([0, 0.2, 0.4, 0.6])
     assert labelled.images.sizes_px[0].tolist() == [1920, 1080]
+    assert labelled.annotations.boxes_px[0].tolist() == [9, 19, 39, 59]  # the format counts pixels from 1
+    assert labelled.results.boxes_px[1].tolist() == [11, 19, 41, 59]
     assert labelled.annotations.identity.tolist() == [0, 0, 1]
     assert labelled.annotations.ignored.tolist() == [False, False, True]
     assert labelled.annotations.visible_fraction.tolist() == [0.5, 1, 1]

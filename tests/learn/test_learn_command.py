@@ -60,11 +60,12 @@ def test_exported_coco_is_the_run(run, exported):
     names = [again.conditions[k] for k in again.images.condition]
     assert names == [first.conditions[k] for k in first.images.condition]
     np.testing.assert_array_equal(again.annotations.identity >= 0, True)
-    for part in ("annotations", "results"):
-        for column in ("image", "label", "boxes_px"):
-            np.testing.assert_allclose(
-                getattr(getattr(again, part), column), getattr(getattr(first, part), column), atol=1e-6
-            )
+    found = first.results  # which a tracker may read: rounded, and the most confident of an image first
+    order = np.lexsort((-found.confidence, found.image))
+    for column in ("image", "label", "boxes_px"):
+        true = getattr(again.annotations, column), getattr(first.annotations, column)
+        np.testing.assert_allclose(*true, atol=1e-6)
+        np.testing.assert_allclose(getattr(again.results, column), getattr(found, column)[order], atol=1.1e-3)
     np.testing.assert_array_equal(again.images.time_s, first.images.time_s)
 
 

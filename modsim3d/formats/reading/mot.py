@@ -2,8 +2,9 @@
 
 A line of truth is frame, identity, x, y, width, height, flag (0 is ignored), class, visibility. A line of detections is
 frame, −1, x, y, width, height, confidence, and a class if the eighth number is 1 or more; if no line has a class, there
-is only one label. A `seqinfo.ini` beside or above the truth gives the size of the images, their number and the frame
-rate.
+is only one label. Frames and pixels count from 1: a box that begins at the left edge of the image has x = 1 (Milan et
+al. (2016), "MOT16", data format). A `seqinfo.ini` beside or above the truth gives the size of the images, their number
+and the frame rate.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from modsim3d.arrays import Array
+from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
@@ -126,7 +129,7 @@ def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
 
 
 def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationRows:
-    rows = AnnotationRows()
+    rows = AnnotationRows(_corners)
     for where, numbers in lines:
         if not is_number(numbers[1]):
             problems.add(f"{where}: identity must be at most {MOST_NUMBER:g} (got {numbers[1]:g})")
@@ -144,7 +147,7 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
 
 
 def _results(lines: Lines, known: _Known, problems: Problems) -> ResultRows:
-    rows = ResultRows()
+    rows = ResultRows(_corners)
     for where, numbers in lines:
         if not 0 <= numbers[6] <= 1:
             problems.add(f"{where}: confidence must be from 0 to 1 (got {numbers[6]:g})")
@@ -153,6 +156,11 @@ def _results(lines: Lines, known: _Known, problems: Problems) -> ResultRows:
         if place is not None:
             rows.add(place, numbers[6])
     return rows
+
+
+def _corners(boxes_px: Array) -> Array:
+    """Boxes with pixels counted from 0, of those of a file, shapes (n, 4)."""
+    return from_top_left(boxes_px) - 1
 
 
 def _place(where: str, numbers: list[float], problems: Problems, known: _Known) -> Place | None:

@@ -2,11 +2,14 @@
 
 Beside COCO's own keys an image has `condition`, `sequence` and `time_s`, and an annotation `track_id`,
 `visible_fraction` and `distance_m`, where they are known. Results name nobody.
+
+Masks are in `coco_masks`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +17,52 @@ import orjson
 
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.writing.coco_masks import check_masks, mask_entries
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.outputs.placing import write_files
+from modsim3d.runs.files.tracker_input import BOX_DECIMALS, told_boxes_px, told_order
 
 FILES = ("gt.json", "dt.json")
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files."""
+    """The paths of the files.
+
+    Raises:
+        ModsimError: Masks are asked for, and the run's truth has none.
+    """
+    if request.masks:
+        check_masks(request)
     return FILES
 
 
 def write(request: ExportRequest, folder: Path) -> None:
     """Write a run."""
     labelled, _ = labelled_run(request.run, request.cameras)
-    write_coco(labelled, folder)
+    write_coco(labelled, folder, mask_entries(request) if request.masks else None)
 
 
-def write_coco(labelled: LabelledSet, folder: Path) -> tuple[Path, Path]:
-    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths."""
+def write_coco(labelled: LabelledSet, folder: Path, masks: Iterable[dict[str, Any]] | None = None) -> tuple[Path, Path]:
+    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths.
+
+    Args:
+        labelled: The content.
+        folder: The folder.
+        masks: Keys to be added to each annotation, in their order.
+    """
     truth, results = (folder / name for name in FILES)
-    write_files({truth: orjson.dumps(ground_truth(labelled)), results: orjson.dumps(coco_results(labelled))})
+    content = ground_truth(labelled)
+    if masks is not None:
+        for entry, more in zip(content["annotations"], masks, strict=True):
+            entry |= more
+    write_files({truth: orjson.dumps(content), results: orjson.dumps(coco_results(labelled))})
     return truth, results
 
 
 def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
     """The content of a ground truth; IDs begin at 1."""
     images, rows = labelled.images, labelled.annotations
-    sizes, times = images.sizes_px.tolist(), images.time_s.tolist()
+    sizes, times = [list(map(_whole, size)) for size in images.sizes_px.tolist()], images.time_s.tolist()
     entries = []
     for k, name in enumerate(images.names):
         entry: dict[str, Any] = {"id": k + 1, "file_name": name, "width": sizes[k][0], "height": sizes[k][1]}
@@ -69,11 +90,18 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
 
 
 def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
-    """The content of a results file."""
+    """The content of a results file, as a tracker may read it: boxes are rounded, the most confident comes first."""
     results = labelled.results
-    columns = results.image.tolist(), results.label.tolist(), results.boxes_px.tolist(), results.confidence.tolist()
+    boxes = told_boxes_px(results.boxes_px)
+    order = told_order(results.image, boxes, results.label, results.confidence)
+    columns = (column[order].tolist() for column in (results.image, results.label, boxes, results.confidence))
     return [
-        {"image_id": image + 1, "category_id": label + 1, "bbox": _sides(box), "score": score}
+        {
+            "image_id": image + 1,
+            "category_id": label + 1,
+            "bbox": [round(side, BOX_DECIMALS) for side in _sides(box)],
+            "score": score,
+        }
         for image, label, box, score in zip(*columns, strict=True)
     ]
 
@@ -82,3 +110,8 @@ def _sides(corners: list[float]) -> list[float]:
     """Corner, width and height of a box."""
     x_min, y_min, x_max, y_max = corners
     return [x_min, y_min, x_max - x_min, y_max - y_min]
+
+
+def _whole(value: float) -> float:
+    """A whole number as one, as COCO has it."""
+    return int(value) if value.is_integer() else value

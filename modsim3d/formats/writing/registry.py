@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,15 +21,25 @@ class Format:
         module: Module below this package that writes it. It has `files`, which gives the paths inside the folder before
             anything is done, and `write`, which writes them all.
         content: What it writes, for the command's help.
+        options: Options of the command that it takes beside those that every format takes.
     """
 
     module: str
     content: str
+    options: tuple[str, ...] = ()
 
     def files(self, request: ExportRequest) -> tuple[str, ...]:
         """Paths, relative to the folder, of the files that `write` will write."""
         paths: tuple[str, ...] = self._imported().files(request)
         return paths
+
+    def folders(self) -> Mapping[str, str]:
+        """The pattern of the names in each folder of which `write` makes everything; relative to the folder.
+
+        A format with a file for each frame has them as `FOLDERS`.
+        """
+        folders: Mapping[str, str] = getattr(self._imported(), "FOLDERS", {})
+        return folders
 
     def write(self, request: ExportRequest, folder: Path) -> None:
         """Write the files into a folder, which is made where it is not there."""
@@ -39,5 +50,7 @@ class Format:
 
 
 FORMATS = {
-    "coco": Format("coco", "gt.json and dt.json"),
+    "coco": Format("coco", "gt.json and dt.json", options=("--masks",)),
+    "mot": Format("mot", "sequences of MOTChallenge for trackers and their evaluators"),
+    "yolo": Format("yolo", "labels, predictions and data.yaml"),
 }

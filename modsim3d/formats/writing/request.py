@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+from modsim3d.formats.writing.sequences import CameraSequence, camera_sequences
 from modsim3d.runs.stored_run import StoredRun
 
 
@@ -14,10 +16,17 @@ class ExportRequest:
     Attributes:
         run: The run.
         cameras: Indices into the scene's cameras, ascending.
+        masks: Whether the pixels of the vessels are written too.
     """
 
     run: StoredRun
     cameras: tuple[int, ...]
+    masks: bool = False
+
+    @cached_property
+    def sequences(self) -> tuple[CameraSequence, ...]:
+        """The frames of the cameras, with what is true in them and what a tracker may read of them."""
+        return camera_sequences(self.run, self.cameras)
 
     @property
     def camera_names(self) -> tuple[str, ...]:

@@ -7,19 +7,42 @@ from collections.abc import Iterator
 import numpy as np
 import orjson
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.scene import Scene
 
 TRACKER_INPUT = "tracker_input"
-_DECIMALS = 3
+BOX_DECIMALS = 3
 """Of a box's edges in pixels: the last bits of exact edges tell true detections from false ones."""
+
+
+def told_boxes_px(boxes_px: Array) -> Array:
+    """Boxes as a tracker may read them, shapes (m, 4)."""
+    return np.round(boxes_px, BOX_DECIMALS)
+
+
+def told_order(frame: Indices, boxes_px: Array, label: Indices, confidence: Array) -> Indices:
+    """The order in which a tracker may read detections, by frame, that tells nothing of where they came from.
+
+    Within a frame the most confident comes first; equally confident ones follow each other by their boxes.
+
+    Args:
+        frame: Number of each detection's frame, shape (m,).
+        boxes_px: Boxes as `told_boxes_px` gives them, shape (m, 4).
+        label: Index of the label, shape (m,).
+        confidence: Confidence, shape (m,).
+
+    Returns:
+        Rows of the detections, shape (m,).
+    """
+    return np.lexsort((label, *boxes_px.T[::-1], -confidence, frame))
 
 
 def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
     """The detections of a camera, one line a frame; the most confident first, equal ones in order of their boxes."""
     detections, labels = part.detections, scene.detector.labels
-    boxes = np.round(detections.boxes_px, _DECIMALS)
-    order = np.lexsort((detections.label, *boxes.T[::-1], -detections.confidence, detections.frame))
+    boxes = told_boxes_px(detections.boxes_px)
+    order = told_order(detections.frame, boxes, detections.label, detections.confidence)
     starts = np.searchsorted(detections.frame, np.arange(len(part.steps) + 1)).tolist()
     entries = [
         {"box_px": box, "label": labels[label], "confidence": confidence}

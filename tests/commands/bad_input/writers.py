@@ -20,6 +20,8 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
     "compare": ("compare.html", lambda run, out: ("compare", scene_file(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
+    "export: mot": ("frames.csv", lambda run, out: ("export", run, "--format", "mot", "--out", out.parent)),
+    "export: yolo": ("data.yaml", lambda run, out: ("export", run, "--format", "yolo", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",

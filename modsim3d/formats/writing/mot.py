@@ -1,0 +1,176 @@
+"""MOTChallenge: ground truth, detections and sequence files, for trackers and for the programs that score them.
+
+There are two sets. `modsim3d-all` has a sequence for each camera, of all classes as one. `modsim3d-class` has one for
+each camera and class that is in its truth or among its detections. What is scored is class 1 in both, since evaluators
+score no other class.
+
+The corner of a box is x_min + 1, y_min + 1, as the format counts pixels from 1; width and height are those of the box.
+A vessel that is in the image and not annotated (hidden, or left out by a filter) has flag 0, which means that it is
+not scored. Its class is 8, a distractor: a track that is kept on it costs nothing.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from modsim3d.arrays import Array, Mask
+from modsim3d.boxes import iou, sizes
+from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.sequences import CameraSequence, ToldBoxes, TrueBoxes
+from modsim3d.outputs.placing import write_files
+from modsim3d.vessels.vessel import Vessel
+
+ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
+SCORED, DISTRACTOR = 1, 8
+"""Classes of the format: the only one that evaluators score, and one whose matches they leave out."""
+UNKNOWN = -1
+_LEAST_IOU = 0.5
+"""From here on evaluators match a track to a distractor."""
+_HEADING = "name"
+"""The first line of a sequence map; some programs skip every line like it."""
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_.-]")
+
+
+def files(request: ExportRequest) -> tuple[str, ...]:
+    """The paths of the files."""
+    sequences = [f"{each.folder}/{file}" for each in _sequences(request) for file in _SEQUENCE_FILES]
+    return (*sequences, *(f"seqmaps/{set_}.txt" for set_ in (ALL_SET, CLASS_SET)), "frames.csv", "vessels.csv")
+
+
+def write(request: ExportRequest, folder: Path) -> None:
+    """Write a run."""
+    sequences = _sequences(request)
+    contents = {f"{each.folder}/{file}": text(each) for each in sequences for file, text in _SEQUENCE_FILES.items()}
+    for set_ in (ALL_SET, CLASS_SET):
+        names = [each.name for each in sequences if each.set == set_]
+        contents[f"seqmaps/{set_}.txt"] = "".join(f"{name}\n" for name in (_HEADING, *names))
+    contents["frames.csv"] = _frame_table(request.sequences)
+    contents["vessels.csv"] = _vessel_table(request.run.scene.vessels)
+    write_files({folder / path: text for path, text in contents.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class _Sequence:
+    """A sequence of one of the two sets, with the truth and the detections that belong to it."""
+
+    set: str
+    name: str
+    frames: CameraSequence
+    truth: TrueBoxes
+    detections: ToldBoxes
+
+    @property
+    def folder(self) -> str:
+        return f"{self.set}/{self.name}"
+
+
+def _sequences(request: ExportRequest) -> list[_Sequence]:
+    labels, found = request.run.scene.detector.labels, list[_Sequence]()
+    for each in request.sequences:
+        name = _free_name(each.camera.name, ALL_SET, found)
+        found.append(_Sequence(ALL_SET, name, each, each.truth, each.detections))
+    for each in request.sequences:
+        for number, label in enumerate(labels):
+            truth = each.truth.take(each.truth.label == number)
+            detections = each.detections.take(each.detections.label == number)
+            if truth.annotated.any() or len(detections):
+                name = _free_name(f"{each.camera.name}-{label}", CLASS_SET, found)
+                found.append(_Sequence(CLASS_SET, name, each, truth, detections))
+    return found
+
+
+def _free_name(wanted: str, set_: str, given: Iterable[_Sequence]) -> str:
+    """A name for a folder like the one that is wanted, which no sequence of the set has."""
+    plain = _NOT_IN_NAMES.sub("_", wanted)
+    taken = {_HEADING, *(each.name.lower() for each in given if each.set == set_)}
+    name, number = plain, 1
+    while name.lower() in taken:
+        number += 1
+        name = f"{plain}-{number}"
+    return name
+
+
+def _info(sequence: _Sequence) -> str:
+    width, height = sequence.frames.size_px
+    entries = {
+        "name": sequence.name,
+        "imDir": "img1",
+        "frameRate": _number(round(sequence.frames.rate_hz, 6)),
+        "seqLength": len(sequence.frames.steps),
+        "imWidth": width,
+        "imHeight": height,
+        "imExt": ".png",
+    }
+    return "[Sequence]\n" + "".join(f"{key}={value}\n" for key, value in entries.items())
+
+
+def _truth(sequence: _Sequence) -> str:
+    """Lines of frame, identity, x, y, width, height, flag, class and visibility."""
+    truth = sequence.truth
+    classes = np.where(truth.annotated | _near_scored(truth), SCORED, DISTRACTOR)
+    columns = (truth.frame + 1, truth.vessel + 1, *_places(truth.boxes_px), truth.annotated, classes)
+    return _lines([*columns, np.where(np.isnan(truth.visible_fraction), UNKNOWN, truth.visible_fraction.round(6))])
+
+
+def _detections(sequence: _Sequence) -> str:
+    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known."""
+    found = sequence.detections
+    unknown = np.full(len(found), UNKNOWN)
+    return _lines([found.frame + 1, unknown, *_places(found.boxes_px), found.confidence, *[unknown] * 3])
+
+
+_SEQUENCE_FILES = {"seqinfo.ini": _info, "gt/gt.txt": _truth, "det/det.txt": _detections}
+
+
+def _near_scored(truth: TrueBoxes) -> Mask:
+    """Which boxes overlap an annotated box so much that its own track could be matched to them, shape (n,)."""
+    near = np.zeros(len(truth), dtype=bool)
+    scored = np.flatnonzero(truth.annotated)
+    for row in np.flatnonzero(~truth.annotated).tolist():
+        first, stop = np.searchsorted(truth.frame[scored], (truth.frame[row], truth.frame[row] + 1))
+        others = truth.boxes_px[scored[first:stop]]
+        near[row] = (iou(others, truth.boxes_px[[row]]) >= _LEAST_IOU).any()
+    return near
+
+
+def _places(boxes_px: Array) -> list[Array]:
+    """Columns of the corner, counted from 1, and of width and height."""
+    return [*(boxes_px[:, :2] + 1).T, *sizes(boxes_px).T]
+
+
+def _lines(columns: Sequence[np.ndarray]) -> str:
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return "".join(",".join(map(_number, row)) + "\n" for row in rows)
+
+
+def _number(value: float) -> str:
+    """A number with so many digits that it comes back within a millionth of a pixel, and no more."""
+    return f"{value:.12g}"
+
+
+def _frame_table(sequences: Sequence[CameraSequence]) -> str:
+    """The step and the time of each frame of each camera."""
+    rows = (
+        (each.camera.name, frame, step, _number(time_s))
+        for each in sequences
+        for frame, (step, time_s) in enumerate(zip(each.steps.tolist(), each.times_s.tolist(), strict=True), start=1)
+    )
+    return _table(("camera", "frame", "step", "time_s"), rows)
+
+
+def _vessel_table(vessels: Sequence[Vessel]) -> str:
+    """The vessel behind each identity of the ground truth."""
+    return _table(("identity", "vessel", "label"), ((k, each.name, each.label) for k, each in enumerate(vessels, 1)))
+
+
+def _table(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([heading, *rows])
+    return text.getvalue()

@@ -1,0 +1,160 @@
+"""MOTChallenge's own programs read what is exported, and find the truth perfect."""
+
+from __future__ import annotations
+
+import configparser
+import csv
+from collections.abc import Callable
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trackeval
+from trackers.eval import evaluate_mot_sequences
+
+from modsim3d.formats.labelled_run import labelled_run
+from modsim3d.formats.reading.pair import read_pair
+from modsim3d.formats.writing import mot
+from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.sequences import TrueBoxes
+from modsim3d.runs.stored_run import StoredRun
+from tests.formats.exported import LABELS, STEPS, VESSELS, exported_run
+
+CLASS_NAMES = ("sailing_boat", "F_hre_ro-ro__gross", "RIB")
+SEQUENCES = {
+    mot.ALL_SET: ["name-2", "quay.2"],  # programs skip a line of a map that says `name`
+    mot.CLASS_SET: [f"{camera}-{label}" for camera in ("name", "quay.2") for label in CLASS_NAMES],
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    return exported_run(tmp_path_factory.mktemp("mot"), source="analytic")
+
+
+@pytest.fixture(scope="module")
+def folder(run: StoredRun) -> Path:
+    mot.write(ExportRequest(run, (0, 1)), run.folder.parent / "mot")
+    return run.folder.parent / "mot"
+
+
+def rows_of(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+def write_tracks(folder: Path, tracks: Path, kept: Callable[[list[str]], bool]) -> None:
+    """A tracker's result that is some of the truth."""
+    for truth in folder.glob("*/*/gt/gt.txt"):
+        sequence = truth.parent.parent
+        path = tracks / sequence.parent.name / "tracker" / "data" / f"{sequence.name}.txt"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lines = [",".join([*row[:6], "1,-1,-1,-1\n"]) for row in rows_of(truth) if kept(row)]
+        path.write_text("".join(lines))
+
+
+def scores(folder: Path, tracks: Path, split: str) -> dict[str, dict[str, float]]:
+    """HOTA, MOTA, IDF1 and counts of each sequence, by trackeval."""
+    paths = {"GT_FOLDER": str(folder), "TRACKERS_FOLDER": str(tracks)}
+    dataset = {**paths, "BENCHMARK": "modsim3d", "SPLIT_TO_EVAL": split, "PRINT_CONFIG": False}
+    files = ("OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES")
+    quiet = dict.fromkeys(("PRINT_CONFIG", "PRINT_RESULTS", "TIME_PROGRESS", *files), False) | {"LOG_ON_ERROR": None}
+    measures = trackeval.metrics
+    metrics = [measures.HOTA(), *(each({"PRINT_CONFIG": False}) for each in (measures.CLEAR, measures.Identity))]
+    found, _ = trackeval.Evaluator(quiet).evaluate([trackeval.datasets.MotChallenge2DBox(dataset)], metrics)
+    return {
+        name: {"HOTA": classes["pedestrian"]["HOTA"]["HOTA"].mean(), **classes["pedestrian"]["Count"]}
+        | {key: classes["pedestrian"][metric][key] for metric, key in (("CLEAR", "MOTA"), ("Identity", "IDF1"))}
+        for name, classes in found["MotChallenge2DBox"]["tracker"].items()
+    }
+
+
+@pytest.mark.parametrize("set_", SEQUENCES)
+def test_trackeval_finds_the_truth_perfect_in_every_sequence(run, folder, tmp_path, set_) -> None:
+    write_tracks(folder, tmp_path, lambda row: row[6] == "1")
+    found = scores(folder, tmp_path, set_.removeprefix("modsim3d-"))
+    assert [*found] == [*sorted(SEQUENCES[set_]), "COMBINED_SEQ"]
+    for score in found.values():
+        assert (score["HOTA"], score["MOTA"], score["IDF1"]) == pytest.approx((1, 1, 1), abs=1e-12)
+    assert found["COMBINED_SEQ"]["GT_Dets"] == run.table("truth")["annotated"].to_numpy().sum()
+    assert sorted({score["Frames"] for score in found.values() if "Frames" in score}) == [15, STEPS]
+
+
+def test_a_track_that_is_kept_on_a_hidden_vessel_costs_nothing(folder, tmp_path) -> None:
+    write_tracks(folder, tmp_path, lambda row: True)
+    rows = rows_of(folder / mot.ALL_SET / "name-2" / "gt" / "gt.txt")
+    hidden = [row for row in rows if row[6:8] == ["0", "8"]]
+    assert hidden and len(hidden) + sum(row[6:8] == ["1", "1"] for row in rows) == len(rows)
+    for score in scores(folder, tmp_path, "all").values():
+        assert (score["HOTA"], score["MOTA"], score["IDF1"]) == pytest.approx((1, 1, 1), abs=1e-12)
+
+
+def test_trackers_scores_the_sequences_too(folder, tmp_path) -> None:
+    write_tracks(folder, tmp_path, lambda row: row[6] == "1")
+    tracks, seqmap = tmp_path / mot.ALL_SET / "tracker" / "data", folder / "seqmaps" / f"{mot.ALL_SET}.txt"
+    found = evaluate_mot_sequences(folder / mot.ALL_SET, tracks, seqmap, metrics=["CLEAR", "HOTA", "Identity"])
+    assert [*found.sequences] == SEQUENCES[mot.ALL_SET]
+    for score in found.sequences.values():
+        assert pytest.approx((1, 1, 1)) == (score.HOTA.HOTA, score.CLEAR.MOTA, score.Identity.IDF1)
+
+
+def test_a_hidden_vessel_takes_no_track_from_an_annotated_one_that_looks_like_it() -> None:
+    boxes = np.array([[10.0, 10, 50, 50], [12, 10, 52, 50], [48, 10, 90, 50], [10, 10, 50, 50]])
+    seen, nothing = np.array([True, False, False, False]), np.zeros(4)
+    truth = TrueBoxes(np.array([0, 0, 0, 1]), np.arange(4), np.zeros(4, int), seen, boxes, nothing, nothing, nothing)
+    assert mot._near_scored(truth).tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize(("camera", "name"), [*enumerate(SEQUENCES[mot.ALL_SET])])
+def test_our_own_reader_reads_the_run_back(run, folder, camera: int, name: str) -> None:
+    sequence = folder / mot.ALL_SET / name
+    again, (first, _) = (
+        read_pair("all", sequence / "gt" / "gt.txt", sequence / "det" / "det.txt"),
+        labelled_run(run, [camera]),
+    )
+    rows, kept = first.annotations, ~again.annotations.ignored
+    assert again.images.sizes_px.tolist() == first.images.sizes_px.tolist()
+    assert again.annotations.image[kept].tolist() == rows.image.tolist()
+    np.testing.assert_allclose(again.annotations.boxes_px[kept], rows.boxes_px, atol=1e-8)
+    np.testing.assert_allclose(again.annotations.visible_fraction[kept], rows.visible_fraction, atol=1e-6)
+    assert len(set(zip(again.annotations.identity[kept].tolist(), rows.identity.tolist(), strict=True))) == len(
+        set(rows.identity.tolist())
+    )
+    found = first.results
+    order = np.lexsort((-found.confidence, found.image))
+    assert again.results.image.tolist() == found.image[order].tolist()
+    np.testing.assert_allclose(again.results.confidence, found.confidence[order], atol=1e-11)
+    np.testing.assert_allclose(again.results.boxes_px, found.boxes_px[order], atol=1.1e-3)
+
+
+def test_the_frames_of_a_slow_camera_lead_back_to_steps(run, folder) -> None:
+    with (folder / "frames.csv").open() as table:
+        steps = {(row["camera"], int(row["frame"])): int(row["step"]) for row in csv.DictReader(table)}
+    frames = run.table("frames").to_pylist()
+    assert sorted((row["camera"], row["step"]) for row in frames) == sorted((c, s) for (c, _), s in steps.items())
+    truth = {
+        (row["step"], row["vessel"])
+        for row in run.table("truth").to_pylist()
+        if row["camera"] == "quay.2" and row["annotated"]
+    }
+    rows = rows_of(folder / mot.ALL_SET / "quay.2" / "gt" / "gt.txt")
+    with (folder / "vessels.csv").open() as table:
+        vessels = {row["identity"]: row["vessel"] for row in csv.DictReader(table)}
+    assert [*vessels.values()] == [*VESSELS]
+    assert {(steps["quay.2", int(row[0])], vessels[row[1]]) for row in rows if row[6] == "1"} == truth
+    info = configparser.ConfigParser()
+    info.read(folder / mot.ALL_SET / "quay.2" / "seqinfo.ini")
+    entries = dict(info["Sequence"])
+    assert (entries["seqlength"], entries["framerate"]) == ("15", "0.4")
+    assert (entries["imwidth"], entries["imheight"]) == ("320", "201")
+
+
+def test_the_classes_are_each_in_one_sequence(run, folder) -> None:
+    for kind, truth in (("gt/gt.txt", True), ("det/det.txt", False)):
+        for camera, whole in zip(("name", "quay.2"), SEQUENCES[mot.ALL_SET], strict=True):
+            parts = [rows_of(folder / mot.CLASS_SET / f"{camera}-{name}" / kind) for name in CLASS_NAMES]
+            assert sorted(chain(*parts)) == sorted(rows_of(folder / mot.ALL_SET / whole / kind))
+            assert all(parts) or not truth
+    labels = run.table("detections").to_pylist()
+    ribs = sum(row["label"] == LABELS[2] and row["camera"] == "name" for row in labels)
+    assert len(rows_of(folder / mot.CLASS_SET / "name-RIB" / "det" / "det.txt")) == ribs
