@@ -23,7 +23,7 @@ MENU = {
     "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
-    "Test a tracker": ["docs/export"],
+    "Test a tracker": ["docs/export", "docs/other_truth"],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": ["docs/tables", "docs/json", "benchmarks/RESULTS", "benchmarks/DRAWING", "benchmarks/FILMS"],

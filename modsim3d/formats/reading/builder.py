@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
@@ -229,6 +229,17 @@ class ImageRows:
         self.condition.append(own)
 
 
+def check_whole(names: Iterable[str], source: str) -> None:
+    """Refuse names that cannot be written.
+
+    Raises:
+        InputError: A name holds half a character.
+    """
+    broken = [name for name in names if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
+    if broken:
+        raise InputError(source, [f"{shown(name)} holds half a character, which no file can hold" for name in broken])
+
+
 def labelled_set(
     condition: str,
     labels: Sequence[str],
@@ -248,10 +259,7 @@ def labelled_set(
         raise InputError(f"labels of {condition}", [f"{shown(name)} names more than one class" for name in repeated])
     of_image = [condition if name is None else name for name in images.condition]
     conditions = tuple(dict.fromkeys(of_image)) or (condition,)
-    broken = [name for name in (*labels, *conditions) if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
-    if broken:
-        problems = [f"{shown(name)} holds half a character, which no file can hold" for name in broken]
-        raise InputError(f"labels and conditions of {condition}", problems)
+    check_whole((*labels, *conditions), f"labels and conditions of {condition}")
     number_of = {name: number for number, name in enumerate(conditions)}
     columns = Images(
         tuple(images.names),
