@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.commands.labelled_options import FrameRateOption, ImageSizeOption, SkipBadOption, listed, read_options
+from modsim3d.commands.labelled_options import FrameRateOption, ImageSizeOption, SkipBadOption, read_options
 from modsim3d.commands.progress import progress
 from modsim3d.commands.run_json import run_json, truth_json
 from modsim3d.commands.run_summary import print_summary
@@ -96,7 +96,7 @@ def detect_command(
             raise ModsimError("--workers is for RUN: with --truth the detector works in one process")
         options = read_options(None, image_size, skip_bad, frame_rate)
         read = {"image_size_px": options.image_size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad}
-        names = None if labels is None else listed(labels)
+        names = None if labels is None else tuple(name.strip() for name in labels.split(","))
         _detect_truth(truth, out, seed or 0, {**given, **read, "labels": names}, horizon)
     else:
         raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")

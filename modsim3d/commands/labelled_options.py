@@ -25,11 +25,6 @@ SkipBadOption = Annotated[
 ]
 
 
-def listed(text: str | None) -> tuple[str, ...]:
-    """The names of a text such as `A,B`."""
-    return tuple(part.strip() for part in text.split(",") if part.strip()) if text else ()
-
-
 def read_options(
     labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int = 0
 ) -> ReadOptions:
@@ -43,7 +38,8 @@ def read_options(
     if frame_rate is not None and not 0 < frame_rate < math.inf:
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
     size_px = None if image_size is None else _size_px(image_size)
-    return ReadOptions(listed(labels), size_px, skip_bad, frame_rate, category_offset)
+    names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
+    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset)
 
 
 def _size_px(text: str) -> tuple[float, float]:

@@ -68,6 +68,7 @@ MOT: dict[str, tuple[str, tuple[object, ...], str]] = {
         "--labels:\n  does not say what class 2 is",
     ),
     "a label like one": (LINE, (*KNOWN, "--labels", "Vesel"), "'Vesel' is not one of the detector's labels (did you"),
+    "a place without a label": (LINE, (*KNOWN, "--labels", "Vessel,,Vessel"), "'' is not one of the detector's labels"),
     "no detector": (LINE, (*SIZE, *RATE), "--detector:\n  is missing: give a detector file, or --state NAME --from"),
     "two detectors": (LINE, (*KNOWN, "--state", "foggy_cloudy", "--from", "conditions"), "so is --detector"),
     "no such state": (LINE, (*KNOWN, "--state", "goood"), "unknown state 'goood'"),
@@ -200,6 +201,18 @@ def test_an_image_of_very_many_boxes_is_refused(refuse: Refuse, monkeypatch: pyt
     monkeypatch.setattr(sought, "MOST_BOXES", 3)
     text = "".join(f"2,{track},10,20,30,40,1,1,1\n" for track in range(4))
     refuse(text, KNOWN, "image 'gt frame 2' has 4 boxes, and at most 3 can be compared")
+
+
+def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(call: Call, refuse: Refuse, tmp_path: Path) -> None:
+    (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=640\nimHeight=480\nseqLength=50\nframeRate=10\n")
+    (tmp_path / "gt.txt").write_text("")
+    per_image = ("--set", "detector.false_positives.model=per_image", "--set", "detector.false_positives.rate=2")
+    refuse(tmp_path / "gt.txt", (*THESIS, *per_image), "but there are none: give false_positives a size")
+    size = ("--set", "detector.false_positives.size={model: fixed, px: [20, 10]}")
+    line = ("detect", "--truth", tmp_path / "gt.txt", *THESIS, *per_image, *size, "--out", tmp_path / "out")
+    status, said = call(*line)
+    assert status == 0 and "no box of the truth is to be detected: there are only false alarms" in said
+    assert len((tmp_path / "out" / "det" / "det.txt").read_text().splitlines()) > 50
 
 
 def test_wrong_lines_are_left_out_with_skip_bad(call: Call, tmp_path: Path) -> None:
