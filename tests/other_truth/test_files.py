@@ -79,7 +79,8 @@ def test_what_a_tracker_reads_names_no_track_and_its_order_tells_nothing(tmp_pat
 def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(tmp_path: Path, monkeypatch) -> None:
     write(tmp_path / "gt.json", coco(TWO))
     write(tmp_path / "detector.yaml", variant("persistence of misses and box errors, 10 s"))
-    options = {"detector": tmp_path / "detector.yaml", "frame_rate_hz": 5}
+    due = {"detector.gates.update_interval_s": 0.4}
+    options = {"detector": tmp_path / "detector.yaml", "frame_rate_hz": 5, "settings": due}
     modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "one", seed=1, **options)
     monkeypatch.setattr(detecting, "BLOCK_BOXES", 10)
     monkeypatch.setattr(detecting, "BLOCK_FRAMES", 7)
