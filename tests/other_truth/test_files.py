@@ -202,3 +202,18 @@ def test_false_alarms_stay_below_the_horizon_that_is_given(tmp_path: Path) -> No
     assert (heights[300][:, 1] > 300).all()
     tilted = heights[(0, 300, 640, 200)]
     assert (tilted[:, 1] > 300 - 100 * tilted[:, 0] / 640 - 1).all() and (tilted[:, 1] < 300).any()
+
+
+def test_the_detectors_time_begins_with_the_file_and_a_tracker_reads_the_files_own(tmp_path: Path) -> None:
+    schedule = {"detector.performance.schedule": [[2, "terrible"]], "detector.persistence.class_s": 1}
+    for start_s in (0, 1_000_000):
+        labelled = coco(TWO)
+        for image in labelled["images"]:
+            image["time_s"] = start_s + image["frame_id"] / 4
+        truth = write(tmp_path / f"{start_s}.json", labelled)
+        modsim3d.detect_truth(truth, tmp_path / str(start_s), detector="thesis", settings=schedule)
+    one, other = (rows(tmp_path / name / "detections.parquet") for name in ("0", "1000000"))
+    assert [{**row, "timestamp": ""} for row in one] == [{**row, "timestamp": ""} for row in other]
+    assert {row["state"] for row in one if row["step"] >= 8} == {"terrible"} != {row["state"] for row in one}
+    line = json.loads((tmp_path / "1000000" / "tracker_input_right.jsonl").read_text().splitlines()[2])
+    assert line["time_s"] == 1_000_000.5
