@@ -116,7 +116,7 @@ def test_flags_and_classes_of_mot_say_what_is_no_target(tmp_path: Path) -> None:
     with pytest.raises(ModsimError, match="class 8 is not one of the detector's labels") as refused:
         modsim3d.detect_truth(truth, tmp_path / "out", detector="three_labels")
     assert "class 2" not in str(refused.value)  # its boxes are flagged
-    labels = ("ferry", "-", "-", "-", "-", "-", "-", "sailboat")
+    labels = ("ferry", "ferry", "-", "-", "-", "-", "-", "sailboat")
     result = modsim3d.detect_truth(truth, tmp_path / "out", detector="three_labels", labels=labels)
     assert result.counts.annotated == 20
     assert {row["vessel"]: row["label"] for row in rows(tmp_path / "out" / "truth.parquet")} == {
