@@ -19,6 +19,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco_masks import check_masks, mask_entries
 from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.sequences import told_confidence
 from modsim3d.outputs.placing import write_files
 from modsim3d.runs.files.tracker_input import BOX_DECIMALS, told_boxes_px, told_order
 
@@ -90,11 +91,11 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
 
 
 def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
-    """The content of a results file, as a tracker may read it: boxes are rounded, the most confident comes first."""
+    """The content of a results file, as a tracker may read it: numbers are rounded, the most confident comes first."""
     results = labelled.results
-    boxes = told_boxes_px(results.boxes_px)
-    order = told_order(results.image, boxes, results.label, results.confidence)
-    columns = (column[order].tolist() for column in (results.image, results.label, boxes, results.confidence))
+    boxes, confidence = told_boxes_px(results.boxes_px), told_confidence(results.confidence)
+    order = told_order(results.image, boxes, results.label, confidence)
+    columns = (column[order].tolist() for column in (results.image, results.label, boxes, confidence))
     return [
         {
             "image_id": image + 1,

@@ -14,6 +14,14 @@ from modsim3d.runs.files.tracker_input import told_boxes_px, told_order
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 
+_CONFIDENCE_DECIMALS = 6
+"""The last bits of exact ones tell some false detections from true ones, which more goes into."""
+
+
+def told_confidence(confidence: Array) -> Array:
+    """Confidence as a tracker may read it, shapes (m,)."""
+    return np.round(confidence, _CONFIDENCE_DECIMALS)
+
 
 class _Rows:
     """Columns that all have the same rows."""
@@ -60,7 +68,7 @@ class ToldBoxes(_Rows):
         frame: Row of the camera's frames, shape (m,).
         label: Index of the label, shape (m,).
         boxes_px: Rounded, shape (m, 4).
-        confidence: Shape (m,).
+        confidence: Rounded, shape (m,).
     """
 
     frame: Indices
@@ -132,7 +140,7 @@ def _detections(rows: RunRows, frames: Indices) -> ToldBoxes:
         positions(frames, rows.detection_frame),
         indices(rows.detections, "label", rows.scene.detector.labels),
         told_boxes_px(rows.detection_boxes_px()),
-        numbers(rows.detections, "confidence"),
+        told_confidence(numbers(rows.detections, "confidence")),
     )
     order = told_order(every.frame, every.boxes_px, every.label, every.confidence)
     return every.take(order[every.frame[order] >= 0])
