@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from modsim3d.boxes import sizes
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import Detections
 from modsim3d.formats.writing.mot import detection_text, sequence_text
-from modsim3d.formats.writing.sequences import ToldBoxes
+from modsim3d.formats.writing.sequences import ToldBoxes, told_confidence
 from modsim3d.other_truth.detecting import Part
 from modsim3d.other_truth.labels import FileClasses
 from modsim3d.other_truth.videos import Video
@@ -24,9 +25,9 @@ ONE_FRAME_HZ = 1.0
 
 def told(detections: Detections) -> ToldBoxes:
     """What a tracker may read of detections, in an order that tells nothing."""
-    boxes = told_boxes_px(detections.boxes_px)
-    order = told_order(detections.frame, boxes, detections.label, detections.confidence)
-    return ToldBoxes(detections.frame, detections.label, boxes, detections.confidence).take(order)
+    boxes, confidence = told_boxes_px(detections.boxes_px), told_confidence(detections.confidence)
+    order = told_order(detections.frame, boxes, detections.label, confidence)
+    return ToldBoxes(detections.frame, detections.label, boxes, confidence).take(order)
 
 
 def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequence[str]) -> dict[str, int]:
@@ -47,7 +48,8 @@ def tracker_files(parts: Sequence[Part], model: DetectorModel) -> dict[str, byte
     lines: dict[str, list[bytes]] = {}
     for part in parts:
         name = f"{TRACKER_INPUT}_{part.video.file_name}.jsonl"
-        lines.setdefault(name, []).extend(detection_lines(part.detections, model.labels, part.steps, part.times_s))
+        rounded = replace(part.detections, confidence=told_confidence(part.detections.confidence))
+        lines.setdefault(name, []).extend(detection_lines(rounded, model.labels, part.steps, part.times_s))
     return {name: b"".join(of_file) for name, of_file in lines.items()}
 
 

@@ -72,6 +72,9 @@ def test_what_a_tracker_reads_names_no_track_and_its_order_tells_nothing(tmp_pat
     assert lines == sorted(lines, key=lambda line: (line[0], -line[6]))
     assert {line[1] for line in lines} == {-1}
     entries = json.loads((tmp_path / names[2]).read_text())
+    read = [json.loads(line) for name in names[1::2] for line in (tmp_path / name).read_text().splitlines()]
+    scores = [found["confidence"] for line in read for found in line["detections"]]
+    assert all(score == round(score, 6) for score in [*scores, *(entry["score"] for entry in entries)])
     assert entries == sorted(entries, key=lambda entry: (entry["image_id"], -entry["score"]))
     assert any(str(TRACKS[0]) == row["vessel"] for row in rows(tmp_path / "mot" / "detections.parquet"))
 
