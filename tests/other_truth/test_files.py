@@ -145,6 +145,14 @@ def test_visibility_comes_from_the_file_or_from_overlap_and_the_result_says_whic
     assert (nowhere.counts.annotated, nowhere.counts.fully_hidden) == (0, 120)
 
 
+def test_a_box_that_is_not_to_be_detected_hides_others_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "gt.txt").write_text("1,1,101,101,40,40,1,1\n1,2,121,111,40,40,0,1\n")
+    options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
+    modsim3d.detect_truth(tmp_path / "gt.txt", tmp_path / "out", detector="thesis", **options)
+    (row,) = rows(tmp_path / "out" / "truth.parquet")
+    assert (row["visible_fraction"], row["from_overlap"], row["annotated"]) == (1 - 20 * 30 / 40**2, True, True)
+
+
 def test_a_visibility_of_one_everywhere_among_boxes_that_cover_each_other_is_doubted(tmp_path: Path) -> None:
     truth = mot(tmp_path / "bay")
     truth.write_text(truth.read_text() + "\n1,1,30,230,120,60,1,1,1\n1,2,30,210,120,60,1,1,1\n")
