@@ -31,14 +31,13 @@ class Part:
     """Consecutive frames of a video, and what the detector was given and made of them.
 
     Attributes:
-        first: Place of the first frame in the video.
+        steps: Place of each frame in the video, shape (S,).
         rows: Rows of the sought boxes in these frames, shape (n,).
         frame: Frame of each, counted from the first, shape (n,).
         target_rows: Which of these rows are visible, and were given to the detector, shape (k,).
     """
 
     video: Video
-    first: int
     steps: Indices
     rows: Indices
     frame: Indices
@@ -72,7 +71,6 @@ class _Block:
     """What the detector is given at once."""
 
     video: Video
-    first: int
     rows: Indices
     frame: Indices
     target_rows: Indices
@@ -110,7 +108,7 @@ def detected_parts(
         detector = Detector(model, seed, census, _clock(video.times_s - start_s))
         for block in of_video:
             detections = detector.detect(block.frames, block.targets)
-            yield Part(video, block.first, block.frames.steps, block.rows, block.frame, block.target_rows, detections)
+            yield Part(video, block.frames.steps, block.rows, block.frame, block.target_rows, detections)
 
 
 def _clock(times_s: Array) -> Clock:
@@ -162,7 +160,7 @@ def _blocks(
             depth_m=sought.depth_m[targets],
             vessel_ids=ids,
         )
-        yield _Block(video, first, of_block, frame[ours] - first, visible, frames, seen)
+        yield _Block(video, of_block, frame[ours] - first, visible, frames, seen)
 
 
 def _ranges(starts: Indices) -> Iterator[tuple[int, int]]:

@@ -67,7 +67,7 @@ def mot_files(truth: bytes, video: Video, parts: Sequence[Part], numbers: Sequen
 
 def _mot_text(part: Part, numbers: Sequence[int]) -> str:
     found = told(part.detections)
-    found = ToldBoxes(found.frame + part.first, found.label, found.boxes_px, found.confidence)
+    found = ToldBoxes(part.steps[found.frame], found.label, found.boxes_px, found.confidence)
     return detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
 
 

@@ -79,18 +79,22 @@ def test_what_a_tracker_reads_names_no_track_and_its_order_tells_nothing(tmp_pat
     assert any(str(TRACKS[0]) == row["vessel"] for row in rows(tmp_path / "mot" / "detections.parquet"))
 
 
-def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(tmp_path: Path, monkeypatch) -> None:
-    write(tmp_path / "gt.json", coco(TWO))
+@pytest.mark.parametrize("kind", ["MOT", "COCO"])
+def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(
+    tmp_path: Path, monkeypatch, kind: str
+) -> None:
+    truth = mot(tmp_path / "bay") if kind == "MOT" else write(tmp_path / "gt.json", coco(TWO))
     write(tmp_path / "detector.yaml", variant("persistence of misses and box errors, 10 s"))
     due = {"detector.gates.update_interval_s": 0.4}
     options = {"detector": tmp_path / "detector.yaml", "frame_rate_hz": 5, "settings": due}
-    modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "one", seed=1, **options)
+    modsim3d.detect_truth(truth, tmp_path / "one", seed=1, **options)
     monkeypatch.setattr(detecting, "BLOCK_BOXES", 10)
     monkeypatch.setattr(detecting, "BLOCK_FRAMES", 7)
-    modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "two", seed=1, **options)
+    modsim3d.detect_truth(truth, tmp_path / "two", seed=1, **options)
     assert content(tmp_path / "one") == content(tmp_path / "two")
-    modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "three", seed=2, **options)
-    assert (tmp_path / "one" / "dt.json").read_bytes() != (tmp_path / "three" / "dt.json").read_bytes()
+    modsim3d.detect_truth(truth, tmp_path / "three", seed=2, **options)
+    name = "det/det.txt" if kind == "MOT" else "dt.json"
+    assert (tmp_path / "one" / name).read_bytes() != (tmp_path / "three" / name).read_bytes()
 
 
 def test_detections_of_a_sequence_do_not_depend_on_how_the_file_lists_it(tmp_path: Path) -> None:
