@@ -21,8 +21,8 @@ class FileClasses:
 
     Attributes:
         kind: `MOT` or `COCO`.
-        names: Their names, by which COCO's are known; MOT has numbers, 0 where it has no classes at all.
-        numbers: Their numbers.
+        names: Their names; MOT's have none of their own and are called `class_1`, `class_2` and so on.
+        numbers: Their numbers; 0 in a MOT file without classes.
     """
 
     kind: str
@@ -65,7 +65,7 @@ def to_labels(
     problems = [
         f"{classes.in_words(index)} is not one of the detector's labels ({nearest(classes.names[index], labels)})"
         for index in whole.tolist()
-        if classes.kind == "MOT" or classes.names[index] not in labels
+        if classes.names[index] not in labels
     ]
     if problems:
         raise InputError("labels", [*problems, _how(classes)])
