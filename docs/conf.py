@@ -22,9 +22,8 @@ MENU = {
     "First steps": ["README", "docs/run", "docs/limits"],
     "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
     "Look at it": ["docs/pictures", "docs/report"],
-    "To a tracker": ["docs/positions"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
-    "Test a tracker": ["docs/export", "docs/stream", "docs/ros", "docs/ais_out"],
+    "Test a tracker": ["docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from modsim3d.detector.file.reading import load_detector
     from modsim3d.errors import ModsimError
     from modsim3d.learn.learning import learn_detector
+    from modsim3d.other_truth.detect_truth import detect_truth
     from modsim3d.positions.locating import locate
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.pipeline import simulate_frames
@@ -33,6 +34,7 @@ __all__ = [
     "ModsimError",
     "Scene",
     "detect_run",
+    "detect_truth",
     "learn_detector",
     "load_detector",
     "load_scene",
@@ -47,6 +49,7 @@ _HOMES = {
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene.scene",
     "detect_run": "modsim3d.runs.detect_run",
+    "detect_truth": "modsim3d.other_truth.detect_truth",
     "learn_detector": "modsim3d.learn.learning",
     "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",

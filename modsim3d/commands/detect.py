@@ -1,17 +1,18 @@
-"""The command `modsim3d detect`: the detector alone, over a finished truth."""
+"""The command `modsim3d detect`: the detector alone, over a finished run or over somebody's labelled video."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modsim3d.commands.labelled_options import FrameRateOption, ImageSizeOption, SkipBadOption, read_options
 from modsim3d.commands.progress import progress
-from modsim3d.commands.run_json import run_json
+from modsim3d.commands.run_json import run_json, truth_json
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import (
-    FinishedRunArgument,
     FromOption,
     JsonOption,
     OverwriteOption,
@@ -22,15 +23,38 @@ from modsim3d.commands.shared import (
     WorkersOption,
 )
 from modsim3d.commands.terminal import say_json, tell_files, timed
+from modsim3d.commands.truth_summary import print_truth_summary
+from modsim3d.errors import ModsimError
+
+if TYPE_CHECKING:
+    from modsim3d.processes import WorkerCount
 
 
 def detect_command(
-    run: FinishedRunArgument,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Run directory to write.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Run directory, or folder with --truth, to write.")],
+    run: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run directory of a finished run.")] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
+    ] = None,
     detector: Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the run's.")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's.")
+        int | None,
+        typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's; 0 with --truth."),
     ] = None,
+    labels: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,...", help="Detector's label of each class of --truth, in order; - for one that is no target."
+        ),
+    ] = None,
+    image_size: ImageSizeOption = None,
+    frame_rate: FrameRateOption = None,
+    horizon: Annotated[
+        str | None,
+        typer.Option(metavar="ROW", help="Row of the horizon in the images of --truth, or X1,Y1,X2,Y2."),
+    ] = None,
+    skip_bad: SkipBadOption = False,
     settings: SetOption = None,
     state: StateOption = None,
     state_from: FromOption = None,
@@ -42,28 +66,64 @@ def detect_command(
 ) -> None:
     """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
 
+    With --truth, run a detector over the truth of a labelled video from elsewhere (docs/other_truth.md).
+
     Example: modsim3d detect runs/first --seed 7 --out runs/second
     """
+    from modsim3d.scene.settings import read_settings
+
+    given = {
+        "detector": detector,
+        "settings": read_settings(settings or ()),
+        "state": state,
+        "state_from": state_from,
+        "overwrite": overwrite,
+    }
+    of_truth = {
+        "--labels": labels,
+        "--image-size": image_size,
+        "--frame-rate": frame_rate,
+        "--horizon": horizon,
+        "--skip-bad": skip_bad or None,
+    }
+    if run is not None and truth is None:
+        for option, value in of_truth.items():
+            if value is not None:
+                raise ModsimError(f"{option} is for --truth: a run says it itself")
+        _detect_run(run, out, seed, workers, given)
+    elif truth is not None and run is None:
+        if workers != 1:
+            raise ModsimError("--workers is for RUN: with --truth the detector works in one process")
+        options = read_options(None, image_size, skip_bad, frame_rate)
+        read = {"image_size_px": options.image_size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad}
+        names = None if labels is None else tuple(name.strip() for name in labels.split(","))
+        _detect_truth(truth, out, seed or 0, {**given, **read, "labels": names}, horizon)
+    else:
+        raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")
+
+
+def _detect_run(run: Path, out: Path, seed: int | None, workers: WorkerCount, given: Mapping[str, Any]) -> None:
     from modsim3d.runs.detect_run import detect_run
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.scene.settings import read_settings
 
     with timed("opening the run"):
         stored = open_run(run)
-    tell_files([*read_of_run(run), *([detector] if detector else [])])
+    tell_files([*read_of_run(run), *([given["detector"]] if given["detector"] else [])])
     with timed("detections and files"), progress(stored.scene.name, stored.scene.steps) as advance:
-        result = detect_run(
-            stored,
-            out,
-            detector=detector,
-            seed=seed,
-            settings=read_settings(settings or ()),
-            state=state,
-            state_from=state_from,
-            overwrite=overwrite,
-            workers=workers,
-            progress=advance,
-        )
+        result = detect_run(stored, out, seed=seed, workers=workers, progress=advance, **given)
     print_summary(stored.scene, result, sheet=False)
     say_json(run_json("detect", stored.scene, result, sheet=False))
+
+
+def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], horizon: str | None) -> None:
+    from modsim3d.inputs.opening import inputs_noted
+    from modsim3d.other_truth.detect_truth import detect_truth
+    from modsim3d.other_truth.horizon import parse_horizon
+
+    line = None if horizon is None else parse_horizon(horizon)
+    with inputs_noted() as read, timed("reading, detections and files"):
+        result = detect_truth(truth, out, seed=seed, horizon=line, **given)
+    tell_files(dict.fromkeys(read))
+    print_truth_summary(result)
+    say_json(truth_json(result))

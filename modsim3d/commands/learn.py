@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from enum import Enum
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from modsim3d.commands.labelled_options import FrameRateOption, ImageSizeOption, SkipBadOption, read_options
 from modsim3d.commands.learn_json import learn_json
 from modsim3d.commands.shared import (
     JsonOption,
@@ -131,20 +131,12 @@ def learn_command(
     labels: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Names of the classes, for MOT and YOLO, in order.")
     ] = None,
-    image_size: Annotated[
-        str | None,
-        typer.Option(metavar="W,H", help="Size of the images in pixels, for YOLO and for MOT without seqinfo.ini."),
-    ] = None,
-    frame_rate: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="Frames per second, for MOT without seqinfo.ini and for COCO videos."),
-    ] = None,
+    image_size: ImageSizeOption = None,
+    frame_rate: FrameRateOption = None,
     category_offset: Annotated[
         int, typer.Option(metavar="N", help="Number to add to the category IDs of COCO results.")
     ] = 0,
-    skip_bad: Annotated[
-        bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
-    ] = False,
+    skip_bad: SkipBadOption = False,
     page: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="HTML page to write.", show_default="the detector file's name with .html"),
@@ -169,7 +161,7 @@ def learn_command(
     page = out_file(page, out.with_suffix(".html"))
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-    options = _read_options(labels, image_size, skip_bad, frame_rate, category_offset)
+    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset)
     if match is None and truth and run:
         raise ModsimError(
             "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
@@ -192,18 +184,6 @@ def learn_command(
     say_json(learn_json(report, [out, page]))
 
 
-def _read_options(
-    labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int
-) -> ReadOptions:
-    from modsim3d.formats.reading.builder import ReadOptions
-
-    names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
-    if frame_rate is not None and not 0 < frame_rate < math.inf:
-        raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
-    size_px = None if image_size is None else _size_px(image_size)
-    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset)
-
-
 def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:
     """The matching rule: the asked method or the usual one, and limits that it knows."""
     from modsim3d.formats.matching import Rule, usual_method
@@ -215,17 +195,6 @@ def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distanc
     if distance is not None and method != "centre":
         raise ModsimError(f"--distance is for --match centre, not for {method}")
     return Rule(method, 0.5 if iou is None else iou, 50.0 if distance is None else distance)
-
-
-def _size_px(text: str) -> tuple[float, float]:
-    """Width and height of a text such as `1920,1080`."""
-    try:
-        width, height = (float(part) for part in text.replace("x", ",").split(","))
-    except ValueError:
-        raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{text}')"]) from None
-    if not (width > 0 and height > 0):
-        raise InputError("--image-size", [f"both sides must be above 0 (got '{text}')"])
-    return width, height
 
 
 def _labelled_set(

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from modsim3d.commands.run_summary import run_warnings
 from modsim3d.commands.terminal import tell
+from modsim3d.commands.truth_summary import truth_warnings
 
 if TYPE_CHECKING:
+    from modsim3d.other_truth.detect_truth import TruthResult
     from modsim3d.runs.run import RunResult
     from modsim3d.scene.scene import Scene
 
@@ -28,6 +30,23 @@ def run_json(command: str, scene: Scene, result: RunResult, sheet: bool) -> dict
         **asdict(result),
         "contact_sheet": result.folder / "contact_sheet.png" if sheet else None,
         "warnings": run_warnings(scene, result),
+    }
+
+
+def truth_json(result: TruthResult) -> dict[str, Any]:
+    """The result of `detect --truth`."""
+    return {
+        "format": FORMAT,
+        "command": "detect",
+        "folder": result.folder,
+        "kind": result.kind,
+        "counts": asdict(result.counts),
+        "sequence_counts": {name: asdict(counts) for name, counts in result.sequence_counts.items()},
+        "occlusion": result.occlusion,
+        "notes": result.notes,
+        "warnings": truth_warnings(result),
+        "seconds": result.seconds,
+        "written": result.files,
     }
 
 

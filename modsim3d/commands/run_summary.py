@@ -49,7 +49,7 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     """What happened in a run; each share is of a number that stands in another row."""
-    return _frame_rows(scene, result) + _detection_rows(result.counts) + _model_rows(result) + _time_rows(result)
+    return _frame_rows(scene, result) + detection_rows(result.counts) + _model_rows(result) + _time_rows(result)
 
 
 def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
@@ -58,13 +58,14 @@ def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
     return [
         ("frames", str(counts.frames), many),
         ("vessels seen", str(counts.seen), "summed over frames"),
-        ("partly hidden", str(counts.partly_hidden), _share(counts.partly_hidden, counts.seen, "seen")),
+        ("partly hidden", str(counts.partly_hidden), share(counts.partly_hidden, counts.seen, "seen")),
         ("fully hidden", str(counts.fully_hidden), "vessels, beside those seen"),
         ("annotated", str(counts.annotated), "vessels given to the detector"),
     ]
 
 
-def _detection_rows(counts: Counts) -> list[Row]:
+def detection_rows(counts: Counts) -> list[Row]:
+    """What the detector put out."""
     true = counts.true_detections
     every = true + counts.false_positives
     of_true = [
@@ -74,20 +75,21 @@ def _detection_rows(counts: Counts) -> list[Row]:
         ("box resampled", counts.redrawn),
     ]
     return [
-        ("detected", str(counts.detected), _share(counts.detected, counts.annotated, "annotated")),
-        ("missed", str(counts.missed), _share(counts.missed, counts.annotated, "annotated")),
+        ("detected", str(counts.detected), share(counts.detected, counts.annotated, "annotated")),
+        ("missed", str(counts.missed), share(counts.missed, counts.annotated, "annotated")),
         ("detections", str(every), f"in the files: {true} true + {counts.false_positives} false"),
-        ("false alarms", str(counts.false_positives), _share(counts.false_positives, every, "detections")),
-        *((name, str(count), _share(count, true, "true detections")) for name, count in of_true),
+        ("false alarms", str(counts.false_positives), share(counts.false_positives, every, "detections")),
+        *((name, str(count), share(count, true, "true detections")) for name, count in of_true),
     ]
 
 
 def camera_rows(result: RunResult) -> list[tuple[str, ...]]:
     """A header, and the counts of each camera."""
-    return [CAMERA_HEADER, *(_camera_row(name, counts) for name, counts in result.camera_counts.items())]
+    return [CAMERA_HEADER, *(camera_row(name, counts) for name, counts in result.camera_counts.items())]
 
 
-def _camera_row(name: str, counts: Counts) -> tuple[str, ...]:
+def camera_row(name: str, counts: Counts) -> tuple[str, ...]:
+    """The counts of a camera, under `CAMERA_HEADER`."""
     found = counts.detected, counts.false_positives, counts.mislabelled, counts.below_half_iou, counts.off_vessel
     return (name, *map(str, (counts.frames, counts.annotated, *found)))
 
@@ -104,13 +106,17 @@ def _time_rows(result: RunResult) -> list[Row]:
 
 def _model_rows(result: RunResult) -> list[Row]:
     """What optional parts of the detector did, if they did anything."""
-    counts = result.counts
-    rows = _bias_rows(result)
+    return _bias_rows(result) + gate_rows(result.counts)
+
+
+def gate_rows(counts: Counts) -> list[Row]:
+    """What gates and merges did, if they did anything."""
+    rows: list[Row] = []
     if counts.missed_by_gate:
-        gated = _share(counts.missed_by_gate, counts.missed, "missed")
+        gated = share(counts.missed_by_gate, counts.missed, "missed")
         rows.append(("gated", str(counts.missed_by_gate), gated))
     if counts.merged:
-        merged = _share(counts.merged, counts.true_detections, "true detections")
+        merged = share(counts.merged, counts.true_detections, "true detections")
         rows.append(("merged", str(counts.merged), merged))
     return rows
 
@@ -146,13 +152,19 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
             f"the sea is flat: {counts.off_by_curvature} of {counts.vessel_frames} vessels in images are drawn too "
             f"high, by up to {counts.largest_curvature_px:.1f} px; set sea: curved"
         )
-    if counts.below_half_iou > WARNING_SHARE * counts.true_detections:
-        warnings.append(
-            f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their "
-            "vessel: an evaluation by IoU counts each as a miss and a false alarm"
-        )
-    return warnings
+    return warnings + iou_warnings(counts)
 
 
-def _share(part: int, whole: int, of: str) -> str:
+def iou_warnings(counts: Counts) -> list[str]:
+    """That an evaluation by IoU says something else of the detections, where it does."""
+    if counts.below_half_iou <= WARNING_SHARE * counts.true_detections:
+        return []
+    return [
+        f"{counts.below_half_iou} of {counts.true_detections} true detections have IoU below 0.5 with their vessel: an "
+        "evaluation by IoU counts each as a miss and a false alarm"
+    ]
+
+
+def share(part: int, whole: int, of: str) -> str:
+    """A share in words, such as `of 20 seen (5.0 %)`; empty of nothing."""
     return f"of {whole} {of} ({part / whole:.1%})".replace("%", " %") if whole else ""

@@ -109,9 +109,29 @@ class Results:
         return Results(**_by_image(vars(self)))
 
 
+@dataclass(frozen=True)
+class FileIds:
+    """What a file calls what a labelled set has by number.
+
+    Attributes:
+        images: ID of each image in COCO, number of each frame in MOT.
+        labels: ID of the category in COCO, number of the class in MOT, of each label; 0 for one without a number.
+        sequences: Name or number of each sequence; None for one without.
+        identities: The tracks.
+    """
+
+    images: tuple[int | str, ...]
+    labels: tuple[int, ...]
+    sequences: tuple[int | str | None, ...]
+    identities: tuple[int | str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class LabelledSet:
-    """Images with their annotations and a detector's results; notes say what a reader left out, for instance."""
+    """Images with their annotations and a detector's results; notes say what a reader left out, for instance.
+
+    `ids` is known of a set that was read from one file of truth.
+    """
 
     labels: tuple[str, ...]
     conditions: tuple[str, ...]
@@ -119,6 +139,7 @@ class LabelledSet:
     annotations: Annotations
     results: Results
     notes: tuple[str, ...] = field(default=())
+    ids: FileIds | None = None
 
 
 def joined(parts: Sequence[LabelledSet]) -> LabelledSet:

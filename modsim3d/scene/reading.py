@@ -13,7 +13,6 @@ from modsim3d.errors import InputError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.geometry.lens import Distortion
-from modsim3d.inputs.conditions import find_condition
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
@@ -27,10 +26,11 @@ from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.ais import Ais
 from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
+from modsim3d.scene.detector_choice import state_settings
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SCENE_FILE, SceneParts
 from modsim3d.scene.scene import Scene
-from modsim3d.scene.settings import Setting, replacing, settings_of
+from modsim3d.scene.settings import replacing, settings_of
 from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.vessel import Vessel
 
@@ -122,25 +122,8 @@ def load_scene(
         "detector": None if detector is None else str(find_detector(detector).absolute()),
         "detector_seed": detector_seed,
     }
-    wanted = [*replacing(given), *_state_settings(state, state_from, detector)]
+    wanted = [*replacing(given), *state_settings(state, state_from, detector)]
     return assembled(SceneParts(path, data, [*wanted, *settings_of(settings or {})]))
-
-
-def _state_settings(state: str | None, state_from: StrPath | None, detector: StrPath | None) -> list[Setting]:
-    """What puts the detector into one state for the whole scene."""
-    place = None if state_from is None else as_path(state_from, "state_from")
-    if place is not None and (state is None or detector is not None):
-        problem = "--state says which one to take from there: give both" if state is None else "so is --detector"
-        raise InputError(f"--from {place}", ["is a detector in place of the scene's: " + problem])
-    if state is None:
-        return []
-    forced = Setting("detector.performance.schedule", [[0, state]], "--state")
-    if place is None:
-        return [forced]
-    if place.is_file():
-        return [Setting("detector", str(place.resolve()), f"--from {place}"), forced]
-    file = find_condition(state, place)
-    return [Setting("detector", str(file.resolve()), f"--state {state} --from {place}")]
 
 
 def assembled(parts: SceneParts) -> Scene:

@@ -20,6 +20,7 @@ NAMES = {
     "ModsimError",
     "Scene",
     "detect_run",
+    "detect_truth",
     "learn_detector",
     "load_detector",
     "load_scene",

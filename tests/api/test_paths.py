@@ -46,6 +46,9 @@ def test_every_kind_of_path_is_taken(kind, thesis_folder, tmp_path):
     assert result.folder == tmp_path / "a" and (tmp_path / "a/run.json").is_file()
     assert modsim3d.open_run(kind(tmp_path / "a")).steps == 2
     modsim3d.detect_run(kind(tmp_path / "a"), kind(tmp_path / "b"), detector=kind(DETECTORS / "thesis.yaml"), seed=7)
+    (tmp_path / "gt.txt").write_text("1,1,2,3,40,30,1,1,1")
+    options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
+    modsim3d.detect_truth(kind(tmp_path / "gt.txt"), kind(tmp_path / "c"), detector=kind("thesis"), **options)
     verified = modsim3d.verify_run(kind(thesis_folder), detector=kind("thesis"))
     assert verified.write(kind(tmp_path / "checked")) == (
         tmp_path / "checked/verify.json",
@@ -73,6 +76,12 @@ def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
         "run_scene": (lambda wrong: modsim3d.run_scene(scene, wrong), "folder: a path"),
         "open_run": (modsim3d.open_run, "folder: a run directory"),
         "detect_run": (lambda wrong: modsim3d.detect_run(wrong, "b"), "run: a run directory or a StoredRun"),
+        "detect_truth": (lambda wrong: modsim3d.detect_truth(wrong, "b", detector="thesis"), "truth: a path"),
+        "detect_truth, folder": (lambda wrong: modsim3d.detect_truth("a", wrong, detector="thesis"), "folder: a path"),
+        "detect_truth, detector": (
+            lambda wrong: modsim3d.detect_truth("a", "b", detector=wrong),
+            "detector: a path or the name of a shipped detector",
+        ),
         "verify_run": (modsim3d.verify_run, "run: a run directory or a StoredRun"),
         "learn_detector": (
             lambda wrong: modsim3d.learn_detector(truth=wrong, detections="dt.json"),

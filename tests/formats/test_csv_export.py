@@ -204,5 +204,7 @@ def _place(run: StoredRun) -> dict[str, Any]:
 def test_the_attitude_goes_with_csv_alone(run: StoredRun, tmp_path: Path) -> None:
     arguments = ["export", str(run.folder), "--format", "coco", "--out", str(tmp_path / "out"), "--attitude", "true"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
-    assert done.exit_code == 2 and "goes with --format csv" in done.output and not (tmp_path / "out").exists()
+    assert (
+        done.exit_code == 2 and "--attitude goes with --format csv" in done.output and not (tmp_path / "out").exists()
+    )
     assert "is not one of" in export(run, tmp_path / "out", "--attitude", "guessed").output

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
@@ -14,7 +14,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
-from modsim3d.formats.labelled import NOBODY, Annotations, Images, LabelledSet, Results
+from modsim3d.formats.labelled import NOBODY, Annotations, FileIds, Images, LabelledSet, Results
 from modsim3d.inputs.budgets import MAX_PROBLEMS
 from modsim3d.inputs.validation import shown
 
@@ -164,11 +164,17 @@ class AnnotationRows(_Rows):
         self.places.append(place)
         self.attributes.append((ignored, crowd, identity, visible_fraction, depth_m))
 
+    @property
+    def identities(self) -> tuple[Any, ...]:
+        """All identities, in the order in which they appear."""
+        of_rows = (identity for _, _, identity, _, _ in self.attributes)
+        return tuple(dict.fromkeys(each for each in of_rows if each is not None))
+
     def annotations(self) -> Annotations:
         """The rows as columns, ordered by image; identities are numbered in the order in which they appear."""
         nothing = ((),) * 5
+        numbers = {name: number for number, name in enumerate(self.identities)}
         ignored, crowd, identity, visible_fraction, depth_m = tuple(zip(*self.attributes, strict=True)) or nothing
-        numbers = {name: k for k, name in enumerate(dict.fromkeys(each for each in identity if each is not None))}
         return Annotations(
             *self._columns(),
             ignored=np.array(ignored, dtype=bool),
@@ -223,6 +229,17 @@ class ImageRows:
         self.condition.append(own)
 
 
+def check_whole(names: Iterable[str], source: str) -> None:
+    """Refuse names that cannot be written.
+
+    Raises:
+        InputError: A name holds half a character.
+    """
+    broken = [name for name in names if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
+    if broken:
+        raise InputError(source, [f"{shown(name)} holds half a character, which no file can hold" for name in broken])
+
+
 def labelled_set(
     condition: str,
     labels: Sequence[str],
@@ -230,6 +247,7 @@ def labelled_set(
     annotations: AnnotationRows,
     results: ResultRows,
     notes: Sequence[str],
+    ids: FileIds | None = None,
 ) -> LabelledSet:
     """A labelled set of one source; images that name no condition of their own have the given one.
 
@@ -241,10 +259,7 @@ def labelled_set(
         raise InputError(f"labels of {condition}", [f"{shown(name)} names more than one class" for name in repeated])
     of_image = [condition if name is None else name for name in images.condition]
     conditions = tuple(dict.fromkeys(of_image)) or (condition,)
-    broken = [name for name in (*labels, *conditions) if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
-    if broken:
-        problems = [f"{shown(name)} holds half a character, which no file can hold" for name in broken]
-        raise InputError(f"labels and conditions of {condition}", problems)
+    check_whole((*labels, *conditions), f"labels and conditions of {condition}")
     number_of = {name: number for number, name in enumerate(conditions)}
     columns = Images(
         tuple(images.names),
@@ -255,5 +270,5 @@ def labelled_set(
         np.array(images.time_s, dtype=np.float64),
     )
     return LabelledSet(
-        tuple(labels), conditions, columns, annotations.annotations(), results.results(len(labels)), tuple(notes)
+        tuple(labels), conditions, columns, annotations.annotations(), results.results(len(labels)), tuple(notes), ids
     )

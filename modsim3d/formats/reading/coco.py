@@ -21,7 +21,7 @@ from typing import Any, TypeGuard
 import orjson
 
 from modsim3d.errors import InputError
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
     MOST_NUMBER,
     MOST_PROBLEMS,
@@ -49,8 +49,8 @@ _MOST_NAMES = 1000
 """The search for a similar name among more of them takes seconds."""
 
 
-def read_coco(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read COCO's ground truth and results of one condition.
+def read_coco(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read COCO's ground truth and results of one condition, or its ground truth alone.
 
     Raises:
         InputError: The files are wrong; each problem names the index of its entry.
@@ -58,23 +58,20 @@ def read_coco(condition: str, truth: Path, detections: Path, options: ReadOption
     problems, frame_rate_hz = Problems(f"ground truth {truth}", options.skip_bad), options.frame_rate_hz
     content = _object(truth, "ground truth", problems.source)
     categories = _categories(content, problems)
-    rows_of, images = _images(content, frame_rate_hz, problems)
+    rows_of, images, sequences = _images(content, frame_rate_hz, problems)
     annotations, results = AnnotationRows(), ResultRows()
     known = _Known(rows_of, {}, categories)
     for index, entry in enumerate(_list(content, "annotations", problems)):
         _annotation(entry, f"annotations[{index}]", known, annotations, problems)
     notes = problems.settle()
-    wrong = Problems(f"detections {detections}", options.skip_bad)
-    entries = _results(detections)
-    known, doubt = _known_to_results(entries, known, images.names, options.category_offset, wrong)
-    for index, entry in enumerate(entries):
-        _result(entry, f"[{index}]", known, results, wrong)
-    notes += doubt + wrong.settle()
+    if detections is not None:
+        notes += _read_results(detections, known, images.names, options, results)
     numbered = any(isinstance(entry, dict) and "frame_id" in entry for entry in content["images"])
     if numbered and frame_rate_hz is None and any(map(math.isnan, images.time_s)):
         notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
-    labels = [name for name, _ in sorted(categories.values(), key=lambda pair: pair[1])]
-    return labelled_set(condition, labels, images, annotations, results, notes)
+    labels = [name for name, _ in categories.values()]
+    ids = FileIds(tuple(rows_of), tuple(categories), sequences, annotations.identities)
+    return labelled_set(condition, labels, images, annotations, results, notes, ids)
 
 
 @dataclass(frozen=True)
@@ -84,6 +81,17 @@ class _Known:
     images: Mapping[Any, int]
     files: Mapping[Any, int]
     categories: Mapping[Any, tuple[str, int]]
+
+
+def _read_results(
+    detections: Path, known: _Known, names: Sequence[str], options: ReadOptions, rows: ResultRows
+) -> list[str]:
+    """Append the results of a file; remarks on them."""
+    problems, entries = Problems(f"detections {detections}", options.skip_bad), _results(detections)
+    known, doubt = _known_to_results(entries, known, names, options.category_offset, problems)
+    for index, entry in enumerate(entries):
+        _result(entry, f"[{index}]", known, rows, problems)
+    return doubt + problems.settle()
 
 
 def _known_to_results(
@@ -188,8 +196,11 @@ def _categories(content: Mapping[str, Any], problems: Problems) -> dict[Any, tup
 
 def _images(
     content: Mapping[str, Any], frame_rate_hz: float | None, problems: Problems
-) -> tuple[dict[Any, int], ImageRows]:
-    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text."""
+) -> tuple[dict[Any, int], ImageRows, tuple[ID | None, ...]]:
+    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text.
+
+    The last of what it returns are the names of the sequences.
+    """
     entries: dict[Any, tuple[str, dict[str, Any]]] = {}
     for index, entry in enumerate(_list(content, "images", problems)):
         where = f"images[{index}]"
@@ -204,7 +215,7 @@ def _images(
     for identity in sorted(entries, key=lambda identity: (isinstance(identity, str), identity)):
         if _image(*entries[identity], frame_rate_hz, images, sequences, problems):
             rows_of[identity] = len(rows_of)
-    return rows_of, images
+    return rows_of, images, tuple(sequences)
 
 
 def _image(

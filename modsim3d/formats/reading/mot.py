@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import configparser
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from modsim3d.arrays import Array
 from modsim3d.boxes import from_top_left
 from modsim3d.errors import InputError
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading.builder import (
     MOST_NUMBER,
     MOST_PX,
@@ -55,13 +55,15 @@ class _Sequence:
     size_px: tuple[float, float]
     frames: int
     rate_hz: float | None
+    name: str | None = None
 
 
 @dataclass(frozen=True)
 class _Known:
-    """What a line may name: a class by its number, where detections name classes, and a frame."""
+    """What a line may name: a class by its number, where the lines of `classed` name classes, and a frame."""
 
     to_label: Mapping[int, int]
+    classed: str
     most_frames: int
 
 
@@ -69,10 +71,11 @@ Lines = list[tuple[str, list[float]]]
 """Where each line is, and its numbers."""
 
 
-def read_mot(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`.
+def read_mot(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`, or from `gt.txt` alone.
 
-    A frame rate that is given overrides that of `seqinfo.ini`; if neither gives one, frames have no times.
+    Without detections, all classes up to the largest number are labels, if the truth names any. A frame rate that is
+    given overrides that of `seqinfo.ini`; if neither gives one, frames have no times.
 
     Raises:
         InputError: The files are wrong; each problem names its line.
@@ -80,11 +83,12 @@ def read_mot(condition: str, truth: Path, detections: Path, options: ReadOptions
     labels, problems = options.labels, Problems(f"ground truth {truth}", options.skip_bad)
     annotated = list(number_lines(truth, "ground truth", ",", 6, problems))
     wrong = Problems(f"detections {detections}", options.skip_bad)
-    detected = list(number_lines(detections, "detections", ",", 7, wrong))
+    detected = [] if detections is None else list(number_lines(detections, "detections", ",", 7, wrong))
     info = _sequence(truth, options.image_size_px, problems.source)
-    names = _class_names(annotated, detected, labels)
+    names = _all_class_names(annotated, labels) if detections is None else _class_names(annotated, detected, labels)
     spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
-    known = _Known({number: k for k, number in enumerate(names)}, min(spanned, MAX_FRAMES))
+    to_label, classed = {number: k for k, number in enumerate(names)}, "detections" if detected else "other lines"
+    known = _Known(to_label, classed, min(spanned, MAX_FRAMES))
     annotations = _annotations(annotated, known, problems)
     results = _results(detected, known, wrong)
     notes = problems.settle() + wrong.settle()
@@ -96,7 +100,9 @@ def read_mot(condition: str, truth: Path, detections: Path, options: ReadOptions
         time_s = math.nan if rate_hz is None else frame / rate_hz
         images.add(f"{condition} frame {frame + 1}", info.size_px, time_s=time_s)
     only = (labels[0] if labels else "object",)
-    return labelled_set(condition, tuple(names.values()) or only, images, annotations, results, notes)
+    frames = tuple(range(1, len(images.names) + 1))
+    ids = FileIds(frames, tuple(names) or (0,), (info.name,), annotations.identities)
+    return labelled_set(condition, tuple(names.values()) or only, images, annotations, results, notes, ids)
 
 
 def _class_of(numbers: list[float]) -> int:
@@ -109,7 +115,16 @@ def _class_names(annotated: Lines, detected: Lines, labels: tuple[str, ...]) -> 
     if not any(_class_of(numbers) >= 1 for _, numbers in detected):
         return {}
     found = {_class_of(numbers) for _, numbers in annotated + detected}
-    classes = sorted(number for number in found if 1 <= number <= _MOST_CLASSES)
+    return _named(sorted(number for number in found if 1 <= number <= _MOST_CLASSES), labels)
+
+
+def _all_class_names(annotated: Lines, labels: tuple[str, ...]) -> dict[int, str]:
+    """Names of the classes from 1 to the largest number; none if no line names a class."""
+    classes = (_class_of(numbers) for _, numbers in annotated)
+    return _named(range(1, max((number for number in classes if number <= _MOST_CLASSES), default=0) + 1), labels)
+
+
+def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
     return {number: labels[number - 1] if number <= len(labels) else f"class_{number}" for number in classes}
 
 
@@ -159,7 +174,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
     elif number > _MOST_CLASSES:
         problems.add(f"{where}: class must be at most {_MOST_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
-        problems.add(f"{where}: has no class in its eighth column, but detections have (got {number})")
+        problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {number})")
     elif valid_box(numbers[2:6], where, problems):
         return Place(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
     return None
@@ -179,7 +194,7 @@ def _sequence(truth: Path, size_px: tuple[float, float] | None, source: str) -> 
         if problems:
             raise InputError(f"sequence {path}", problems)
         width, height, rate, frames = (_number(section.get(key, "0")) for key in _RANGES)
-        return _Sequence((width, height), int(frames), rate or None)
+        return _Sequence((width, height), int(frames), rate or None, section.get("name") or None)
     if size_px is None:
         raise InputError(
             source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]

@@ -1,4 +1,4 @@
-"""Which reader a pair of files is for."""
+"""Which reader a pair of files, or a file of truth alone, is for."""
 
 from __future__ import annotations
 
@@ -30,6 +30,21 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
         )
     read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
     return read(condition, truth, detections, options)
+
+
+def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[LabelledSet, str]:
+    """Read the truth of a labelled video without any detections, and say of which kind it is: `MOT` or `COCO`.
+
+    Raises:
+        InputError: The file is wrong, or it is a folder, as YOLO's are.
+    """
+    path = as_path(truth, "truth")
+    if not path.exists():
+        raise InputError(f"truth {path}", ["no such file"])
+    kind = _kind(path)
+    if kind == "YOLO":
+        raise InputError(f"truth {path}", ["is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON"])
+    return {"COCO": read_coco, "MOT": read_mot}[kind](path.stem, path, None, options), kind
 
 
 def _kind(path: Path) -> str:

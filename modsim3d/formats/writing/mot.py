@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.arrays import Array, Mask
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import iou, sizes
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.formats.writing.sequences import CameraSequence, ToldBoxes, TrueBoxes
@@ -98,12 +98,18 @@ def _free_name(wanted: str, set_: str, given: Iterable[_Sequence]) -> str:
 
 
 def _info(sequence: _Sequence) -> str:
-    width, height = sequence.frames.size_px
+    frames = sequence.frames
+    return sequence_text(sequence.name, frames.size_px, frames.rate_hz, len(frames.steps))
+
+
+def sequence_text(name: str, size_px: tuple[int, int], rate_hz: float, frames: int) -> str:
+    """A `seqinfo.ini`, from the size of the images, the frame rate and the number of frames."""
+    width, height = size_px
     entries = {
-        "name": sequence.name,
+        "name": name,
         "imDir": "img1",
-        "frameRate": _number(round(sequence.frames.rate_hz, 6)),
-        "seqLength": len(sequence.frames.steps),
+        "frameRate": _number(round(rate_hz, 6)),
+        "seqLength": frames,
         "imWidth": width,
         "imHeight": height,
         "imExt": ".png",
@@ -120,10 +126,17 @@ def _truth(sequence: _Sequence) -> str:
 
 
 def _detections(sequence: _Sequence) -> str:
-    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known."""
-    found = sequence.detections
+    return detection_text(sequence.detections)
+
+
+def detection_text(found: ToldBoxes, classes: Indices | None = None) -> str:
+    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known.
+
+    With classes, shape (m,), they stand in place of the first number of that place, as in truth.
+    """
     unknown = np.full(len(found), UNKNOWN)
-    return _lines([found.frame + 1, unknown, *_places(found.boxes_px), found.confidence, *[unknown] * 3])
+    last = [unknown if classes is None else classes, unknown, unknown]
+    return _lines([found.frame + 1, unknown, *_places(found.boxes_px), found.confidence, *last])
 
 
 _SEQUENCE_FILES = {"seqinfo.ini": _info, "gt/gt.txt": _truth, "det/det.txt": _detections}

@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
-from modsim3d.detector.records import KINDS
+from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.table_columns import schema_of
 from modsim3d.scene.scene import Scene
@@ -40,7 +41,7 @@ def frame_table(block: Block, scene: Scene) -> pa.Table:
         tables.append(
             {
                 **_keys(block, part, scene, part.steps),
-                "state": _named(states, part.detections.states),
+                "state": named(states, part.detections.states),
                 "n_annotated": np.bincount(annotated, minlength=frames),
                 "n_detected": np.bincount(part.detections.frame[~false], minlength=frames),
                 "n_false": np.bincount(part.detections.frame[false], minlength=frames),
@@ -58,11 +59,11 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
         tables.append(
             {
                 **_keys(block, part, scene, truth.step),
-                "vessel": _named(scene.vessel_names, truth.vessel),
-                "label": _named(labels, truth.vessel),
+                "vessel": named(scene.vessel_names, truth.vessel),
+                "label": named(labels, truth.vessel),
                 **_box_columns("full", truth.full_boxes_px),
                 **_box_columns("visible", truth.visible_boxes_px),
-                **{name: _nullable(getattr(truth, name)) for name in TRUTH_NUMBERS},
+                **{name: nullable(getattr(truth, name)) for name in TRUTH_NUMBERS},
                 "occluded_by": _occluders(part, scene),
                 "annotated": truth.annotated,
                 "detected": part.detected,
@@ -73,55 +74,61 @@ def truth_table(block: Block, scene: Scene) -> pa.Table:
 
 def detection_table(block: Block, scene: Scene) -> pa.Table:
     """One row for each detection, with its origin."""
-    states = [state.name for state in scene.detector.states]
     tables = []
     for part in block.cameras:
         detections, rows = part.detections, part.truth_row
-        starts = np.searchsorted(detections.frame, detections.frame)
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
         tables.append(
             {
                 **_keys(block, part, scene, part.steps[detections.frame]),
-                "detection": np.arange(len(detections)) - starts,
-                "label": _named(scene.detector.labels, detections.label),
-                "confidence": detections.confidence,
-                **dict(zip(BOX_SIDES, detections.boxes_px.T, strict=True)),
-                **dict(zip(CENTRE_FORM, centre_form(detections.boxes_px).T, strict=True)),
-                "state": _named(states, detections.states[detections.frame]),
-                "kind": _named(KINDS, detections.kind),
-                "vessel": _named(scene.vessel_names, vessels),
-                **{name: _nullable(column) for name, column in zip(ERRORS, detections.errors_px.T, strict=True)},
+                **detection_columns(detections, scene.detector),
+                "vessel": named(scene.vessel_names, vessels),
             }
         )
     return _in_order(DETECTIONS, tables)
 
 
-def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:
+def detection_columns(detections: Detections, model: DetectorModel) -> dict[str, Any]:
+    """The columns of the table of detections that say nothing of frames and vessels."""
+    starts = np.searchsorted(detections.frame, detections.frame)
     return {
-        "camera": _named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
-        "step": step,
-        "timestamp": _named(block.timestamps, step - block.first),
+        "detection": np.arange(len(detections)) - starts,
+        "label": named(model.labels, detections.label),
+        "confidence": detections.confidence,
+        **dict(zip(BOX_SIDES, detections.boxes_px.T, strict=True)),
+        **dict(zip(CENTRE_FORM, centre_form(detections.boxes_px).T, strict=True)),
+        "state": named([state.name for state in model.states], detections.states[detections.frame]),
+        "kind": named(KINDS, detections.kind),
+        **{name: nullable(column) for name, column in zip(ERRORS, detections.errors_px.T, strict=True)},
     }
 
 
-def _named(names: Sequence[str], indices: Indices) -> pa.Array:
+def _keys(block: Block, part: CameraBlock, scene: Scene, step: Indices) -> dict[str, Any]:
+    return {
+        "camera": named([camera.name for camera in scene.cameras], np.full(len(step), part.camera)),
+        "step": step,
+        "timestamp": named(block.timestamps, step - block.first),
+    }
+
+
+def named(names: Sequence[str], indices: Indices) -> pa.Array:
     """Names by index; null where the index is negative."""
     return pa.array(list(names), pa.string()).take(pa.array(indices, mask=indices < 0))
 
 
-def _nullable(values: Array) -> pa.Array:
+def nullable(values: Array) -> pa.Array:
     """Numbers with null for NaN."""
     return pa.array(np.ascontiguousarray(values), from_pandas=True)
 
 
 def _box_columns(prefix: str, boxes_px: Array) -> dict[str, pa.Array]:
-    return {f"{prefix}_{side}": _nullable(boxes_px[:, i]) for i, side in enumerate(BOX_SIDES)}
+    return {f"{prefix}_{side}": nullable(boxes_px[:, i]) for i, side in enumerate(BOX_SIDES)}
 
 
 def _occluders(part: CameraBlock, scene: Scene) -> pa.Array:
     truth = part.truth
     entries = pa.StructArray.from_arrays(
-        [_named(scene.occluder_names, truth.occluder), pa.array(truth.occluder_px)], names=["id", "px"]
+        [named(scene.occluder_names, truth.occluder), pa.array(truth.occluder_px)], names=["id", "px"]
     )
     return pa.ListArray.from_arrays(pa.array(truth.occluder_offsets, pa.int32()), entries)
 

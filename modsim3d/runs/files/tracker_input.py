@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import orjson
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.detector.records import Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.scene import Scene
 
@@ -39,18 +40,22 @@ def told_order(frame: Indices, boxes_px: Array, label: Indices, confidence: Arra
 
 
 def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> Iterator[bytes]:
-    """The detections of a camera, one line a frame; the most confident first, equal ones in order of their boxes."""
-    detections, labels = part.detections, scene.detector.labels
+    """The detections of a camera, one line for each of its frames."""
+    times_s = scene.times_s(block.first, block.stop)[part.steps - block.first]
+    return detection_lines(part.detections, scene.detector.labels, part.steps, times_s)
+
+
+def detection_lines(detections: Detections, labels: Sequence[str], steps: Indices, times_s: Array) -> Iterator[bytes]:
+    """Detections as a tracker may read them, one line for each frame; steps and times have shape (S,)."""
     boxes = told_boxes_px(detections.boxes_px)
     order = told_order(detections.frame, boxes, detections.label, detections.confidence)
-    starts = np.searchsorted(detections.frame, np.arange(len(part.steps) + 1)).tolist()
+    starts = np.searchsorted(detections.frame, np.arange(len(steps) + 1)).tolist()
     entries = [
         {"box_px": box, "label": labels[label], "confidence": confidence}
         for box, label, confidence in zip(
             boxes[order].tolist(), detections.label[order].tolist(), detections.confidence[order].tolist(), strict=True
         )
     ]
-    times_s = scene.times_s(block.first, block.stop)[part.steps - block.first].tolist()
-    for frame, (time_s, step) in enumerate(zip(times_s, part.steps.tolist(), strict=True)):
+    for frame, (time_s, step) in enumerate(zip(times_s.tolist(), steps.tolist(), strict=True)):
         of_frame = entries[starts[frame] : starts[frame + 1]]
         yield orjson.dumps({"time_s": time_s, "step": step, "detections": of_frame}) + b"\n"

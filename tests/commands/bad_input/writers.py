@@ -23,6 +23,13 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "export: ais": ("ais.nmea", lambda run, out: ("export", run, "--format", "ais", "--out", out.parent)),
     "export: mot": ("frames.csv", lambda run, out: ("export", run, "--format", "mot", "--out", out.parent)),
     "export: yolo": ("data.yaml", lambda run, out: ("export", run, "--format", "yolo", "--out", out.parent)),
+    "detect: truth": (
+        "dt.json",
+        lambda run, out: (
+            *("detect", "--truth", run.parent / "coco" / "gt.json", "--detector", run / "scene" / "detector.yaml"),
+            *("--out", out.parent),
+        ),
+    ),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",
@@ -45,6 +52,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
 INPUTS: dict[str, Callable[[Path], Path]] = {
     "compare": scene_file,
     "guess": lambda run: run / "scene" / "detector.yaml",
+    "detect: truth": lambda run: run.parent / "coco" / "gt.json",
 }
 """A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais")

@@ -1,0 +1,53 @@
+"""Options of the commands that read labelled sets."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from modsim3d.errors import InputError
+
+if TYPE_CHECKING:
+    from modsim3d.formats.reading.builder import ReadOptions
+
+ImageSizeOption = Annotated[
+    str | None,
+    typer.Option(metavar="W,H", help="Size of the images in pixels, for YOLO and for MOT without seqinfo.ini."),
+]
+FrameRateOption = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", help="Frames per second, for MOT without seqinfo.ini and for COCO videos."),
+]
+SkipBadOption = Annotated[
+    bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
+]
+
+
+def read_options(
+    labels: str | None, image_size: str | None, skip_bad: bool, frame_rate: float | None, category_offset: int = 0
+) -> ReadOptions:
+    """What options say of labelled sets.
+
+    Raises:
+        InputError: A size or a frame rate is none.
+    """
+    from modsim3d.formats.reading.builder import ReadOptions
+
+    if frame_rate is not None and not 0 < frame_rate < math.inf:
+        raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
+    size_px = None if image_size is None else _size_px(image_size)
+    names = tuple(part.strip() for part in labels.split(",") if part.strip()) if labels else ()
+    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset)
+
+
+def _size_px(text: str) -> tuple[float, float]:
+    """Width and height of a text such as `1920,1080`."""
+    try:
+        width, height = (float(part) for part in text.replace("x", ",").split(","))
+    except ValueError:
+        raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{text}')"]) from None
+    if not (width > 0 and height > 0):
+        raise InputError("--image-size", [f"both sides must be above 0 (got '{text}')"])
+    return width, height
