@@ -11,23 +11,15 @@ import orjson
 
 from modsim3d.boxes import sizes
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Detections
 from modsim3d.formats.writing.mot import detection_text, sequence_text
-from modsim3d.formats.writing.sequences import ToldBoxes, told_confidence
 from modsim3d.other_truth.detecting import Part
 from modsim3d.other_truth.labels import FileClasses
 from modsim3d.other_truth.videos import Video
-from modsim3d.runs.files.tracker_input import BOX_DECIMALS, TRACKER_INPUT, detection_lines, told_boxes_px, told_order
+from modsim3d.runs.files.tracker_input import TRACKER_INPUT, detection_lines
+from modsim3d.runs.told import BOX_DECIMALS, Told
 
 ONE_FRAME_HZ = 1.0
 """The frame rate that is written of a video of one frame."""
-
-
-def told(detections: Detections) -> ToldBoxes:
-    """What a tracker may read of detections, in an order that tells nothing."""
-    boxes, confidence = told_boxes_px(detections.boxes_px), told_confidence(detections.confidence)
-    order = told_order(detections.frame, boxes, detections.label, confidence)
-    return ToldBoxes(detections.frame, detections.label, boxes, confidence).take(order)
 
 
 def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequence[str]) -> dict[str, int]:
@@ -48,8 +40,7 @@ def tracker_files(parts: Sequence[Part], model: DetectorModel) -> dict[str, byte
     lines: dict[str, list[bytes]] = {}
     for part in parts:
         name = f"{TRACKER_INPUT}_{part.video.file_name}.jsonl"
-        rounded = replace(part.detections, confidence=told_confidence(part.detections.confidence))
-        lines.setdefault(name, []).extend(detection_lines(rounded, model.labels, part.steps, part.times_s))
+        lines.setdefault(name, []).extend(detection_lines(part.detections, model.labels, part.steps, part.times_s))
     return {name: b"".join(of_file) for name, of_file in lines.items()}
 
 
@@ -66,8 +57,8 @@ def mot_files(truth: bytes, video: Video, parts: Sequence[Part], numbers: Sequen
 
 
 def _mot_text(part: Part, numbers: Sequence[int]) -> str:
-    found = told(part.detections)
-    found = ToldBoxes(part.steps[found.frame], found.label, found.boxes_px, found.confidence)
+    found = Told.of(part.detections)
+    found = replace(found, frame=part.steps[found.frame])
     return detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
 
 
@@ -75,7 +66,7 @@ def coco_results(parts: Iterable[Part], images: Sequence[int | str], numbers: Se
     """COCO results, with the image IDs of the truth's file and the category of each label."""
     entries: list[dict[str, Any]] = []
     for part in parts:
-        found = told(part.detections)
+        found = Told.of(part.detections)
         shapes = np.round(np.concatenate([found.boxes_px[:, :2], sizes(found.boxes_px)], axis=1), BOX_DECIMALS)
         rows = part.video.images[part.steps[found.frame]].tolist()
         columns = rows, found.label.tolist(), shapes.tolist(), found.confidence.tolist()

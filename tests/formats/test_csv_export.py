@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from modsim3d.cli import app
 from modsim3d.detector.records import KINDS
+from modsim3d.errors import ModsimError
 from modsim3d.geometry.rotations import camera_R_parent
 from modsim3d.positions.locating import locate
 from modsim3d.runs.run import run_scene
@@ -204,7 +205,6 @@ def _place(run: StoredRun) -> dict[str, Any]:
 def test_the_attitude_goes_with_csv_alone(run: StoredRun, tmp_path: Path) -> None:
     arguments = ["export", str(run.folder), "--format", "coco", "--out", str(tmp_path / "out"), "--attitude", "true"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
-    assert (
-        done.exit_code == 2 and "--attitude goes with --format csv" in done.output and not (tmp_path / "out").exists()
-    )
+    assert str(done.exception) == "--attitude goes with --format csv, not with coco"
+    assert isinstance(done.exception, ModsimError) and not (tmp_path / "out").exists()
     assert "is not one of" in export(run, tmp_path / "out", "--attitude", "guessed").output

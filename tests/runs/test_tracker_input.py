@@ -67,8 +67,8 @@ def test_a_tracker_gets_every_detection_of_every_frame(run: StoredRun, camera: s
     assert sum(map(len, tracker.seen.values())) > 50
     for frame in frames:
         found, given = frame.detections, tracker.seen[frame.step]
-        boxes = np.round(found.boxes_px, 3).tolist()
-        expected = [repr(entry) for entry in zip(boxes, found.labels, found.confidence.tolist(), strict=True)]
+        boxes, confidence = np.round(found.boxes_px, 3).tolist(), np.round(found.confidence, 6).tolist()
+        expected = [repr(entry) for entry in zip(boxes, found.labels, confidence, strict=True)]
         told = [repr((entry["box_px"], entry["label"], entry["confidence"])) for entry in given]
         assert Counter(told) == Counter(expected)
 

@@ -19,9 +19,8 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco_masks import check_masks, mask_entries
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.formats.writing.sequences import told_confidence
 from modsim3d.outputs.placing import write_files
-from modsim3d.runs.files.tracker_input import BOX_DECIMALS, told_boxes_px, told_order
+from modsim3d.runs.told import BOX_DECIMALS, told
 
 FILES = ("gt.json", "dt.json")
 
@@ -93,9 +92,8 @@ def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
 def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
     """The content of a results file, as a tracker may read it: numbers are rounded, the most confident comes first."""
     results = labelled.results
-    boxes, confidence = told_boxes_px(results.boxes_px), told_confidence(results.confidence)
-    order = told_order(results.image, boxes, results.label, confidence)
-    columns = (column[order].tolist() for column in (results.image, results.label, boxes, confidence))
+    found = told(results.image, results.label, results.boxes_px, results.confidence)
+    columns = (column.tolist() for column in (found.frame, found.label, found.boxes_px, found.confidence))
     return [
         {
             "image_id": image + 1,

@@ -15,21 +15,21 @@ from pyarrow import csv
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.sequences import CameraSequence
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.rotations import BASE_R_WORLD
 from modsim3d.outputs.placing import write_files
-from modsim3d.positions.locating import locate
+from modsim3d.positions.locating import Attitude, locate
 from modsim3d.positions.viewpoints import Viewpoints
-from modsim3d.runs.files.columns import integers, numbers
+from modsim3d.runs.files.columns import numbers
 from modsim3d.runs.files.tables import BOX_SIDES
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.told import BOX_DECIMALS
 from modsim3d.scene.own_ships import own_ships_at, true_attitudes
 from modsim3d.scene.scene import Scene
 
 Columns = Mapping[str, Any]
-_BOX_DECIMALS = 3
-"""Of a box's edges in pixels: the last bits of exact edges tell true detections from false ones."""
 _DIGITS = 9
 """Of numbers that are worked out: the last of sixteen depend on the processor."""
 
@@ -44,9 +44,9 @@ def write(request: ExportRequest, folder: Path) -> None:
     """Write a run."""
     scene, rows, measured = request.run.scene, RunRows.of(request.run), request.attitude == "measured"
     tables: dict[str, Columns] = {}
-    for index in request.cameras:
-        name = scene.cameras[index].name
-        tables[f"detections_{name}.csv"] = _detections(rows, index, request.attitude)
+    for index, sequence in zip(request.cameras, request.sequences, strict=True):
+        name = sequence.camera.name
+        tables[f"detections_{name}.csv"] = _detections(scene, sequence, request.attitude)
         tables[f"frames_{name}.csv"] = _frames(rows, index, measured=measured)
         tables[f"truth_{name}.csv"] = _truth(rows, index)
     tables["cameras.csv"] = _cameras(scene, [scene.cameras[index] for index in request.cameras])
@@ -70,21 +70,14 @@ def _when(scene: Scene, steps: Indices) -> Columns:
 
 
 def _boxes(boxes_px: Array) -> Columns:
-    return dict(zip(BOX_SIDES, np.round(boxes_px, _BOX_DECIMALS).T, strict=True))
+    return dict(zip(BOX_SIDES, np.round(boxes_px, BOX_DECIMALS).T, strict=True))
 
 
-def _detections(rows: RunRows, camera: int, attitude: Any) -> Columns:
+def _detections(scene: Scene, sequence: CameraSequence, attitude: Attitude) -> Columns:
     """The detections of a camera, those of a frame in the order of `tracker_input_CAMERA.jsonl`."""
-    mine = np.flatnonzero(rows.detection_frame % len(rows.scene.cameras) == camera)
-    found = rows.detections.take(pa.array(mine))
-    boxes, confidence = np.round(rows.detection_boxes_px()[mine], _BOX_DECIMALS), numbers(found, "confidence")
-    labels = np.array(found["label"].to_pylist(), dtype=object)
-    rank = {label: place for place, label in enumerate(rows.scene.detector.labels)}
-    label_rank = np.array([rank[label] for label in labels], dtype=np.int64)
-    steps = integers(found, "step")
-    order = np.lexsort((label_rank, *boxes.T[::-1], -confidence, steps))
-    steps, boxes = steps[order], boxes[order]
-    place = locate(rows.scene, rows.scene.cameras[camera].name, steps, boxes, attitude)
+    found, labels = sequence.detections, np.array(scene.detector.labels, dtype=object)
+    steps = sequence.steps[found.frame]
+    place = locate(scene, sequence.camera.name, steps, found.boxes_px, attitude)
     covariances = place.position_covariances_m2
     located = {
         "bearing_rad": place.bearing_rad,
@@ -99,10 +92,10 @@ def _detections(rows: RunRows, camera: int, attitude: Any) -> Columns:
         "w2_variance_m2": covariances[:, 1, 1],
     }
     return {
-        **_when(rows.scene, steps),
-        "label": pa.array(labels[order], pa.string()),
-        "confidence": confidence[order],
-        **_boxes(boxes),
+        **_when(scene, steps),
+        "label": pa.array(labels[found.label], pa.string()),
+        "confidence": found.confidence,
+        **_boxes(found.boxes_px),
         **{name: _rounded(values) for name, values in located.items()},
     }
 

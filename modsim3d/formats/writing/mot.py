@@ -23,8 +23,9 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import iou, sizes
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.formats.writing.sequences import CameraSequence, ToldBoxes, TrueBoxes
+from modsim3d.formats.writing.sequences import CameraSequence, TrueBoxes
 from modsim3d.outputs.placing import write_files
+from modsim3d.runs.told import Told
 from modsim3d.vessels.vessel import Vessel
 
 ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
@@ -64,7 +65,7 @@ class _Sequence:
     name: str
     frames: CameraSequence
     truth: TrueBoxes
-    detections: ToldBoxes
+    detections: Told
 
     @property
     def folder(self) -> str:
@@ -129,7 +130,7 @@ def _detections(sequence: _Sequence) -> str:
     return detection_text(sequence.detections)
 
 
-def detection_text(found: ToldBoxes, classes: Indices | None = None) -> str:
+def detection_text(found: Told, classes: Indices | None = None) -> str:
     """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known.
 
     With classes, shape (m,), they stand in place of the first number of that place, as in truth.

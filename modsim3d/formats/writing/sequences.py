@@ -10,33 +10,13 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.geometry.camera import Camera
 from modsim3d.runs.files.columns import indices, numbers, positions
-from modsim3d.runs.files.tracker_input import told_boxes_px, told_order
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
-
-_CONFIDENCE_DECIMALS = 6
-"""The last bits of exact ones tell some false detections from true ones, which more goes into."""
-
-
-def told_confidence(confidence: Array) -> Array:
-    """Confidence as a tracker may read it, shapes (m,)."""
-    return np.round(confidence, _CONFIDENCE_DECIMALS)
-
-
-class _Rows:
-    """Columns that all have the same rows."""
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(next(iter(vars(self).values())))
-
-    def take(self, chosen: Mask | Indices) -> Self:
-        """The chosen rows."""
-        return type(self)(**{name: column[chosen] for name, column in vars(self).items()})
+from modsim3d.runs.told import Told, told
 
 
 @dataclass(frozen=True, eq=False)
-class TrueBoxes(_Rows):
+class TrueBoxes:
     """The vessels in a camera's images: n rows in order of frame and vessel.
 
     Attributes:
@@ -59,22 +39,13 @@ class TrueBoxes(_Rows):
     silhouette_px: Array
     visible_px: Array
 
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.frame)
 
-@dataclass(frozen=True, eq=False)
-class ToldBoxes(_Rows):
-    """The detections in a camera's images as a tracker may read them: m rows, those of a frame by confidence.
-
-    Attributes:
-        frame: Row of the camera's frames, shape (m,).
-        label: Index of the label, shape (m,).
-        boxes_px: Rounded, shape (m, 4).
-        confidence: Rounded, shape (m,).
-    """
-
-    frame: Indices
-    label: Indices
-    boxes_px: Array
-    confidence: Array
+    def take(self, chosen: Mask | Indices) -> Self:
+        """The chosen rows."""
+        return type(self)(**{name: column[chosen] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +64,7 @@ class CameraSequence:
     steps: Indices
     times_s: Array
     truth: TrueBoxes
-    detections: ToldBoxes
+    detections: Told
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -135,12 +106,11 @@ def _truth(rows: RunRows, frames: Indices) -> TrueBoxes:
     return every.take(order[every.frame[order] >= 0])
 
 
-def _detections(rows: RunRows, frames: Indices) -> ToldBoxes:
-    every = ToldBoxes(
+def _detections(rows: RunRows, frames: Indices) -> Told:
+    every = told(
         positions(frames, rows.detection_frame),
         indices(rows.detections, "label", rows.scene.detector.labels),
-        told_boxes_px(rows.detection_boxes_px()),
-        told_confidence(numbers(rows.detections, "confidence")),
+        rows.detection_boxes_px(),
+        numbers(rows.detections, "confidence"),
     )
-    order = told_order(every.frame, every.boxes_px, every.label, every.confidence)
-    return every.take(order[every.frame[order] >= 0])
+    return every.take(every.frame >= 0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array
 from modsim3d.runs.blocks import CameraBlock
-from modsim3d.runs.files.tracker_input import told_boxes_px, told_order
+from modsim3d.runs.told import Told
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.modes import annotation_boxes
 
@@ -33,13 +33,11 @@ class Boxes:
 
 def detected_boxes(part: CameraBlock, scene: Scene) -> Iterator[Boxes]:
     """The detections of each frame without their origin, as `tracker_input_CAMERA.jsonl` has them."""
-    detections = part.detections
-    boxes = told_boxes_px(detections.boxes_px)
-    order = told_order(detections.frame, boxes, detections.label, detections.confidence)
-    labels = [scene.detector.labels[label] for label in detections.label[order].tolist()]
-    scores = detections.confidence[order].tolist()
-    for rows in _rows(np.searchsorted(detections.frame, np.arange(len(part.steps) + 1))):
-        yield Boxes(boxes[order[rows]], labels[rows], scores[rows], [""] * (rows.stop - rows.start))
+    found = Told.of(part.detections)
+    labels = [scene.detector.labels[label] for label in found.label.tolist()]
+    scores = found.confidence.tolist()
+    for rows in _rows(np.searchsorted(found.frame, np.arange(len(part.steps) + 1))):
+        yield Boxes(found.boxes_px[rows], labels[rows], scores[rows], [""] * (rows.stop - rows.start))
 
 
 def true_boxes(part: CameraBlock, scene: Scene) -> Iterator[Boxes]:
