@@ -145,7 +145,8 @@ def _state_settings(state: str | None, state_from: StrPath | None, detector: Str
 def assembled(parts: SceneParts) -> Scene:
     """The scene from its parts, or every problem at once."""
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
-    if keys is None or vessels is None or detector is None or poses is None or parts.problems:
+    source = parts.source
+    if keys is None or vessels is None or detector is None or source is None or poses is None or parts.problems:
         raise InputError(parts.name, parts.problems)
     copy, level, live = copy_scene(parts, keys), parts.wave_level, isinstance(poses, LivePoses)
     scene = Scene(
@@ -154,7 +155,8 @@ def assembled(parts: SceneParts) -> Scene:
         sha256=copy.sha256(),
         seed=keys.seed,
         detector_seed=keys.seed if keys.detector_seed is None else keys.detector_seed,
-        truth_has_seed=keys.truth_has_seed,
+        traffic_has_seed=source.keys.drawn,
+        truth_has_seed=source.keys.drawn or keys.waves_have_seed,
         steps=keys.steps or (MAX_STEPS if live else len(poses.timestamps)),
         vessels=vessels,
         poses=poses,

@@ -43,9 +43,10 @@ class Scene:
         sha256: Checksum of `copy`.
         seed: Seed of all random numbers but the detector's.
         detector_seed: Seed of the detector; the same unless the scene file says otherwise.
-        truth_has_seed: Whether what the cameras see depends on the seed.
+        traffic_has_seed: Whether the traffic, that is who is where, is drawn from the seed.
+        truth_has_seed: Whether what the cameras see depends on the seed: through the traffic or the waves.
         steps: Number of time steps; of a live scene the most that are taken.
-        vessels: Vessels in the order of the vessels file.
+        vessels: Vessels in the order of the vessels file, then those that the pose source draws.
         poses: Source of the vessels' poses.
         cameras: Cameras in the order of the scene file.
         annotation: Annotation mode, and where the truth comes from.
@@ -63,6 +64,7 @@ class Scene:
     sha256: str
     seed: int
     detector_seed: int
+    traffic_has_seed: bool
     truth_has_seed: bool
     steps: int
     vessels: tuple[Vessel, ...]
@@ -148,6 +150,11 @@ class Scene:
     def vessel_names(self) -> tuple[str, ...]:
         """IDs of the vessels, in order."""
         return tuple(vessel.name for vessel in self.vessels)
+
+    @property
+    def traffic(self) -> str:
+        """Where its traffic comes from, in words: `drawn from seed 7`, or `this traffic only`, whatever the seed."""
+        return f"drawn from seed {self.seed}" if self.traffic_has_seed else "this traffic only"
 
     @property
     def occluder_names(self) -> tuple[str, ...]:
