@@ -246,6 +246,7 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "scene_sha256": scene.sha256,
         "seed": scene.seed,
         "detector_seed": scene.detector_seed,
+        **({} if scene.traffic_seed is None else {"traffic_seed": scene.traffic_seed}),
         "steps": scene.steps,
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],

@@ -19,7 +19,7 @@ from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import kind_of, nearest, shown
 from modsim3d.motion.imu import PERFECT_IMU, Imu
-from modsim3d.motion.poses import LivePoses
+from modsim3d.motion.poses import LivePoses, read_source
 from modsim3d.motion.vessel_motion import Waves
 from modsim3d.motion.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 from modsim3d.motion.waves.levels import Axes
@@ -27,7 +27,7 @@ from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
-from modsim3d.scene.parts import SCENE_FILE, SceneParts
+from modsim3d.scene.parts import SCENE_FILE, SceneParts, title_of
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import Setting, replacing, settings_of
 from modsim3d.truth.modes import Annotation
@@ -62,6 +62,11 @@ def find_scene(scene: StrPath) -> Path:
         return shipped[name]
     problem = f"no such file, and no shipped scene has this name ({nearest(name, shipped)})"
     raise InputError(f"scene {name}", [problem])
+
+
+def draws_traffic(path: Path) -> bool:
+    """Whether the traffic of a valid scene file is drawn from the seed."""
+    return read_source(load_yaml(path, "scene")["poses"], title_of(path)).keys.drawn
 
 
 def load_scene(

@@ -152,9 +152,14 @@ class Scene:
         return tuple(vessel.name for vessel in self.vessels)
 
     @property
+    def traffic_seed(self) -> int | None:
+        """The seed that its traffic is drawn from; None if every seed has the same traffic."""
+        return self.seed if self.traffic_has_seed else None
+
+    @property
     def traffic(self) -> str:
-        """Where its traffic comes from, in words: `drawn from seed 7`, or `this traffic only`, whatever the seed."""
-        return f"drawn from seed {self.seed}" if self.traffic_has_seed else "this traffic only"
+        """The same in words: `drawn from seed 7`, or `this traffic only`."""
+        return "this traffic only" if self.traffic_seed is None else f"drawn from seed {self.traffic_seed}"
 
     @property
     def occluder_names(self) -> tuple[str, ...]:

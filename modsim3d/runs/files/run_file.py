@@ -65,13 +65,18 @@ class Truncation(Strict):
 
 
 class Settings(Strict):
-    """Everything that decides the content of the files, see `runs.run.settings_of`."""
+    """Everything that decides the content of the files, see `runs.run.settings_of`.
+
+    Attributes:
+        traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
+    """
 
     format: Literal[1, 2]
     scene: FileName
     scene_sha256: Sha256
     seed: Count
     detector_seed: Count
+    traffic_seed: Count | None = None
     steps: Count
     annotation: dict[Text, Any]
     cameras: list[Text]
