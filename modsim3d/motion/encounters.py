@@ -14,8 +14,8 @@ from modsim3d.vessels.vessel import Vessel
 
 ABAFT_THE_BEAM_RAD = np.pi / 2 + np.radians(22.5)
 """Rule 13: who comes up from more than 22.5 degrees abaft the other's beam is overtaking."""
-NEARLY_AHEAD_RAD = np.radians(11.25)
-"""Rule 14: on nearly reciprocal courses, each nearly ahead of the other. The rule has no number; we take one point."""
+NEARLY_RECIPROCAL_RAD = np.radians(11.25)
+"""Rule 14: vessels that meet on nearly reciprocal courses. The rule has no number; we take one point of the compass."""
 
 
 class Encounter(Enum):
@@ -44,7 +44,7 @@ def encounter(place_m: Array, heading_rad: float, other_m: Array, other_heading_
     if abs(is_seen) > ABAFT_THE_BEAM_RAD:
         return Encounter.OVERTAKING
     reciprocal = abs(_wrapped(other_heading_rad - heading_rad + np.pi))
-    if max(abs(sees), abs(is_seen), reciprocal) <= NEARLY_AHEAD_RAD:
+    if reciprocal <= NEARLY_RECIPROCAL_RAD:
         return Encounter.HEAD_ON
     return Encounter.GIVES_WAY if sees > 0 else Encounter.STANDS_ON
 

@@ -25,7 +25,7 @@ CASES = [
     (0, 180, Encounter.HEAD_ON),
     (5, 186, Encounter.HEAD_ON),
     (-5, 174, Encounter.HEAD_ON),
-    (20, 180, Encounter.GIVES_WAY),  # reciprocal, but well to starboard: she passes clear, and is no head-on
+    (20, 180, Encounter.HEAD_ON),  # passes clear to starboard, where no rule bids either to give way
     (45, 270, Encounter.GIVES_WAY),
     (110, 315, Encounter.GIVES_WAY),
     (-45, 90, Encounter.STANDS_ON),
