@@ -15,37 +15,32 @@ from modsim3d.vessels.obstacles import Obstacle
 
 BETWEEN = np.array([-0.375, -0.125, 0.125, 0.375])
 """Times within an interval, around the step, at which hulls that are close are compared."""
+STRIDE = 8
+"""One step in so many is looked at to find those at which two hulls are near each other."""
 SWING = 1.4
 """A bow in a turn moves faster than the hull's centre, by no more than this factor: the radius is at least 3/4 length."""
 
 
 def rectangle_gaps(
-    places: Array,
-    axes: Array,
-    half: tuple[float, float],
-    others: Array,
-    other_axes: Array,
-    other_half: tuple[float, float],
+    offset: Array, axes: Array, half: tuple[float, float], other_axes: Array, other_half: tuple[float, float]
 ) -> Array:
-    """Widest gap between n pairs of rectangles along the normals of their sides in metres, shape (n,).
+    """Widest gap between n pairs of rectangles along the normals of their sides in metres, shape (..., n).
 
     It is never more than their distance, and negative if they overlap.
 
     Args:
-        places: Centres, shape (n, 2).
-        axes: Unit vectors along the lengths, shape (n, 2).
-        half: Half length and half beam of all first rectangles.
-        others: The same of the other rectangles.
-        other_axes: The same of the other rectangles.
-        other_half: The same of the other rectangles.
+        offset: From the centres of the first rectangles to those of the others, shape (..., n, 2).
+        axes: Unit vectors along the lengths of the first, shape (n, 2).
+        half: Half length and half beam of the first.
+        other_axes: Unit vectors along the lengths of the others, shape (n, 2).
+        other_half: Half length and half beam of the others.
     """
-    offset = others - places
-    cosine = np.abs((axes * other_axes).sum(axis=-1))
-    sine = np.abs(axes[..., 0] * other_axes[..., 1] - axes[..., 1] * other_axes[..., 0])
+    cosine = np.abs(axes[:, 0] * other_axes[:, 0] + axes[:, 1] * other_axes[:, 1])
+    sine = np.abs(axes[:, 0] * other_axes[:, 1] - axes[:, 1] * other_axes[:, 0])
     gaps = []
     for axis, mine, theirs in ((axes, half, other_half), (other_axes, other_half, half)):
-        ahead = np.abs((offset * axis).sum(axis=-1))
-        abeam = np.abs(offset[..., 0] * axis[..., 1] - offset[..., 1] * axis[..., 0])
+        ahead = np.abs(offset[..., 0] * axis[:, 0] + offset[..., 1] * axis[:, 1])
+        abeam = np.abs(offset[..., 0] * axis[:, 1] - offset[..., 1] * axis[:, 0])
         gaps += [
             ahead - mine[0] - cosine * theirs[0] - sine * theirs[1],
             abeam - mine[1] - sine * theirs[0] - cosine * theirs[1],
@@ -68,23 +63,38 @@ def least_gaps(sweep: Sweep, other: Sweep, interval_s: float, within_m: float) -
     """
     speed = (sweep.speeds_m_s + other.speeds_m_s[0]) * SWING * interval_s
     reach = sweep.hull.reach_m + other.hull.reach_m + within_m
-    offset = other.places_m - sweep.places_m
-    near = (offset**2).sum(axis=-1) < (reach + speed[:, None] / 2) ** 2
-    near &= sweep.present & other.present
     least, step = np.full(len(sweep.tracks), np.inf), np.zeros(len(sweep.tracks), dtype=np.int64)
-    rows, steps = np.nonzero(near)
+    rows, steps = _near_steps(sweep, other, reach, speed)
     if not len(rows):
         return least, step
     axes, other_axes = sweep.axes[rows, steps], other.axes[0, steps]
     drift = other_axes * other.speeds_m_s[0] - axes * sweep.speeds_m_s[rows, None]
-    offsets = offset[rows, steps] + (BETWEEN * interval_s)[:, None, None] * drift
-    found = rectangle_gaps(np.zeros(2), axes, sweep.hull.half_m, offsets, other_axes, other.hull.half_m).min(axis=0)
+    offsets = other.places_m[0, steps] - sweep.places_m[rows, steps] + (BETWEEN * interval_s)[:, None, None] * drift
+    found = rectangle_gaps(offsets, axes, sweep.hull.half_m, other_axes, other.hull.half_m).min(axis=0)
     found -= speed[rows] / 8
     found[found > within_m] = np.inf
     order = np.lexsort((steps, found, rows))
     first = order[np.unique(rows[order], return_index=True)[1]]
     least[rows[first]], step[rows[first]] = found[first], steps[first]
     return least, step
+
+
+def _near_steps(sweep: Sweep, other: Sweep, reach_m: float, speed_m: Array) -> tuple[Indices, Indices]:
+    """Tracks and steps at which two hulls could come within reach during the interval around the step.
+
+    `speed_m` is how far they can move against each other in an interval, shape (C,). Few steps are looked at first.
+    """
+    middles = np.minimum(np.arange(STRIDE // 2, sweep.present.shape[1] + STRIDE // 2, STRIDE), sweep.present.shape[1] - 1)
+    offset = sweep.places_m[:, middles] - other.places_m[:, middles]
+    around = (reach_m + speed_m * (STRIDE + 1) / 2)[:, None] ** 2
+    coarse = offset[..., 0] ** 2 + offset[..., 1] ** 2 < around
+    if not coarse.any():
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    near = np.repeat(coarse, STRIDE, axis=1)[:, : sweep.present.shape[1]]
+    rows, steps = np.nonzero(near & sweep.present & other.present)
+    offset = sweep.places_m[rows, steps] - other.places_m[0, steps]
+    close = offset[:, 0] ** 2 + offset[:, 1] ** 2 < (reach_m + speed_m[rows] / 2) ** 2
+    return rows[close], steps[close]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,8 @@ TRIES = 6
 EASY = 2.0
 """Radii of turns in least radii, where the legs leave room: ships do not turn as tightly as they can."""
 DELAYS_S = (-240.0, -120.0, -60.0, -30.0, -15.0, 0.0, 15.0, 30.0, 60.0, 120.0, 240.0)
+SOON_S = 60.0
+"""Delays up to this are tried first."""
 PACES = (0.8, 0.9, 1.1)
 SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Places across the lane, as shares of the width that the hull may use."""
@@ -133,21 +135,23 @@ def _draw(chart: Chart, lane: LaneKeys, kind: str, outbound: bool, start_s: floa
     )
 
 
-def _changes(drawn: _Drawn, conflict_s: float | None) -> Sequence[Track]:
+def _changes(drawn: _Drawn, conflict_s: float | None) -> Iterator[Sequence[Track]]:
     """All changed tracks: another time, another place across the lane, another speed, an alteration to starboard."""
+    first = drawn.track()
+    across = [drawn.track(across=place) for place in SHIFTS]
+    yield [*across, *(_later(first, delay) for delay in DELAYS_S if abs(delay) <= SOON_S)]
     low, high = drawn.speeds_m_s
-    paces = [pace for pace in PACES if low <= drawn.speed_m_s * pace <= high]
-    across = {place: drawn.track(across=place) for place in (drawn.across, *SHIFTS)}
-    tracks = [_later(across[place], delay) for place, delay in product(across, DELAYS_S)]
-    tracks += [_later(drawn.track(pace=pace), delay) for pace, delay in product(paces, DELAYS_S[2:-2])]
-    if conflict_s is not None:
-        first = across[drawn.across]
-        middle = (conflict_s - first.start_s) * first.speed_m_s
-        for aside, ahead in product(SIDESTEPS_M, (-1.0, 0.0, 1.0)):
-            aside_track = drawn.sidestep(first, aside, middle + ahead * 2 * aside)
-            if aside_track is not None:
-                tracks += [_later(aside_track, delay) for delay in DELAYS_S[3:-3]]
-    return tracks
+    paces = [drawn.track(pace=pace) for pace in PACES if low <= drawn.speed_m_s * pace <= high]
+    aside = [] if conflict_s is None else _sidesteps(drawn, first, (conflict_s - first.start_s) * first.speed_m_s)
+    yield [_later(track, delay) for track, delay in product([first, *across, *paces, *aside], DELAYS_S)]
+
+
+def _sidesteps(drawn: _Drawn, track: Track, conflict_m: float) -> list[Track]:
+    found = [
+        drawn.sidestep(track, aside, conflict_m + 2 * aside * ahead)
+        for aside, ahead in product(SIDESTEPS_M, (-1.0, 0.0, 1.0))
+    ]
+    return [track for track in found if track is not None]
 
 
 def _later(track: Track, delay_s: float) -> Track:

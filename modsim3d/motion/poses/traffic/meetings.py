@@ -119,11 +119,12 @@ def _track(
         return None
     abeam = asked.side * np.array([-relative[1], relative[0]]) / pace
     meeting = place + asked.closest_m * abeam
-    tracks = [
-        _through(chart, hull, speed, meeting, course, asked.time_s, bends) for bends in product(BENDS_RAD, BENDS_RAD)
-    ]
-    verdict = chart.waters.judge(tracks[:1])
-    return verdict.track or chart.waters.judge(tracks).track
+    straight, *bent = product(BENDS_RAD, BENDS_RAD)
+    for ways in ([straight], bent):
+        tracks = [_through(chart, hull, speed, meeting, course, asked.time_s, bends) for bends in ways]
+        if (track := chart.waters.judge(tracks).track) is not None:
+            return track
+    return None
 
 
 def _turned(kind: str, share: float) -> float:

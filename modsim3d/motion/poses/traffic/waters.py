@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +18,8 @@ LAND_COMFORT = 0.5
 """And this share of a length to land."""
 CROWDING = 3.0
 """Cost of touching, beside the costs of the changes that avoid it; it falls to nothing at a comfortable distance."""
+SMALL_CHANGE = 1.5
+"""Cost up to which a changed track is taken without a look at larger changes."""
 LONGEST_INTERVAL_S = 1.0
 
 
@@ -78,40 +80,52 @@ class Waters:
     def judge(self, tracks: Sequence[Track]) -> Verdict:
         """The best of some tracks of one hull: the least cost among those that keep clear at all times."""
         sweep = Sweep.of(tracks, self.times_s, self.interval_s)
-        costs = np.array([track.cost for track in tracks])
-        crowding, blocked, conflict_s = np.zeros(len(tracks)), np.zeros(len(tracks), dtype=bool), None
-        closest = np.inf
+        crowding, conflict_s, closest = np.zeros(len(tracks)), None, np.inf
         for other in self.fleet:
             comfort = self.clearance_m + COMFORT * (sweep.hull.length_m + other.hull.length_m)
             gaps, steps = least_gaps(sweep, other, self.interval_s, comfort)
-            blocked |= gaps < self.clearance_m
             crowding += _crowding(gaps, self.clearance_m, comfort)
             if gaps[0] < closest:
                 closest, conflict_s = gaps[0], float(self.times_s[steps[0]])
-        comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
-        gaps = self.land.gaps(sweep, self.interval_s, comfort)
-        blocked |= gaps < self.clearance_m
-        crowding += _crowding(gaps, self.clearance_m, comfort)
-        total = np.where(blocked, np.inf, costs + crowding)
-        best = int(np.argmin(total))
-        if blocked[best]:
+        costs = np.array([track.cost for track in tracks])
+        best, least = None, np.inf
+        for index in np.argsort(costs + crowding, kind="stable").tolist():
+            if costs[index] + crowding[index] >= least:
+                break  # land can only add to the cost
+            crowding[index] += self._near_land(sweep.row(index))
+            if costs[index] + crowding[index] < least:
+                best, least = index, costs[index] + crowding[index]
+        if best is None:
             return Verdict(None, np.inf, conflict_s)
         return Verdict(tracks[best], float(crowding[best]), conflict_s)
 
-    def best(self, first: Track, changes: Callable[[float | None], Sequence[Track]]) -> Track | None:
+    def _near_land(self, sweep: Sweep) -> float:
+        comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
+        gaps = self.land.gaps(sweep, self.interval_s, comfort)
+        return float(_crowding(gaps, self.clearance_m, comfort)[0])
+
+    def best(self, first: Track, changes: Callable[[float | None], Iterable[Sequence[Track]]]) -> Track | None:
         """The first track if it keeps well clear, else the best of it and of the changed ones; None if none does.
 
         Args:
             first: The track as drawn.
-            changes: Gives the changed tracks for the time of the first one's closest approach.
+            changes: Gives the changed tracks, small changes first, for the time of the first one's closest approach.
         """
         verdict = self.judge([first])
         if verdict.track is not None and verdict.crowding == 0:
             return first
-        return self.judge([first, *changes(verdict.conflict_s)]).track
+        best, least = verdict.track, verdict.crowding
+        for tracks in changes(verdict.conflict_s):
+            found = self.judge(tracks)
+            if found.track is not None and found.track.cost + found.crowding < least:
+                best, least = found.track, found.track.cost + found.crowding
+            if least <= SMALL_CHANGE:
+                break
+        return best
 
 
 def _crowding(gaps: Array, least_m: float, comfort_m: float) -> Array:
-    near = np.clip((comfort_m - gaps) / max(comfort_m - least_m, 1e-9), 0.0, None)
-    cost: Array = CROWDING * np.where(np.isfinite(gaps), near, 0.0) ** 2
+    """Cost of each of n least gaps; infinite below the least that is allowed."""
+    near = np.clip((comfort_m - gaps) / max(comfort_m - least_m, 1e-9), 0.0, 1.0)
+    cost: Array = np.where(gaps < least_m, np.inf, CROWDING * near**2)
     return cost
