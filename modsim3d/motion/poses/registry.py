@@ -18,12 +18,14 @@ from modsim3d.motion.poses.circular import CircularKeys
 from modsim3d.motion.poses.replay import FileKeys
 from modsim3d.motion.poses.stream import StreamKeys
 from modsim3d.motion.poses.tracks import TracksKeys
+from modsim3d.motion.poses.traffic import TrafficKeys
 
 SOURCES: dict[str, type[SourceKeys]] = {
     "file": FileKeys,
     "circular": CircularKeys,
     "tracks": TracksKeys,
     "agents": AgentsKeys,
+    "traffic": TrafficKeys,
     "stream": StreamKeys,
 }
 
