@@ -13,9 +13,6 @@ from modsim3d.motion.poses.traffic.tracks import Track
 from modsim3d.motion.poses.traffic.waters import Waters
 from modsim3d.random_streams import Purpose, Streams, on_grid
 
-MOST_ARRIVALS = 2000
-"""Of one section."""
-
 
 @dataclass(frozen=True)
 class Approach:

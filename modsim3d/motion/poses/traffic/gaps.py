@@ -18,7 +18,7 @@ BETWEEN = np.array([-0.375, -0.125, 0.125, 0.375])
 STRIDE = 8
 """One step in so many is looked at to find those at which two hulls are near each other."""
 SWING = 1.4
-"""A bow in a turn moves faster than the hull's centre, by no more than this factor: the radius is at least 3/4 length."""
+"""A bow in a turn moves faster than the hull's centre, by no more than this factor: no radius is below 3/4 length."""
 
 
 def rectangle_gaps(
@@ -84,7 +84,9 @@ def _near_steps(sweep: Sweep, other: Sweep, reach_m: float, speed_m: Array) -> t
 
     `speed_m` is how far they can move against each other in an interval, shape (C,). Few steps are looked at first.
     """
-    middles = np.minimum(np.arange(STRIDE // 2, sweep.present.shape[1] + STRIDE // 2, STRIDE), sweep.present.shape[1] - 1)
+    middles = np.minimum(
+        np.arange(STRIDE // 2, sweep.present.shape[1] + STRIDE // 2, STRIDE), sweep.present.shape[1] - 1
+    )
     offset = sweep.places_m[:, middles] - other.places_m[:, middles]
     around = (reach_m + speed_m * (STRIDE + 1) / 2)[:, None] ** 2
     coarse = offset[..., 0] ** 2 + offset[..., 1] ** 2 < around
@@ -137,7 +139,8 @@ class Land:
             there = sweep.present[row]
             margin = float(sweep.speeds_m_s[row]) * SWING * interval_s / 2
             limit = sweep.hull.reach_m + within_m + margin
-            if there.sum() < 2 or shapely.distance(shapely.LineString(places[there]), area) > limit:
+            line = np.repeat(places[there], 2, axis=0)  # twice, so that one place alone is a line too
+            if not there.any() or shapely.distance(shapely.LineString(line), area) > limit:
                 continue
             close = np.flatnonzero(there)[shapely.dwithin(shapely.points(places[there]), area, limit)]
             hulls = shapely.polygons(corners(places[close], axes[close], sweep.hull.half_m))

@@ -15,6 +15,7 @@ from modsim3d.motion.poses.traffic.paths import SHARPEST_RAD, turns_rad
 
 MOST_WAYPOINTS, MOST_SECTIONS = 200, 100
 LEAST_LEG_M = 1.0
+TURN_RAD = 6.3
 
 Place = tuple[Metres, Metres]
 Share = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1e6)]
@@ -103,7 +104,7 @@ class LaneKeys(Strict):
     both_ways: bool = False
     per_hour: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1000)]
     kinds: Mix
-    speed_m_s: dict[str, SpeedRange] = {}
+    speed_m_s: dict[str, SpeedRange] = Field(default_factory=dict)
 
 
 class LeisureKeys(Strict):
@@ -119,7 +120,7 @@ class LeisureKeys(Strict):
     polygon_m: Polygon
     per_km2: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=10_000)]
     kinds: Mix
-    speed_m_s: dict[str, SpeedRange] = {}
+    speed_m_s: dict[str, SpeedRange] = Field(default_factory=dict)
 
 
 class EncounterKeys(Strict):
@@ -140,14 +141,14 @@ class EncounterKeys(Strict):
     closest_m: MetresRange
     time_s: SecondsRange
     kinds: Mix
-    speed_m_s: dict[str, SpeedRange] = {}
+    speed_m_s: dict[str, SpeedRange] = Field(default_factory=dict)
     own: str | None = None
     count: Annotated[int, Field(strict=True, ge=0, le=100)] = 1
 
 
 Drawn = LaneKeys | LeisureKeys | EncounterKeys
 """A section that draws vessels by kind."""
-Named = Field(default={}, max_length=MOST_SECTIONS)
+Sections = Field(default_factory=dict, max_length=MOST_SECTIONS)
 
 
 class TrafficSections(Strict):
@@ -160,18 +161,21 @@ class TrafficSections(Strict):
         encounters: Name → encounter with own ship.
         clearance_m: Least water between any two hulls, and between a hull and an obstacle.
         duration_s: Time for which traffic is planned, if the scene is shorter: any part of it shows the same traffic.
+        wind_from_rad: Direction from which the wind blows, counter-clockwise from w1. With it, leisure craft that sail
+            keep 43° away from it; without it they go anywhere.
         kinds: Kinds of vessels of your own, or other values of a shipped kind.
         labels: Label of the shipped kinds → the label that takes its place, or one label for all vessels.
     """
 
-    own: Annotated[dict[str, OwnKeys], Named] = {}
-    lanes: Annotated[dict[str, LaneKeys], Named] = {}
-    leisure: Annotated[dict[str, LeisureKeys], Named] = {}
-    encounters: Annotated[dict[str, EncounterKeys], Named] = {}
+    own: dict[str, OwnKeys] = Sections
+    lanes: dict[str, LaneKeys] = Sections
+    leisure: dict[str, LeisureKeys] = Sections
+    encounters: dict[str, EncounterKeys] = Sections
     clearance_m: Clearance = 10.0
     duration_s: Seconds = 0.0
-    kinds: dict[str, KindKeys] = {}
-    labels: str | dict[str, str] = {}
+    wind_from_rad: Annotated[Number, Field(ge=-TURN_RAD, le=TURN_RAD)] | None = None
+    kinds: dict[str, KindKeys] = Field(default_factory=dict)
+    labels: str | dict[str, str] = Field(default_factory=dict)
 
     @field_validator("kinds", mode="before")
     @classmethod

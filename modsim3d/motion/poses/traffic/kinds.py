@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,7 +32,7 @@ def _one_as_range(value: object) -> object:
 
 def rising(values: tuple[float, ...]) -> tuple[float, ...]:
     """Refuse a range whose values fall."""
-    if any(low > high for low, high in zip(values, values[1:], strict=False)):
+    if any(low > high for low, high in pairwise(values)):
         raise ValueError(f"must not fall: least first, greatest last (got {list(values)})")
     return values
 

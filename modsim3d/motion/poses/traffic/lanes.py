@@ -76,8 +76,9 @@ def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]
         tight = np.flatnonzero(room < needed)
         if len(tight):
             problems.append(
-                f"lanes.{name}.waypoints_m[{tight[0] + 1}]: {kind} turns on a radius of {needed:.0f} m, and the legs leave "
-                f"room for {max(room[tight[0]], 0):.0f} m: use longer legs, a smaller change of course, or another kind"
+                f"lanes.{name}.waypoints_m[{tight[0] + 1}]: {kind} turns on a radius of {needed:.0f} m, and the legs "
+                f"leave room for {max(room[tight[0]], 0):.0f} m: use longer legs, a smaller change of course, or "
+                "another kind"
             )
     return problems
 

@@ -65,7 +65,7 @@ class Waters:
             interval = time_step_s / math.ceil(time_step_s / LONGEST_INTERVAL_S)
         else:
             interval = time_step_s * math.floor(LONGEST_INTERVAL_S / time_step_s + 1e-9)
-        count = math.ceil(duration_s / interval - 1e-9) + 1
+        count = math.ceil(duration_s / interval - 1e-9) + 2
         return cls(land, np.arange(count) * interval, interval, clearance_m)
 
     @property
