@@ -149,8 +149,8 @@ def page(scene_name: str, rows: Sequence[dict[str, Any]], tests: Sequence[Test],
         + " |",
         *(f"| share of steps outside the lane `{name}`, making way | {share:.2%} |" for name, share in outside.items()),
         "",
-        f"Rates over all seeds, by exact two-sided tests: {FAMILY:.0%} for all {len(tests)} tests together, so each is to "
-        f"have p of at least {FAMILY / len(tests):.1g}.",
+        f"Rates over all seeds, by exact two-sided tests: {FAMILY:.0%} for all {len(tests)} tests together, so each is "
+        f"to have p of at least {FAMILY / len(tests):.1g}.",
         "",
         "| Rate | Found | Expected | Law | p |",
         "|---|---|---|---|---|",
