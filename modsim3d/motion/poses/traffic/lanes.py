@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -20,9 +21,16 @@ from modsim3d.random_streams import Purpose
 TRIES = 6
 EASY = 2.0
 """Radii of turns in least radii, where the legs leave room: ships do not turn as tightly as they can."""
-DELAYS_S = (-240.0, -120.0, -60.0, -30.0, -15.0, 0.0, 15.0, 30.0, 60.0, 120.0, 240.0)
+DELAYS_S = tuple(sign * delay for delay in (10.0, 20.0, 40.0, 60.0, 90.0, 120.0, 180.0, 240.0) for sign in (-1, 1))
+LENGTHS = 3.0
+"""Least length of a lane in lengths of a vessel, who is wholly in it from her first moment to her last."""
+LONGER = 1.2
+"""Ways on the outer side of turns are longer than the middle of the lane, by no more than this factor."""
 SOON_S = 60.0
 """Delays up to this are tried first."""
+SEEN, STRICT_TRIES = 0.7, 4
+"""A changed track must be in the drive for this share of the time of the drawn one, or a vessel would make way by not
+being there; the last tries may be in it for less, but must be in it."""
 PACES = (0.8, 0.9, 1.1)
 SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Places across the lane, as shares of the width that the hull may use."""
@@ -48,7 +56,7 @@ class _Drawn:
         """Her track with changes: a delay, another place across the lane, another speed."""
         place = self.across if across is None else across
         cost = abs(delay_s) / SECONDS_A_COST + LANE_A_COST * abs(place - self.across) + PACE_A_COST * abs(pace - 1)
-        path = self.way.displaced(-between(self.width, place))
+        path = self.way.displaced(-between(self.width, place)).trimmed(self.hull.length_m / 2)
         return Track(self.hull, path, self.speed_m_s * pace, self.start_s + delay_s, cost)
 
     def sidestep(self, track: Track, aside_m: float, middle_m: float) -> Track | None:
@@ -73,6 +81,11 @@ def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]
         least = 2 * beam + keys.clearance_m if lane.both_ways else beam
         if lane.width_m < least:
             problems.append(f"lanes.{name}.width_m: {kind} with a beam of {beam:.0f} m needs {least:.0f} m here")
+        if _length_m(lane) < LENGTHS * entry.length_m[2]:
+            problems.append(
+                f"lanes.{name}.waypoints_m: the lane is {_length_m(lane):.0f} m long: at least {LENGTHS:g} lengths of "
+                f"a {kind}, {LENGTHS * entry.length_m[2]:.0f} m, are needed"
+            )
         tight = np.flatnonzero(room < needed)
         if len(tight):
             problems.append(
@@ -85,10 +98,14 @@ def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]
 
 def expected_arrivals(keys: TrafficSections, lane: LaneKeys, duration_s: float) -> tuple[float, float]:
     """Mean number of vessels of a lane, and the time before 0 at which the first ones come."""
-    legs = np.diff(np.array(lane.waypoints_m), axis=0)
     slowest = min(keys.speed_range(lane, kind)[0] for kind, weight in lane.kinds.items() if weight > 0)
-    before_s = float(np.hypot(legs[:, 0], legs[:, 1]).sum()) / (slowest * min(PACES)) + DELAYS_S[-1]
-    return lane.per_hour / 3600 * (before_s + duration_s + DELAYS_S[-1]), before_s
+    before_s = _length_m(lane) / slowest * LONGER
+    return lane.per_hour / 3600 * (before_s + duration_s), before_s
+
+
+def _length_m(lane: LaneKeys) -> float:
+    legs = np.diff(np.array(lane.waypoints_m), axis=0)
+    return float(np.hypot(legs[:, 0], legs[:, 1]).sum())
 
 
 def draw_lane(chart: Chart, name: str, lane: LaneKeys) -> Iterator[Craft]:
@@ -106,18 +123,26 @@ def _draw_vessel(chart: Chart, name: str, lane: LaneKeys, ordinal: int, start_s:
             kind, outbound = kind_of(lane, rng), not lane.both_ways or bool(rng.random() < 0.5)
         drawn = _draw(chart, lane, kind, outbound, start_s, rng)
         first = drawn.track()
-        if not attempt and not _seen(first, chart):
+        if not attempt and _seen_s(first, chart) < 0:
             return
-        track = chart.waters.best(first, lambda conflict_s, drawn=drawn: _changes(drawn, conflict_s))
+        least_s = _seen_s(first, chart) * (SEEN if attempt < STRICT_TRIES else 0.0)
+        track = chart.waters.best(first, partial(_seen_changes, chart, drawn, least_s))
         if track is not None:
-            if _seen(track, chart):
-                yield from chart.accept(Craft(f"{name}_{ordinal}", section, track, outbound), section)
+            yield from chart.accept(Craft(f"{name}_{ordinal}", section, track, outbound), section)
             return
     yield from chart.accept(None, section)
 
 
-def _seen(track: Track, chart: Chart) -> bool:
-    return track.end_s >= 0 and track.start_s <= chart.waters.end_s
+def _seen_s(track: Track, chart: Chart) -> float:
+    """Time for which a vessel is in the drive; negative if she is not."""
+    return min(track.end_s, chart.waters.end_s) - max(track.start_s, 0.0)
+
+
+def _seen_changes(chart: Chart, drawn: _Drawn, least_s: float, conflict_s: float | None) -> Iterator[Sequence[Track]]:
+    """The changed tracks that are in the drive for a time."""
+    for tracks in _changes(drawn, conflict_s):
+        if seen := [track for track in tracks if _seen_s(track, chart) >= least_s]:
+            yield seen
 
 
 def _draw(chart: Chart, lane: LaneKeys, kind: str, outbound: bool, start_s: float, rng: np.random.Generator) -> _Drawn:
@@ -144,7 +169,7 @@ def _changes(drawn: _Drawn, conflict_s: float | None) -> Iterator[Sequence[Track
     low, high = drawn.speeds_m_s
     paces = [drawn.track(pace=pace) for pace in PACES if low <= drawn.speed_m_s * pace <= high]
     aside = [] if conflict_s is None else _sidesteps(drawn, first, (conflict_s - first.start_s) * first.speed_m_s)
-    yield [_later(track, delay) for track, delay in product([first, *across, *paces, *aside], DELAYS_S)]
+    yield [_later(track, delay) for track, delay in product([first, *across, *paces, *aside], (0.0, *DELAYS_S))]
 
 
 def _sidesteps(drawn: _Drawn, track: Track, conflict_m: float) -> list[Track]:

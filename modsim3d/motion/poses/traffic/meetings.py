@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import shapely
 
 from modsim3d.arrays import Array
 from modsim3d.motion.poses.traffic.craft import Approach, Chart, Craft, between
+from modsim3d.motion.poses.traffic.gaps import least_gaps
 from modsim3d.motion.poses.traffic.keys import EncounterKeys
 from modsim3d.motion.poses.traffic.kinds import Hull, draw_hull, draw_one
-from modsim3d.motion.poses.traffic.paths import rounded
-from modsim3d.motion.poses.traffic.tracks import Track
+from modsim3d.motion.poses.traffic.paths import rounded, turns_rad
+from modsim3d.motion.poses.traffic.tracks import Sweep, Track
 from modsim3d.random_streams import Purpose
 
-TRIES = 120
-KEPT_TRIES = 60
+TRIES = 100
+KEPT_TRIES = 70
 """Tries with the same kind of vessel, closest approach, time and side; only then those are drawn anew too."""
+STRAIGHT_TRIES = 15
+"""Tries of ways without a bend, which cost less."""
 ABAFT_RAD = math.radians(112.5)
 """22.5° abaft the beam: a vessel that comes from further aft overtakes (COLREG, rule 13)."""
 HEAD_ON_RAD = math.radians(6)
@@ -27,11 +31,16 @@ CROSSING_RAD = math.radians(55), math.radians(125)
 OVERTAKING_RAD = math.radians(12)
 FASTER = 1.15
 """Least ratio of the speeds when one overtakes the other."""
+EASY = 1.5
+"""Radii of bends in least radii."""
 STEADY_S = 60.0, 40.0
 """Time before and after the closest approach for which she goes straight in any case."""
-BENDS_RAD = (0.0, 0.4, -0.4, 0.8, -0.8)
+BENDS_RAD = tuple(
+    bends for bends in product((0.0, 0.35, -0.35, 0.8, -0.8), repeat=2) if 0 < abs(bends[0]) + abs(bends[1]) < 1.2
+)
 """Alterations before and after that, where land or another vessel is in the way."""
-EARLY_S = 60.0
+EARLY_S = 3.0
+"""She is there a little before the drive and after it."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +81,8 @@ def _draw(chart: Chart, name: str, keys: EncounterKeys, ordinal: int, own: Track
             return None
         speed = between(speeds, float(rng.random()))
         hull = draw_hull(asked.vessel, chart.keys.kinds[asked.vessel], speed, rng)
-        track = _track(chart, own, hull, speed, asked, rng)
+        bends = BENDS_RAD if attempt >= STRAIGHT_TRIES else ()
+        track = _track(chart, own, hull, speed, asked, bends, rng)
         if track is not None and _is_closest(chart, own, track, asked):
             return track, asked
     return None
@@ -107,24 +117,39 @@ def _speeds(chart: Chart, keys: EncounterKeys, vessel: str, kind: str, own_speed
 
 
 def _track(
-    chart: Chart, own: Track, hull: Hull, speed: float, asked: _Meeting, rng: np.random.Generator
+    chart: Chart,
+    own: Track,
+    hull: Hull,
+    speed: float,
+    asked: _Meeting,
+    bends: Sequence[tuple[float, float]],
+    rng: np.random.Generator,
 ) -> Track | None:
     """A track that meets own ship as asked and keeps clear of all others; None if the course drawn does not."""
     (place,), (heading,) = own.at(np.array([asked.time_s]))
     course = heading + _turned(asked.kind, float(rng.random()))
-    velocity = speed * _along(course)
+    ahead = _along(course)
+    velocity = speed * ahead
     relative = velocity - own.speed_m_s * _along(heading)
     pace = math.hypot(*relative)
     if pace < 0.05 or not _comes_as_asked(asked.kind, -relative, heading, course):
         return None
     abeam = asked.side * np.array([-relative[1], relative[0]]) / pace
     meeting = place + asked.closest_m * abeam
-    straight, *bent = product(BENDS_RAD, BENDS_RAD)
-    for ways in ([straight], bent):
-        tracks = [_through(chart, hull, speed, meeting, course, asked.time_s, bends) for bends in ways]
-        if (track := chart.waters.judge(tracks).track) is not None:
-            return track
-    return None
+    ways = [_waypoints(chart, hull, speed, meeting, course, asked.time_s, way) for way in ((0.0, 0.0), *bends)]
+    land, aside = chart.waters.land.below(hull.air_draft_m), hull.beam_m / 2 + chart.waters.clearance_m
+    free = ~shapely.dwithin(shapely.linestrings(np.array(ways)), land, aside)
+    if not free.any():
+        return None
+    straight = _through(hull, speed, meeting, ahead, asked.time_s, ways[0])
+    if free[0] and chart.waters.judge([straight]).track is not None:
+        return straight
+    if not free[1:].any() or _gap_m(chart, straight, own) < chart.waters.clearance_m:
+        return None
+    bent = [
+        _through(hull, speed, meeting, ahead, asked.time_s, way) for way, free in zip(ways, free, strict=True) if free
+    ]
+    return chart.waters.judge(bent).track
 
 
 def _turned(kind: str, share: float) -> float:
@@ -154,25 +179,37 @@ def _comes_as_asked(kind: str, from_her: Array, heading: float, course: float) -
     return kind == "head_on" or (bearing < 0) == (kind == "crossing_from_starboard")
 
 
-def _through(
+def _waypoints(
     chart: Chart, hull: Hull, speed: float, place: Array, course: float, time_s: float, bends: tuple[float, float]
-) -> Track:
-    """A track that is straight through a place at a time, and turns by `bends` well before and after."""
-    radius = 1.5 * hull.turning_radius_m
-    ahead, points = _along(course), []
+) -> Array:
+    """Waypoints of a way that is straight around a place, and turns by `bends` well before and after, shape (4, 2)."""
+    points = []
     for way, bend, steady_s, total_s in (
         (-1.0, bends[0], STEADY_S[0], time_s + EARLY_S),
         (1.0, bends[1], STEADY_S[1], chart.waters.end_s - time_s + EARLY_S),
     ):
-        straight = speed * steady_s + radius * (math.tan(abs(bend) / 2) + 0.5)
-        corner = place + way * straight * ahead
-        beyond = max(speed * total_s - straight, radius * (math.tan(abs(bend) / 2) + 0.5)) + radius
+        room = EASY * hull.turning_radius_m * (math.tan(abs(bend) / 2) + 0.5)
+        straight = speed * steady_s + room
+        beyond = max(speed * total_s - straight, room) + (room if bend else 0.0)
+        corner = place + way * straight * _along(course)
         points.append((corner, corner + way * beyond * _along(course + way * bend)))
     (corner_0, far_0), (corner_1, far_1) = points
-    path = rounded(np.array([far_0, corner_0, corner_1, far_1]), radius)
+    return np.array([far_0, corner_0, corner_1, far_1])
+
+
+def _through(hull: Hull, speed: float, place: Array, ahead: Array, time_s: float, waypoints: Array) -> Track:
+    """The track through waypoints that is at a place at a time, on a course given as a direction."""
+    path = rounded(waypoints, EASY * hull.turning_radius_m)
     nearest = int(np.argmin(((path.places_m - place) ** 2).sum(axis=1)))
     along = path.along_m[nearest] + float((place - path.places_m[nearest]) @ ahead)
-    return Track(hull, path, speed, time_s - along / speed, float(np.abs(bends).sum()))
+    return Track(hull, path, speed, time_s - along / speed, round(float(np.abs(turns_rad(waypoints)).sum()), 6))
+
+
+def _gap_m(chart: Chart, track: Track, own: Track) -> float:
+    """Least gap to own ship, if it is not comfortable; bends do not widen it."""
+    waters = chart.waters
+    mine, hers = (Sweep.of([one], waters.times_s, waters.interval_s) for one in (track, own))
+    return float(least_gaps(mine, hers, waters.interval_s, waters.clearance_m)[0][0])
 
 
 def _is_closest(chart: Chart, own: Track, track: Track, asked: _Meeting) -> bool:

@@ -56,6 +56,15 @@ class Path:
         normal = np.stack([-np.sin(self.headings_rad), np.cos(self.headings_rad)], axis=-1)
         return Path.through(self.places_m + normal * np.broadcast_to(to_port_m, self.along_m.shape)[:, None])
 
+    def trimmed(self, margin_m: float) -> Path:
+        """The path without a piece at either end; together they are shorter than the path."""
+        ends = np.array([margin_m, self.length_m - margin_m])
+        inside = (self.along_m > ends[0]) & (self.along_m < ends[1])
+        (first, last), turned = self.at(ends)
+        headings = np.concatenate([turned[:1], self.headings_rad[inside], turned[1:]])
+        along = np.concatenate([[0.0], self.along_m[inside] - margin_m, [ends[1] - margin_m]])
+        return Path(along, np.concatenate([first[None], self.places_m[inside], last[None]]), headings)
+
     def reversed(self) -> Path:
         """The same line from its end to its start."""
         return Path(self.length_m - self.along_m[::-1], self.places_m[::-1], self.headings_rad[::-1] + math.pi)
