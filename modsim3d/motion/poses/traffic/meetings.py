@@ -12,17 +12,16 @@ import shapely
 
 from modsim3d.arrays import Array
 from modsim3d.motion.poses.traffic.craft import Approach, Chart, Craft, between
-from modsim3d.motion.poses.traffic.gaps import least_gaps
 from modsim3d.motion.poses.traffic.keys import EncounterKeys
 from modsim3d.motion.poses.traffic.kinds import Hull, draw_hull, draw_one
 from modsim3d.motion.poses.traffic.paths import rounded, turns_rad
-from modsim3d.motion.poses.traffic.tracks import Sweep, Track
+from modsim3d.motion.poses.traffic.tracks import Track
 from modsim3d.random_streams import Purpose
 
 TRIES = 100
-KEPT_TRIES = 70
+KEPT_TRIES = 30
 """Tries with the same kind of vessel, closest approach, time and side; only then those are drawn anew too."""
-STRAIGHT_TRIES = 15
+STRAIGHT_TRIES = 10
 """Tries of ways without a bend, which cost less."""
 ABAFT_RAD = math.radians(112.5)
 """22.5° abaft the beam: a vessel that comes from further aft overtakes (COLREG, rule 13)."""
@@ -144,7 +143,8 @@ def _track(
     straight = _through(hull, speed, meeting, ahead, asked.time_s, ways[0])
     if free[0] and chart.waters.judge([straight]).track is not None:
         return straight
-    if not free[1:].any() or _gap_m(chart, straight, own) < chart.waters.clearance_m:
+    steady = asked.time_s - STEADY_S[0], asked.time_s + STEADY_S[1]
+    if not free[1:].any() or not chart.waters.is_clear(straight, *steady):
         return None
     bent = [
         _through(hull, speed, meeting, ahead, asked.time_s, way) for way, free in zip(ways, free, strict=True) if free
@@ -203,13 +203,6 @@ def _through(hull: Hull, speed: float, place: Array, ahead: Array, time_s: float
     nearest = int(np.argmin(((path.places_m - place) ** 2).sum(axis=1)))
     along = path.along_m[nearest] + float((place - path.places_m[nearest]) @ ahead)
     return Track(hull, path, speed, time_s - along / speed, round(float(np.abs(turns_rad(waypoints)).sum()), 6))
-
-
-def _gap_m(chart: Chart, track: Track, own: Track) -> float:
-    """Least gap to own ship, if it is not comfortable; bends do not widen it."""
-    waters = chart.waters
-    mine, hers = (Sweep.of([one], waters.times_s, waters.interval_s) for one in (track, own))
-    return float(least_gaps(mine, hers, waters.interval_s, waters.clearance_m)[0][0])
 
 
 def _is_closest(chart: Chart, own: Track, track: Track, asked: _Meeting) -> bool:

@@ -76,6 +76,11 @@ class Sweep:
         """The hull that all the tracks have."""
         return self.tracks[0].hull
 
+    def during(self, steps: slice) -> Sweep:
+        """The tracks at some of the times."""
+        parts = (part[:, steps] for part in (self.present, self.places_m, self.axes))
+        return Sweep(self.tracks, *parts, self.speeds_m_s)
+
     def row(self, index: int) -> Sweep:
         """One track alone."""
         one = slice(index, index + 1)

@@ -99,6 +99,13 @@ class Waters:
             return Verdict(None, np.inf, conflict_s)
         return Verdict(tracks[best], float(crowding[best]), conflict_s)
 
+    def is_clear(self, track: Track, first_s: float, last_s: float) -> bool:
+        """Whether a track keeps clear of all vessels from one time to another."""
+        steps = slice(*np.searchsorted(self.times_s, (first_s, last_s)).tolist())
+        sweep = Sweep.of([track], self.times_s[steps], self.interval_s)
+        found = (least_gaps(sweep, other.during(steps), self.interval_s, self.clearance_m)[0] for other in self.fleet)
+        return not any(gap[0] < self.clearance_m for gap in found)
+
     def _near_land(self, sweep: Sweep) -> float:
         comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
         gaps = self.land.gaps(sweep, self.interval_s, comfort)
