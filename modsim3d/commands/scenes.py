@@ -57,12 +57,16 @@ def check_command(
 
 def _rows(scene: Scene) -> list[tuple[str, str]]:
     return [
-        ("vessels", str(len(scene.vessels))),
+        ("vessels", f"{len(scene.vessels)}{_drawn(scene)}"),
         ("cameras", f"{len(scene.cameras)}: {', '.join(camera.name for camera in scene.cameras)}"),
         ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
         ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
     ]
+
+
+def _drawn(scene: Scene) -> str:
+    return f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
 
 
 def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:

@@ -174,6 +174,7 @@ def assembled(parts: SceneParts) -> Scene:
         waves=_waves(keys.waves, keys.seed, vessels, level[0] if level else None),
         imu=Imu(**keys.imu.model_dump()) if keys.imu else PERFECT_IMU,
         plugins=parts.plugins,
+        drawn_vessels=len(vessels) - len(parts.vessel_entries or ()),
     )
     problems = scene_problems(scene)
     if keys.imu is not None and not scene.own_ships:

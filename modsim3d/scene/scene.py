@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,6 +58,7 @@ class Scene:
         obstacles: Obstacles in the order of the scene file.
         imu: Inertial unit on board each vessel that carries a camera.
         plugins: Plug-ins that the scene uses.
+        drawn_vessels: Number of vessels that the pose source has drawn, the last ones.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Scene:
     obstacles: tuple[Obstacle, ...] = ()
     imu: Imu = PERFECT_IMU
     plugins: tuple[Plugin, ...] = ()
+    drawn_vessels: int = 0
 
     def __repr__(self) -> str:
         """Three lines: vessels and cameras; steps, seed and truth; the detector."""
@@ -160,6 +163,15 @@ class Scene:
     def traffic(self) -> str:
         """The same in words: `drawn from seed 7`, or `this traffic only`."""
         return "this traffic only" if self.traffic_seed is None else f"drawn from seed {self.traffic_seed}"
+
+    def traffic_sha256(self) -> str | None:
+        """Checksum of the vessels and their poses at all steps; None if no vessel was drawn."""
+        if not self.drawn_vessels:
+            return None
+        poses = self.poses.poses(0, self.steps)
+        said = [(vessel.name, vessel.label, *vessel.extents_m.tolist()) for vessel in self.vessels]
+        parts = (repr(said).encode(), poses.present, poses.positions_m, poses.headings_rad)
+        return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
     @property
     def occluder_names(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from modsim3d.errors import InputError
+from modsim3d.errors import InputError, RunDirectoryError
 from modsim3d.inputs.plugins import POSE_SOURCES, Plugin
 from modsim3d.inputs.validation import Strict
 from modsim3d.motion.poses import registry
@@ -180,6 +180,21 @@ def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Writ
     second = run_scene(load_scene(stored.path), tmp_path / "second")
     assert (second.folder / "truth.parquet").read_bytes() == (first.folder / "truth.parquet").read_bytes()
     assert load_scene(stored.path, seed=3).vessel_names == ("own", "drawn_0", "drawn_1", "drawn_2", "ferry")
+
+
+def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with a later version of the source: the run's tables are not of these vessels."""
+    scene = load_scene(write(annotation={"mode": 2, "source": "analytic"}), seed=2)
+    folder = run_scene(scene, tmp_path / "run").folder
+    assert open_run(folder).scene.drawn_vessels == 2
+    at = Convoy.at
+    monkeypatch.setattr(
+        Convoy, "at", lambda self, time_s, request: dict(list(at(self, time_s, request).items())[::-1][1:])
+    )
+    with pytest.raises(RunDirectoryError, match="seed 2 draws another traffic here than when the run was made, with"):
+        open_run(folder)
 
 
 def test_a_scene_from_a_mapping_draws_vessels_too() -> None:
