@@ -16,7 +16,7 @@ from modsim3d.motion.poses.traffic.gaps import Land
 from modsim3d.motion.poses.traffic.keys import TrafficSections
 from modsim3d.motion.poses.traffic.lanes import draw_lane, expected_arrivals, lane_problems
 from modsim3d.motion.poses.traffic.leisure import craft_on_average, draw_area
-from modsim3d.motion.poses.traffic.meetings import draw_encounter
+from modsim3d.motion.poses.traffic.meetings import draw_encounter, encounter_problems
 from modsim3d.motion.poses.traffic.own import enter_own
 from modsim3d.motion.poses.traffic.paths import rounded
 from modsim3d.motion.poses.traffic.tracks import Track
@@ -65,7 +65,10 @@ def plan(keys_json: str, setting: Setting) -> Plan:
         raise refused([f": a drive of {duration:,.0f} s is too long: at most {MOST_SECONDS:,} s"])
     waters = Waters.during(Land.of(setting.obstacles), duration, setting.time_step_s, keys.clearance_m)
     chart = Chart(keys, Streams(setting.seed), waters, {})
-    if problems := _problems(chart) + enter_own(chart, setting.own):
+    problems = _problems(chart) + enter_own(chart, setting.own)
+    for name, meeting in keys.encounters.items():
+        problems += encounter_problems(chart, name, meeting)
+    if problems:
         raise refused(problems)
     try:
         craft = tuple(_draw(chart))
