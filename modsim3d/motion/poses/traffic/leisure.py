@@ -39,7 +39,7 @@ def craft_on_average(chart: Chart, area: LeisureKeys) -> float:
 def draw_area(chart: Chart, name: str, area: LeisureKeys) -> Iterator[Craft]:
     """The craft of an area."""
     section = f"leisure.{name}"
-    found = arrivals(chart.streams, Purpose.TRAFFIC_ARRIVALS, name, craft_on_average(chart, area))
+    found = arrivals(chart.streams, name, craft_on_average(chart, area))
     for ordinal in range(1, len(found) + 1):
         track = _draw_craft(chart, name, area, ordinal)
         craft = None if track is None else Craft(f"{name}_{ordinal}", section, track)
