@@ -81,9 +81,9 @@ def kind_of(section: Drawn, rng: np.random.Generator) -> str:
     return draw_one(section.kinds, float(rng.random()))
 
 
-def arrivals(streams: Streams, purpose: Purpose, name: str, mean: float) -> Sequence[float]:
-    """Places of the points of a Poisson process of rate 1 in [0, mean), rising."""
-    rng = streams.generator(purpose, name, step=0)
+def arrivals(streams: Streams, name: str, mean: float) -> Sequence[float]:
+    """Places of the points of a section's Poisson process of rate 1 in [0, mean), rising."""
+    rng = streams.generator(Purpose.TRAFFIC_ARRIVALS, name, step=0)
     places: list[float] = []
     place = 0.0
     while True:

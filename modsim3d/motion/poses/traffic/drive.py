@@ -16,11 +16,11 @@ from modsim3d.motion.poses.traffic.gaps import Land
 from modsim3d.motion.poses.traffic.keys import TrafficSections
 from modsim3d.motion.poses.traffic.lanes import draw_lane, expected_arrivals, lane_problems
 from modsim3d.motion.poses.traffic.leisure import craft_on_average, draw_area
-from modsim3d.motion.poses.traffic.meetings import draw_encounter
+from modsim3d.motion.poses.traffic.meetings import draw_encounter, encounter_problems
 from modsim3d.motion.poses.traffic.own import enter_own
 from modsim3d.motion.poses.traffic.paths import rounded
 from modsim3d.motion.poses.traffic.tracks import Track
-from modsim3d.motion.poses.traffic.waters import LONGEST_INTERVAL_S, Waters
+from modsim3d.motion.poses.traffic.waters import LONGEST_INTERVAL_S, TooCrowded, Waters
 from modsim3d.random_streams import Streams
 from modsim3d.vessels.obstacles import Obstacle
 from modsim3d.vessels.vessel import Vessel
@@ -65,9 +65,17 @@ def plan(keys_json: str, setting: Setting) -> Plan:
         raise refused([f": a drive of {duration:,.0f} s is too long: at most {MOST_SECONDS:,} s"])
     waters = Waters.during(Land.of(setting.obstacles), duration, setting.time_step_s, keys.clearance_m)
     chart = Chart(keys, Streams(setting.seed), waters, {})
-    if problems := _problems(chart) + enter_own(chart, setting.own):
+    problems = _problems(chart) + enter_own(chart, setting.own)
+    for name, meeting in keys.encounters.items():
+        problems += encounter_problems(chart, name, meeting)
+    if problems:
         raise refused(problems)
-    craft = tuple(_draw(chart))
+    try:
+        craft = tuple(_draw(chart))
+    except TooCrowded:
+        left = ", ".join(f"{number} of {name}" for name, number in chart.left_out.items()) or "none"
+        full = f"too many vessels for the water or the time: {len(waters.fleet)} found room so far, {left} did not"
+        raise refused([f": {full}; ask for fewer, or for a shorter drive"]) from None
     return Plan(chart.own, craft, chart.left_out)
 
 

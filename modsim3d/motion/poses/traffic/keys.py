@@ -57,6 +57,13 @@ def _some_weight(weights: dict[str, float]) -> dict[str, float]:
     return weights
 
 
+def _labels(labels: object) -> object:
+    values = labels.values() if isinstance(labels, Mapping) else [labels]
+    if not all(isinstance(value, str) for value in values):
+        raise ValueError(f"one label for all vessels, or a mapping of label to label is needed (got {shown(labels)})")
+    return labels
+
+
 def _one_as_range(value: object) -> object:
     return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
@@ -175,7 +182,7 @@ class TrafficSections(Strict):
     duration_s: Seconds = 0.0
     wind_from_rad: Annotated[Number, Field(ge=-TURN_RAD, le=TURN_RAD)] | None = None
     kinds: dict[str, KindKeys] = Field(default_factory=dict)
-    labels: str | dict[str, str] = Field(default_factory=dict)
+    labels: Annotated[str | dict[str, str], BeforeValidator(_labels)] = Field(default_factory=dict)
 
     @field_validator("kinds", mode="before")
     @classmethod

@@ -111,7 +111,7 @@ def _length_m(lane: LaneKeys) -> float:
 def draw_lane(chart: Chart, name: str, lane: LaneKeys) -> Iterator[Craft]:
     """The vessels of a lane that are in it at some time of the drive, in the order in which they come."""
     mean, before_s = expected_arrivals(chart.keys, lane, chart.waters.end_s)
-    for ordinal, place in enumerate(arrivals(chart.streams, Purpose.TRAFFIC_ARRIVALS, name, mean), start=1):
+    for ordinal, place in enumerate(arrivals(chart.streams, name, mean), start=1):
         yield from _draw_vessel(chart, name, lane, ordinal, place / lane.per_hour * 3600 - before_s)
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from itertools import product
 
-import numpy as np
 import shapely
 
+from modsim3d.arrays import Array
 from modsim3d.motion.poses.traffic.craft import Chart, Craft, arrivals, between, kind_of
 from modsim3d.motion.poses.traffic.keys import LeisureKeys
 from modsim3d.motion.poses.traffic.kinds import Hull
@@ -38,7 +39,7 @@ def craft_on_average(chart: Chart, area: LeisureKeys) -> float:
 def draw_area(chart: Chart, name: str, area: LeisureKeys) -> Iterator[Craft]:
     """The craft of an area."""
     section = f"leisure.{name}"
-    found = arrivals(chart.streams, Purpose.TRAFFIC_ARRIVALS, name, craft_on_average(chart, area))
+    found = arrivals(chart.streams, name, craft_on_average(chart, area))
     for ordinal in range(1, len(found) + 1):
         track = _draw_craft(chart, name, area, ordinal)
         craft = None if track is None else Craft(f"{name}_{ordinal}", section, track)
@@ -53,7 +54,11 @@ def _draw_craft(chart: Chart, name: str, area: LeisureKeys, ordinal: int) -> Tra
         if not attempt:
             kind = kind_of(area, rng)
         hull, speed = chart.hull(area, kind, rng)
-        path = _course(chart, area, hull, speed, rng)
+        # Most need not look at the others leg by leg, which takes longer.
+        is_clear = None if not attempt else partial(_is_clear, chart, hull, speed)
+        wind = chart.keys.wind_from_rad if chart.keys.kinds[kind].sails else None
+        water = _water(chart, area, hull)
+        path = _course(chart, hull, Wanderer(water, hull.turning_radius_m, speed, wind, rng, is_clear))
         if path is None:
             continue
         slowest = chart.keys.speed_range(area, kind)[0]
@@ -70,18 +75,26 @@ def _draw_craft(chart: Chart, name: str, area: LeisureKeys, ordinal: int) -> Tra
     return best
 
 
-def _course(chart: Chart, area: LeisureKeys, hull: Hull, speed_m_s: float, rng: np.random.Generator) -> Path | None:
+def _course(chart: Chart, hull: Hull, wanderer: Wanderer) -> Path | None:
     """A way through the water that is long enough for the drive."""
-    land, kind = chart.waters.land.below(hull.air_draft_m), chart.keys.kinds[hull.kind]
-    margin = hull.reach_m + chart.keys.clearance_m
-    water = shapely.Polygon(area.polygon_m).buffer(-hull.reach_m).difference(land.buffer(margin, quad_segs=4))
-    shapely.prepare(water)
-    wind = chart.keys.wind_from_rad if kind.sails else None
-    wanderer = Wanderer(water, hull.turning_radius_m, speed_m_s, wind, rng)
-    needed = speed_m_s * (chart.waters.end_s + HEAD_STARTS_S[-1] + 2 * chart.waters.interval_s)
-    if kind.near_shore:
-        off = margin + between(SHORE_M, float(rng.random()))
+    needed = wanderer.speed_m_s * (chart.waters.end_s + HEAD_STARTS_S[-1] + 2 * chart.waters.interval_s)
+    if chart.keys.kinds[hull.kind].near_shore:
+        off = hull.reach_m + chart.keys.clearance_m + between(SHORE_M, float(wanderer.rng.random()))
         path = wanderer.along(chart.waters.land.below(SHALLOW_M).buffer(off).boundary, needed)
         if path is not None:
             return path
     return wanderer.course(needed)
+
+
+def _water(chart: Chart, area: LeisureKeys, hull: Hull) -> shapely.Geometry:
+    """Where the centre of a hull may be."""
+    land = chart.waters.land.below(hull.air_draft_m).buffer(hull.reach_m + chart.keys.clearance_m, quad_segs=4)
+    water = shapely.Polygon(area.polygon_m).buffer(-hull.reach_m).difference(land)
+    shapely.prepare(water)
+    return water
+
+
+def _is_clear(chart: Chart, hull: Hull, speed_m_s: float, leg: Array, gone_m: float) -> bool:
+    """Whether a leg that begins after a distance on her way keeps clear of the vessels planned so far."""
+    track = Track(hull, Path.through(leg), speed_m_s, gone_m / speed_m_s)
+    return chart.waters.is_clear(track, track.start_s, track.end_s)

@@ -53,6 +53,30 @@ class _Meeting:
     side: float
 
 
+def encounter_problems(chart: Chart, name: str, keys: EncounterKeys) -> list[str]:
+    """Why an encounter cannot be with some speed that own ship may draw."""
+    met, where = keys.own or next(iter(chart.keys.own)), f"encounters.{name}"
+    slowest, fastest = chart.keys.own[met].speed_m_s
+    speeds = [chart.keys.speed_range(keys, kind) for kind, weight in keys.kinds.items() if weight > 0]
+    least, greatest = min(low for low, _ in speeds), max(high for _, high in speeds)
+    problems = []
+    if keys.kind == "overtaking" and greatest < fastest * FASTER:
+        problems.append(f"{where}.kinds: the fastest makes {greatest:g} m/s, and '{met}' up to {fastest:g} m/s")
+    if keys.kind == "overtaken" and least > slowest / FASTER:
+        problems.append(f"{where}.kinds: the slowest makes {least:g} m/s, and '{met}' as little as {slowest:g} m/s")
+    if problems:
+        problems[0] += f": one must be {FASTER:g} times as fast as the other"
+    way = chart.own[met].path.length_m
+    if way < fastest * keys.time_s[1]:
+        problems.append(
+            f"{where}.time_s: '{met}' is at the end of her route after {way / fastest:.0f} s at {fastest:g} m/s"
+        )
+    beams = chart.own[met].hull.beam_m + min(min(chart.keys.kinds[kind].beam_m) for kind in keys.kinds)
+    if keys.closest_m[1] < (near := beams / 2 + chart.keys.clearance_m):
+        problems.append(f"{where}.closest_m: the centres of hulls with clearance_m between them are {near:.0f} m apart")
+    return problems
+
+
 def draw_encounter(chart: Chart, name: str, keys: EncounterKeys) -> Iterator[Craft]:
     """The vessels of an encounter."""
     own = keys.own or next(iter(chart.own))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,7 @@ class Wanderer:
         speed_m_s: Her speed.
         wind_from_rad: Direction from which the wind blows, if she sails.
         rng: What her courses are drawn with.
+        is_clear: Whether a leg, shape (2, 2), that begins after a distance on her way is clear of others
     """
 
     water: shapely.Geometry
@@ -39,6 +41,7 @@ class Wanderer:
     speed_m_s: float
     wind_from_rad: float | None
     rng: np.random.Generator
+    is_clear: Callable[[Array, float], bool] | None = None
 
     def course(self, needed_m: float) -> Path | None:
         """A way through the water of at least a length; None if there is none from the place drawn."""
@@ -46,8 +49,9 @@ class Wanderer:
         if start is None:
             return None
         places, headings, back = [start], [math.nan], 0
-        while (len(places) - 1) * -0.6 * self.radius_m + _length_m(places) < needed_m:  # rounding shortens the way
-            leg = self._next(places[-1], headings[-1])
+        # Rounding the corners shortens the way.
+        while (gone := _length_m(places) - 0.6 * self.radius_m * (len(places) - 1)) < needed_m:
+            leg = self._next(places[-1], headings[-1], gone)
             if leg is not None:
                 places.append(leg[0])
                 headings.append(leg[1])
@@ -79,7 +83,7 @@ class Wanderer:
         path = rounded(waypoints, self.radius_m)
         return path if self.water.contains(shapely.LineString(path.places_m)) else None
 
-    def _next(self, place: Array, heading: float) -> tuple[Array, float] | None:
+    def _next(self, place: Array, heading: float, gone_m: float) -> tuple[Array, float] | None:
         """The next waypoint and the course to it, wholly in the water; any course if there is no heading yet."""
         short, long = (
             max(radii * self.radius_m, time_s * self.speed_m_s) for radii, time_s in zip(LEG_RADII, LEG_S, strict=True)
@@ -92,9 +96,13 @@ class Wanderer:
             turned = math.copysign(TURN_RAD[0] + (most - TURN_RAD[0]) * turn, side - 0.5)
             course = 2 * math.pi * side if math.isnan(heading) else heading + turned
             end = place + length * np.array([math.cos(course), math.sin(course)])
-            if self._can_sail(course) and self.water.contains(shapely.LineString([place, end])):
+            if self._can_sail(course) and self._is_free(np.array([place, end]), gone_m):
                 return end, course
         return None
+
+    def _is_free(self, leg: Array, gone_m: float) -> bool:
+        in_water = self.water.contains(shapely.LineString(leg))
+        return bool(in_water and (self.is_clear is None or self.is_clear(leg, gone_m)))
 
     def _can_sail(self, course: float) -> bool:
         return self.wind_from_rad is None or math.cos(course - self.wind_from_rad) < math.cos(CLOSE_HAULED_RAD)

@@ -21,6 +21,12 @@ CROWDING = 3.0
 SMALL_CHANGE = 1.5
 """Cost up to which a changed track is taken without a look at larger changes."""
 LONGEST_INTERVAL_S = 1.0
+LAND_WORK, MOST_WORK = 20, 3_000_000_000
+"""Comparing a place with land, as other vessels; and the work that may be done for a drive: about 20 s."""
+
+
+class TooCrowded(Exception):
+    """So many ways have been compared that the vessels cannot be meant to have room."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,8 @@ class Waters:
         times_s: Times at which hulls are compared, shape (T,).
         interval_s: Interval between them.
         clearance_m: Least water between hulls and to land.
+        fleet: The vessels planned so far.
+        work: Places that were compared with other vessels.
     """
 
     land: Land
@@ -54,6 +62,7 @@ class Waters:
     interval_s: float
     clearance_m: float
     fleet: list[Sweep] = field(default_factory=list)
+    work: int = 0
 
     @classmethod
     def during(cls, land: Land, duration_s: float, time_step_s: float, clearance_m: float) -> Waters:
@@ -79,6 +88,9 @@ class Waters:
 
     def judge(self, tracks: Sequence[Track]) -> Verdict:
         """The best of some tracks of one hull: the least cost among those that keep clear at all times."""
+        self.work += len(tracks) * len(self.times_s) * (len(self.fleet) + LAND_WORK)
+        if self.work > MOST_WORK:
+            raise TooCrowded
         sweep = Sweep.of(tracks, self.times_s, self.interval_s)
         crowding, conflict_s, closest = np.zeros(len(tracks)), None, np.inf
         for other in self.fleet:
@@ -102,6 +114,9 @@ class Waters:
     def is_clear(self, track: Track, first_s: float, last_s: float) -> bool:
         """Whether a track keeps clear of all vessels from one time to another."""
         steps = slice(*np.searchsorted(self.times_s, (first_s, last_s)).tolist())
+        if steps.start == steps.stop:
+            return True
+        self.work += (steps.stop - steps.start) * len(self.fleet)
         sweep = Sweep.of([track], self.times_s[steps], self.interval_s)
         found = (least_gaps(sweep, other.during(steps), self.interval_s, self.clearance_m)[0] for other in self.fleet)
         return not any(gap[0] < self.clearance_m for gap in found)
