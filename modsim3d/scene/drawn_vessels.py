@@ -34,7 +34,9 @@ def drawn_vessels(
         return ()
     section = f"poses.{source.name}"
     vessels = parse_vessels(entries, section)
-    problems = [*_name_problems(vessels, request), *_label_problems(vessels, labels)]
+    # A source of our own and any plug-in may have a key that renames labels.
+    key = f": set {section}.labels" if "labels" in getattr(type(source.keys), "model_fields", {}) else ""
+    problems = [*_name_problems(vessels, request), *(each + key for each in _label_problems(vessels, labels))]
     problems += _file_problems(entries, source.keys.files)
     if problems:
         raise InputError(section, problems[:MOST_PROBLEMS])

@@ -93,6 +93,7 @@ def test_rates_that_are_not_as_asked_are_found() -> None:
     rows: list[dict[str, Any]] = json.loads(CAMPAIGN.read_bytes())["seeds"]
     assert verdict(rows, tests_of(rows, scene.scene, scene.keys)) == []
     assert len(rows) == 200
+    assert rows[0]["vessels"] == len(scene.scene.vessels), "run script/campaign traffic again: the traffic has changed"
     for row in rows:
         row["lanes"]["fairway"]["entering"] //= 2
     assert any("lanes.fairway: enter" in said for said in verdict(rows, tests_of(rows, scene.scene, scene.keys)))
