@@ -170,8 +170,10 @@ class Scene:
             return None
         poses = self.poses.poses(0, self.steps)
         said = [(vessel.name, vessel.label, *vessel.extents_m.tolist()) for vessel in self.vessels]
-        parts = (repr(said).encode(), poses.present, poses.positions_m, poses.headings_rad)
-        return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
+        digest = hashlib.sha256(repr(said).encode())
+        for values in (poses.present, poses.positions_m, poses.headings_rad):
+            digest.update(values.tobytes())
+        return digest.hexdigest()
 
     @property
     def occluder_names(self) -> tuple[str, ...]:
