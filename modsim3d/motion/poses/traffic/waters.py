@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array
 from modsim3d.motion.poses.traffic.gaps import SWING, Land, least_gaps
 from modsim3d.motion.poses.traffic.tracks import Sweep, Track
 
@@ -139,8 +139,8 @@ class Waters:
             + SWING * time_s * float(sweep.speeds_m_s[0] + other.speeds_m_s[0])
             for other in self.fleet
         ]
-        near: Indices = np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2)
-        return near.tolist()
+        near: list[int] = np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2).tolist()
+        return near
 
     def _near_land(self, sweep: Sweep) -> float:
         comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
