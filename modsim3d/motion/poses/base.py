@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -62,7 +62,7 @@ class PoseRequest:
         steps: Number of time steps, if the scene gives it.
         time_step_s: Interval between steps, if the scene gives it.
         seed: Seed of all random numbers.
-        obstacles: The obstacles.
+        obstacles: The scene's obstacles.
     """
 
     folder: Path
@@ -85,7 +85,7 @@ class SourceKeys:
     Attributes:
         generated: Whether the source uses the scene's times, so that the scene must give `steps` and `time_step_s`.
             Such a source is built only if the rest of the scene is valid; one with its own times is always built.
-        drawn: Whether the seed decides who is where.
+        drawn: Whether the traffic, that is who is where, depends on the seed.
     """
 
     generated: ClassVar[bool] = True
@@ -96,8 +96,11 @@ class SourceKeys:
         """Files that the source reads, as the scene file names them."""
         return ()
 
-    def vessels(self, request: PoseRequest) -> dict[str, dict[str, object]]:
-        """Entries of vessels that the source itself draws, as in a vessels file; `request` has those of the scene file.
+    def vessels(self, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
+        """Entries of the vessels that the source itself draws, in the form of a vessels file; none by default.
+
+        They are added to those of the scene file, which are all that the request has here. `build` gets both: the
+        scene file's, then these.
 
         Raises:
             InputError: With every problem found.
