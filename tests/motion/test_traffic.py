@@ -173,6 +173,12 @@ def test_arrivals_come_out_as_asked_and_traffic_is_stationary():
         assert low <= count <= high
 
 
+def test_no_vessel_makes_way_by_staying_away(drives):
+    for drive in [*drives, *(draw(traffic_keys(lanes__ferry__per_hour=60), seed) for seed in range(3))]:
+        crossings = [*drive.of("lanes.fairway"), *drive.of("lanes.ferry")]
+        assert all(drive.poses.present[:, drive.column(craft.name)].any() for craft in crossings)
+
+
 def test_density_of_leisure_craft_comes_out_as_asked():
     area = TRAFFIC["leisure"]["bay"] | {"per_km2": 1.0, "kinds": "kayak"}
     water = shapely.Polygon(area["polygon_m"]) - shapely.union_all([shapely.Polygon(c) for c, _, _ in LAND.values()])

@@ -155,7 +155,6 @@ class EncounterKeys(Strict):
 
 Drawn = LaneKeys | LeisureKeys | EncounterKeys
 """A section that draws vessels by kind."""
-Sections = Field(default_factory=dict, max_length=MOST_SECTIONS)
 
 
 class TrafficSections(Strict):
@@ -174,10 +173,10 @@ class TrafficSections(Strict):
         labels: Label of the shipped kinds → the label that takes its place, or one label for all vessels.
     """
 
-    own: dict[str, OwnKeys] = Sections
-    lanes: dict[str, LaneKeys] = Sections
-    leisure: dict[str, LeisureKeys] = Sections
-    encounters: dict[str, EncounterKeys] = Sections
+    own: dict[str, OwnKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
+    lanes: dict[str, LaneKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
+    leisure: dict[str, LeisureKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
+    encounters: dict[str, EncounterKeys] = Field(default_factory=dict, max_length=MOST_SECTIONS)
     clearance_m: Clearance = 10.0
     duration_s: Seconds = 0.0
     wind_from_rad: Annotated[Number, Field(ge=-TURN_RAD, le=TURN_RAD)] | None = None

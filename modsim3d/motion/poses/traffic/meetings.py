@@ -34,9 +34,8 @@ EASY = 1.5
 """Radii of bends in least radii."""
 STEADY_S = 60.0, 40.0
 """Time before and after the closest approach for which she goes straight in any case."""
-BENDS_RAD = tuple(
-    bends for bends in product((0.0, 0.35, -0.35, 0.8, -0.8), repeat=2) if 0 < abs(bends[0]) + abs(bends[1]) < 1.2
-)
+_BENDS = (0.0, 0.35, -0.35, 0.8, -0.8)
+BENDS_RAD = tuple((before, after) for before, after in product(_BENDS, _BENDS) if 0 < abs(before) + abs(after) < 1.2)
 """Alterations before and after that, where land or another vessel is in the way."""
 EARLY_S = 3.0
 """She is there a little before the drive and after it."""

@@ -105,7 +105,8 @@ def corner_radii_m(waypoints_m: Array, wanted_m: float) -> Array:
     free = length * room
     tangent = np.tan(np.abs(turns_rad(waypoints_m)) / 2)
     most = np.minimum(free[:-1], free[1:]) / np.maximum(tangent, 1e-9)
-    return np.minimum(most, wanted_m)
+    radii: Array = np.minimum(most, wanted_m)
+    return radii
 
 
 def _arc(corner: Array, before: Array, after: Array, radius_m: float) -> Array:

@@ -43,7 +43,7 @@ class TrafficKeys(SourceKeys, TrafficSections):
         tracks = dict(drive.own) | {craft.name: craft.track for craft in drive.craft}
         steps, interval = request.steps or 0, request.time_step_s or 0.0
         check_pose_count(WHERE, steps, len(request.vessels))
-        times_s = np.arange(steps) * interval
+        times_s = np.arange(steps, dtype=np.float64) * interval
         poses = Poses.absent(steps, len(request.vessels))
         for column, vessel in enumerate(request.vessels):
             if (track := tracks.get(vessel.name)) is None:

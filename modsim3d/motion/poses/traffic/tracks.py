@@ -78,8 +78,8 @@ class Sweep:
 
     def during(self, steps: slice) -> Sweep:
         """The tracks at some of the times."""
-        parts = (part[:, steps] for part in (self.present, self.places_m, self.axes))
-        return Sweep(self.tracks, *parts, self.speeds_m_s)
+        present, places, axes = self.present[:, steps], self.places_m[:, steps], self.axes[:, steps]
+        return Sweep(self.tracks, present, places, axes, self.speeds_m_s)
 
     def row(self, index: int) -> Sweep:
         """One track alone."""

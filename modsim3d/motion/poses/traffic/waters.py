@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from modsim3d.arrays import Array
-from modsim3d.motion.poses.traffic.gaps import Land, least_gaps
+from modsim3d.motion.poses.traffic.gaps import SWING, Land, least_gaps
 from modsim3d.motion.poses.traffic.tracks import Sweep, Track
 
 COMFORT = 0.4
@@ -22,7 +22,7 @@ SMALL_CHANGE = 1.5
 """Cost up to which a changed track is taken without a look at larger changes."""
 LONGEST_INTERVAL_S = 1.0
 LAND_WORK, MOST_WORK = 20, 3_000_000_000
-"""Comparing a place with land, as other vessels; and the work that may be done for a drive: about 20 s."""
+"""Comparing a place with land, as other vessels; and the work that may be done for a drive: about a minute."""
 
 
 class TooCrowded(Exception):
@@ -63,6 +63,7 @@ class Waters:
     clearance_m: float
     fleet: list[Sweep] = field(default_factory=list)
     work: int = 0
+    _places_m: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
 
     @classmethod
     def during(cls, land: Land, duration_s: float, time_step_s: float, clearance_m: float) -> Waters:
@@ -75,7 +76,7 @@ class Waters:
         else:
             interval = time_step_s * math.floor(LONGEST_INTERVAL_S / time_step_s + 1e-9)
         count = math.ceil(duration_s / interval - 1e-9) + 2
-        return cls(land, np.arange(count) * interval, interval, clearance_m)
+        return cls(land, np.arange(count, dtype=np.float64) * interval, interval, clearance_m)
 
     @property
     def end_s(self) -> float:
@@ -118,8 +119,28 @@ class Waters:
             return True
         self.work += (steps.stop - steps.start) * len(self.fleet)
         sweep = Sweep.of([track], self.times_s[steps], self.interval_s)
-        found = (least_gaps(sweep, other.during(steps), self.interval_s, self.clearance_m)[0] for other in self.fleet)
-        return not any(gap[0] < self.clearance_m for gap in found)
+        for index in self._around(sweep, steps):
+            other = self.fleet[index].during(steps)
+            if least_gaps(sweep, other, self.interval_s, self.clearance_m)[0][0] < self.clearance_m:
+                return False
+        return True
+
+    def _around(self, sweep: Sweep, steps: slice) -> list[int]:
+        """Vessels that a short track could come near, by the distance at its middle."""
+        middle = (steps.start + steps.stop) // 2
+        if len(self._places_m) != len(self.fleet):
+            self._places_m = np.stack([other.places_m[0] for other in self.fleet])
+        offset = self._places_m[:, middle] - sweep.places_m[0, middle - steps.start]
+        time_s = (steps.stop - steps.start + 2) * self.interval_s / 2
+        reach = [
+            self.clearance_m
+            + sweep.hull.reach_m
+            + other.hull.reach_m
+            + SWING * time_s * float(sweep.speeds_m_s[0] + other.speeds_m_s[0])
+            for other in self.fleet
+        ]
+        near: list[int] = np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2).tolist()
+        return near
 
     def _near_land(self, sweep: Sweep) -> float:
         comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
