@@ -184,11 +184,12 @@ def main() -> int:
         "format": 1,
         "scene": asked.scene,
         "versions": versions,
-        "seeds": rows,
         "tests": [vars(t) for t in tests],
+        "seeds": rows,
     }
     asked.out.mkdir(parents=True, exist_ok=True)
-    (asked.out / "traffic.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    lines = json.dumps(content).replace('{"seed":', '\n{"seed":')  # a line for each seed
+    (asked.out / "traffic.json").write_text(lines + "\n", encoding="utf-8")
     (asked.out / "traffic.md").write_text(page(asked.scene, rows, tests, versions), encoding="utf-8")
     return int(bool(verdict(rows, tests)))
 

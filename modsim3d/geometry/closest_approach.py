@@ -43,7 +43,7 @@ def closest_approach(times_s: Array, one_m: Array, other_m: Array) -> tuple[floa
         The distance in metres and the time in seconds; infinite and NaN if the two are never there together.
     """
     apart = other_m - one_m
-    known = np.isfinite(apart).all(axis=1)
+    known = np.isfinite(apart[:, 0] + apart[:, 1])
     if not known.any():
         return np.inf, np.nan
     distance = np.where(known, np.hypot(apart[:, 0], apart[:, 1]), np.inf)

@@ -30,7 +30,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "how to label": ({"poses": {"traffic": {"lanes": {"west": LANE}}}}, "set poses.traffic.labels"),
     "name": (
-        {"vessels": {name: SCENE["vessels"]["own"] for name in ("own", *(f"west_{i}" for i in range(1, 60)))}},
+        {"vessels": dict.fromkeys(["own", *(f"west_{i}" for i in range(1, 60))], SCENE["vessels"]["own"])},
         "poses.traffic: draws a vessel 'west_",
     ),
     "kind": ({"poses": {"traffic": {"lanes": {"west": LANE | {"kinds": ["motorbaot"]}}}}}, "did you mean 'motorboat'?"),
