@@ -33,7 +33,7 @@ SCENE, SEEDS, FAMILY = "fairway", 200, 0.01
 
 
 @dataclass(frozen=True)
-class Test:
+class RateTest:
     """A number against the distribution that it should have."""
 
     name: str
@@ -43,11 +43,11 @@ class Test:
     p_value: float
 
     @classmethod
-    def poisson(cls, name: str, found: int, mean: float) -> Test:
+    def poisson(cls, name: str, found: int, mean: float) -> RateTest:
         return cls(name, found, mean, "Poisson", _two_sided(stats.poisson(mean), found))
 
     @classmethod
-    def binomial(cls, name: str, found: int, of: int, share: float) -> Test:
+    def binomial(cls, name: str, found: int, of: int, share: float) -> RateTest:
         return cls(name, found, of * share, f"binomial of {of}", _two_sided(stats.binom(of, share), found))
 
 
@@ -55,44 +55,44 @@ def _two_sided(law: Any, found: int) -> float:
     return float(min(1.0, 2 * min(law.cdf(found), law.sf(found - 1))))
 
 
-def tests_of(rows: Sequence[dict[str, Any]], scene: Scene, keys: TrafficKeys) -> list[Test]:
+def rates_of(rows: Sequence[dict[str, Any]], scene: Scene, keys: TrafficKeys) -> list[RateTest]:
     """Every rate of the section, over all seeds."""
     found = [test for name, lane in keys.lanes.items() for test in _lane_tests(rows, scene, keys, name, lane)]
     land = shapely.union_all([shapely.MultiPoint(v[:, :2]).convex_hull for o in scene.obstacles for _, v in o.solids])
     for name, area in keys.leisure.items():
         water_km2 = shapely.Polygon(area.polygon_m).difference(land).area / 1e6
         total = sum(row["leisure"][name] + row["left_out"].get(f"leisure.{name}", 0) for row in rows)
-        found.append(Test.poisson(f"leisure.{name}: craft", total, len(rows) * area.per_km2 * water_km2))
+        found.append(RateTest.poisson(f"leisure.{name}: craft", total, len(rows) * area.per_km2 * water_km2))
     for name in keys.encounters:
         met = [each for row in rows for each in row["encounters"] if each["section"] == f"encounters.{name}"]
-        found.append(Test.binomial(f"encounters.{name}: farther than the middle", _sum(met, "far"), len(met), 0.5))
-        found.append(Test.binomial(f"encounters.{name}: later than the middle", _sum(met, "late"), len(met), 0.5))
+        found.append(RateTest.binomial(f"encounters.{name}: farther than the middle", _sum(met, "far"), len(met), 0.5))
+        found.append(RateTest.binomial(f"encounters.{name}: later than the middle", _sum(met, "late"), len(met), 0.5))
         sides = [each for each in met if each["from_starboard"] is not None]
         if sides:
             found.append(
-                Test.binomial(f"encounters.{name}: from starboard", _sum(sides, "from_starboard"), len(sides), 0.5)
+                RateTest.binomial(f"encounters.{name}: from starboard", _sum(sides, "from_starboard"), len(sides), 0.5)
             )
     return found
 
 
 def _lane_tests(
     rows: Sequence[dict[str, Any]], scene: Scene, keys: TrafficKeys, name: str, lane: LaneKeys
-) -> Iterator[Test]:
+) -> Iterator[RateTest]:
     counts = [row["lanes"][name] for row in rows]
     duration_s = float(scene.times_s(scene.steps - 1, scene.steps)[0])
     entering, weights = _sum(counts, "entering"), sum(lane.kinds.values())
-    yield Test.poisson(f"lanes.{name}: enter", entering, len(rows) * lane.per_hour * duration_s / 3600)
+    yield RateTest.poisson(f"lanes.{name}: enter", entering, len(rows) * lane.per_hour * duration_s / 3600)
     length_m = float(np.hypot(*np.diff(np.array(lane.waypoints_m), axis=0).T).sum())
     slowness = sum(w / weights * _mean_slowness(keys.speed_range(lane, kind)) for kind, w in lane.kinds.items())
     present = len(rows) * lane.per_hour / 3600 * length_m * slowness
-    yield Test.poisson(f"lanes.{name}: there at the start", _sum(counts, "at_start"), present)
+    yield RateTest.poisson(f"lanes.{name}: there at the start", _sum(counts, "at_start"), present)
     if lane.both_ways:
-        yield Test.binomial(f"lanes.{name}: outbound", _sum(counts, "outbound"), entering, 0.5)
-    yield Test.binomial(f"lanes.{name}: faster than the middle of the range", _sum(counts, "fast"), entering, 0.5)
+        yield RateTest.binomial(f"lanes.{name}: outbound", _sum(counts, "outbound"), entering, 0.5)
+    yield RateTest.binomial(f"lanes.{name}: faster than the middle of the range", _sum(counts, "fast"), entering, 0.5)
     for kind, weight in lane.kinds.items():
         if len(lane.kinds) > 1:
             drawn = sum(each["kinds"].get(kind, 0) for each in counts)
-            yield Test.binomial(f"lanes.{name}: {kind}", drawn, entering, weight / weights)
+            yield RateTest.binomial(f"lanes.{name}: {kind}", drawn, entering, weight / weights)
 
 
 def _mean_slowness(speeds: tuple[float, float]) -> float:
@@ -105,7 +105,7 @@ def _sum(rows: Sequence[Mapping[str, Any]], key: str) -> int:
     return int(sum(row[key] for row in rows))
 
 
-def verdict(rows: Sequence[dict[str, Any]], tests: Sequence[Test]) -> list[str]:
+def verdict(rows: Sequence[dict[str, Any]], tests: Sequence[RateTest]) -> list[str]:
     """Everything that is not as asked; empty if all is."""
     said = [f"seed {row['seed']}: {fault}" for row in rows for fault in row["faults"]]
     said += [
@@ -118,7 +118,9 @@ def verdict(rows: Sequence[dict[str, Any]], tests: Sequence[Test]) -> list[str]:
     return said
 
 
-def page(scene_name: str, rows: Sequence[dict[str, Any]], tests: Sequence[Test], versions: Mapping[str, str]) -> str:
+def page(
+    scene_name: str, rows: Sequence[dict[str, Any]], tests: Sequence[RateTest], versions: Mapping[str, str]
+) -> str:
     met = [each for row in rows for each in row["encounters"]]
     left_out = Counter[str]()
     for row in rows:
@@ -178,7 +180,7 @@ def main() -> int:
             rows.append(row)
             print(row["seed"], row["vessels"], row["left_out"], *row["faults"], sep="  ", file=sys.stderr, flush=True)
     drawn = Drawn.of_seed(asked.scene, 0)
-    tests = tests_of(rows, drawn.scene, drawn.keys)
+    tests = rates_of(rows, drawn.scene, drawn.keys)
     versions = {"modsim3d": version("modsim3d"), "NumPy": np.__version__, "Shapely": shapely.__version__}
     content = {
         "format": 1,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.campaigns.traffic import Test, tests_of, verdict
+from benchmarks.campaigns.traffic import RateTest, rates_of, verdict
 from benchmarks.traffic_measures import Drawn, measure
 from modsim3d.arrays import Array
 from modsim3d.commands.run_summary import traffic_in_words
@@ -34,7 +34,7 @@ def other() -> Drawn:
 
 def test_traffic_of_two_seeds_is_as_asked_and_differs(drawn: Drawn, other: Drawn) -> None:
     rows = [measure(drawn, 1), measure(other, 2)]
-    assert verdict(rows, tests_of(rows, drawn.scene, drawn.keys)) == []
+    assert verdict(rows, rates_of(rows, drawn.scene, drawn.keys)) == []
     assert len(drawn.craft) > 10
     assert {craft.asked.kind for craft in drawn.craft if craft.asked} > {"head_on", "overtaking", "overtaken"}
     assert {vessel.label for vessel in drawn.scene.vessels} == {"boat", "sailboat", "ship"}
@@ -52,6 +52,10 @@ def on_top(centres: Array, drawn: Drawn) -> None:
 
 def on_land(centres: Array, drawn: Drawn) -> None:
     centres[:, of("leisure", drawn)] = [602.0, -408.0]
+
+
+def out_of_her_area(centres: Array, drawn: Drawn) -> None:
+    centres[:, of("leisure", drawn)] += [0.0, 1500.0]
 
 
 def faster(centres: Array, drawn: Drawn) -> None:
@@ -74,7 +78,7 @@ def farther(centres: Array, drawn: Drawn) -> None:
     [
         (on_top, "hulls come to 0.00 m"),
         (on_land, "a hull comes to 0.00 m of land"),
-        (on_land, "is outside her area at"),
+        (out_of_her_area, "is outside her area at"),
         (faster, "m/s, asked for"),
         (to_port, "to starboard of the middle of her lane"),
         (farther, "head_on: "),
@@ -91,25 +95,27 @@ def test_rates_that_are_not_as_asked_are_found() -> None:
     """The committed rows as they are, and without half of what enters the fairway."""
     scene = Drawn.of_seed("fairway", 0)
     rows: list[dict[str, Any]] = json.loads(CAMPAIGN.read_bytes())["seeds"]
-    assert verdict(rows, tests_of(rows, scene.scene, scene.keys)) == []
+    assert verdict(rows, rates_of(rows, scene.scene, scene.keys)) == []
     assert len(rows) == 200
     assert rows[0]["vessels"] == len(scene.scene.vessels), "run script/campaign traffic again: the traffic has changed"
     for row in rows:
         row["lanes"]["fairway"]["entering"] //= 2
-    assert any("lanes.fairway: enter" in said for said in verdict(rows, tests_of(rows, scene.scene, scene.keys)))
+    assert any("lanes.fairway: enter" in said for said in verdict(rows, rates_of(rows, scene.scene, scene.keys)))
     assert verdict([rows[0], rows[0]], []) == ["two seeds have the same traffic"]
 
 
 def test_two_sided_tests_are_exact() -> None:
-    assert Test.binomial("x", 0, 10, 0.5).p_value == pytest.approx(2 / 1024)
-    assert Test.binomial("x", 10, 10, 0.5).p_value == pytest.approx(2 / 1024)
-    assert Test.poisson("x", 0, 3.0).p_value == pytest.approx(2 * np.exp(-3))
-    assert Test.poisson("x", 3, 3.0).p_value == pytest.approx(1.0, abs=0.2)
+    assert RateTest.binomial("x", 0, 10, 0.5).p_value == pytest.approx(2 / 1024)
+    assert RateTest.binomial("x", 10, 10, 0.5).p_value == pytest.approx(2 / 1024)
+    assert RateTest.poisson("x", 0, 3.0).p_value == pytest.approx(2 * np.exp(-3))
+    assert RateTest.poisson("x", 3, 3.0).p_value == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_shorter_run_shows_the_beginning_of_the_same_traffic(drawn: Drawn) -> None:
     short = load_scene("fairway", seed=1, steps=40)
-    assert short.vessels == drawn.scene.vessels
+    assert [(v.name, v.label, v.length_m) for v in short.vessels] == [
+        (v.name, v.label, v.length_m) for v in drawn.scene.vessels
+    ]
     tracks = hull_tracks(short.vessels, short.poses, 40)
     np.testing.assert_array_equal(tracks.centres_m, drawn.tracks.centres_m[:40])
 
