@@ -20,7 +20,15 @@ ROOT = Path(__file__).resolve().parent.parent
 
 MENU = {
     "First steps": ["README", "docs/run", "docs/limits"],
-    "Build a scene": ["docs/scene", "docs/poses", "docs/cameras", "docs/waves", "docs/shapes", "docs/ais"],
+    "Build a scene": [
+        "docs/scene",
+        "docs/poses",
+        "docs/traffic",
+        "docs/cameras",
+        "docs/waves",
+        "docs/shapes",
+        "docs/ais",
+    ],
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
     "Test a tracker": ["docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"],
@@ -37,7 +45,10 @@ MENU = {
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
-CAMPAIGNS = ["compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "verify_changes", "verify_seeds"]
+CAMPAIGNS = [
+    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "traffic", "verify_changes"),
+    "verify_seeds",
+]
 
 project = "modsim3d"
 root_doc = "README"

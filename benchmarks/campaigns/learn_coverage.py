@@ -97,7 +97,8 @@ def text(results: dict[str, Any], seeds: int) -> str:
     lines = [
         "# Coverage of learned intervals",
         "",
-        f"`script/campaign learn_coverage`, {seeds} seeds. Share of asked numbers inside their intervals:",
+        f"`script/campaign learn_coverage`, {seeds} seeds. Simulation 1 has another traffic with each, the "
+        "harbour this traffic only. Share of asked numbers inside their intervals:",
         "",
     ]
     names = list(results)

@@ -182,7 +182,8 @@ def page(found: dict[str, list[dict[str, Any]]], versions: dict[str, str]) -> st
         (__doc__ or "").split("\n\n", 1)[1].replace("\n", " ").strip(),
         "",
         "*Needed* is the smallest change that such a run notices, over the change made; *noticeable* in how many of "
-        "the seeds it is at most one; of those *caught* and *named* (what stands out is what was changed).",
+        "the seeds it is at most one; of those *caught* and *named* (what stands out is what was changed). "
+        "Seeds are the detector's; each scene has this traffic only.",
         "",
         "| Scene | Kind | Parameters | Runs | Noticeable | Caught | Named |",
         "|---|---|---|---|---|---|---|",

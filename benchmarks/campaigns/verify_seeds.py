@@ -96,7 +96,8 @@ def page(found: list[dict[str, Any]], versions: dict[str, str]) -> str:
         "Every run was made with the detector file that it is held against. All tests of a run together are to fail "
         "with probability 1 % at most; of 200 seeds 5 alarms are the most that may be put down to chance "
         "(Pr(more) = 1.6 %). All detectors are given the same seeds, and what a model does not touch has the same "
-        "noise in all of them: one unlucky seed may show in many rows.",
+        "noise in all of them: one unlucky seed may show in many rows. Seeds are the detector's; each scene has this "
+        "traffic only.",
         "",
         "| Scene | Detector | Seeds | Tests each | Alarms | p < 0.01 | p < 0.001 |",
         "|---|---|---|---|---|---|---|",

@@ -26,6 +26,7 @@ def run_json(command: str, scene: Scene, result: RunResult, sheet: bool) -> dict
         "scene": scene.name,
         "cameras": [camera.name for camera in scene.cameras],
         "mode": scene.annotation.mode,
+        "traffic_seed": scene.traffic_seed,
         "counts": asdict(result.counts),
         **asdict(result),
         "contact_sheet": result.folder / "contact_sheet.png" if sheet else None,

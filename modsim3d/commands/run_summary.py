@@ -40,11 +40,19 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
         console.print()
         print_table(console, "", rows, header=header, right=range(1, len(header)))
     print_line(console, "")
+    print_line(console, f"traffic  {traffic_in_words(scene)}")
     print_path(console, "run directory", result.folder)
     if sheet:
         print_path(console, "contact sheet", result.folder / "contact_sheet.png")
     for warning in run_warnings(scene, result):
         warn(warning)
+
+
+def traffic_in_words(scene: Scene) -> str:
+    """Whether a scene's traffic is drawn, and what another seed would change."""
+    if scene.traffic_has_seed:
+        return f"{scene.traffic}; another seed is another traffic"
+    return f"{scene.traffic}; another seed is another look at it"
 
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:

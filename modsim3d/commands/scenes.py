@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from modsim3d.commands.run_summary import traffic_in_words
 from modsim3d.commands.shared import (
     FromOption,
     JsonOption,
@@ -56,11 +57,16 @@ def check_command(
 
 def _rows(scene: Scene) -> list[tuple[str, str]]:
     return [
-        ("vessels", str(len(scene.vessels))),
+        ("vessels", f"{len(scene.vessels)}{_drawn(scene)}"),
         ("cameras", f"{len(scene.cameras)}: {', '.join(camera.name for camera in scene.cameras)}"),
+        ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
         ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
     ]
+
+
+def _drawn(scene: Scene) -> str:
+    return f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
 
 
 def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
@@ -73,6 +79,7 @@ def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
         "vessels": [vessel.name for vessel in scene.vessels],
         "cameras": [camera.name for camera in scene.cameras],
         "steps": None if scene.live else scene.steps,
+        "traffic_seed": scene.traffic_seed,
         "mode": scene.annotation.mode,
         "source": scene.annotation.source,
         "warnings": warnings,
@@ -85,15 +92,17 @@ def scenes_command(json: JsonOption = False) -> None:
     Example: modsim3d scenes
     """
     from modsim3d.inputs.conditions import CONDITIONS, conditions_in
-    from modsim3d.scene.reading import shipped_scenes
+    from modsim3d.scene.reading import draws_traffic, shipped_scenes
 
     console, entries = open_console(), []
     for name, path in shipped_scenes().items():
         with path.open(encoding="utf-8") as file:
             title = file.readline().strip("# \n")
-        entries.append({"name": name, "title": title, "path": path})
+        drawn = draws_traffic(path)
+        entries.append({"name": name, "title": title, "path": path, "traffic_drawn": drawn})
         print_line(console, name, "bold")
         print_prose(console, title, indent=4)
+        print_line(console, f"    traffic: {'drawn from the seed' if drawn else 'this traffic only'}")
         print_line(console, f"    {path}", "dim")
     print_line(console, f"--from {CONDITIONS}", "bold")
     print_prose(console, ", ".join(conditions_in()), indent=4)

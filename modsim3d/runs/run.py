@@ -238,6 +238,12 @@ def _with_steps_kept(scene: Scene, folder: Path) -> Iterator[Range]:
         raise InputError(error.source, [*error.problems, kept]) from None
 
 
+def _traffic(scene: Scene) -> dict[str, Any]:
+    """The seed of a traffic that is drawn, and the checksum of one with vessels that are drawn too."""
+    found = {"traffic_seed": scene.traffic_seed, "traffic_sha256": scene.traffic_sha256()}
+    return {key: value for key, value in found.items() if value is not None}
+
+
 def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
     """Everything that decides the content of the files; no times and no host names."""
     return {
@@ -246,6 +252,7 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
         "scene_sha256": scene.sha256,
         "seed": scene.seed,
         "detector_seed": scene.detector_seed,
+        **_traffic(scene),
         "steps": scene.steps,
         "annotation": asdict(scene.annotation),
         "cameras": [camera.name for camera in scene.cameras],

@@ -21,8 +21,6 @@ from modsim3d.inputs.validation import (
 from modsim3d.motion.waves import GRAVITY_M_S2, STEEPEST
 from modsim3d.vessels.vessel import MeshName
 
-SEEDLESS_POSES = {"file", "tracks", "stream"}
-"""Pose sources without random numbers; a plug-in may have some."""
 MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
@@ -263,10 +261,9 @@ class SceneKeys(Strict):
     detector: str
 
     @property
-    def truth_has_seed(self) -> bool:
-        """Whether what the cameras see depends on the seed: through random poses or waves."""
-        drawn = not SEEDLESS_POSES & self.poses.keys()
-        return drawn or (self.waves is not None and self.waves.level != "none")
+    def waves_have_seed(self) -> bool:
+        """Whether waves move vessels."""
+        return self.waves is not None and self.waves.level != "none"
 
     @field_validator("vessels", mode="before")
     @classmethod

@@ -20,8 +20,9 @@ from modsim3d.errors import InputError
 from modsim3d.inputs.plugins import Plugin
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import MOST_PROBLEMS, describe, join_path, nearest
-from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, read_source
+from modsim3d.motion.poses import LivePoses, NamedSource, PoseRequest, PoseSource, SourceKeys, read_source
 from modsim3d.motion.waves.levels import Axes, find_level
+from modsim3d.scene.drawn_vessels import drawn_vessels
 from modsim3d.scene.keys import SceneKeys
 from modsim3d.scene.meshes import SceneMeshes, read_obstacle
 from modsim3d.scene.settings import Setting, Settings
@@ -74,6 +75,7 @@ class SceneParts:
         source: The keys of the pose source.
         wave_level: Axes of the wave level that the scene names, and the plug-in that has it.
         obstacles: The obstacles that could be read.
+        vessels: The vessels of the scene file, then those that the pose source draws.
     """
 
     def __init__(self, path: Path, data: dict[str, Any], settings: Iterable[Setting] = ()) -> None:
@@ -88,15 +90,16 @@ class SceneParts:
         self.keys = self._keys()
         self.vessels_at = self._vessels_at()
         self.vessel_entries = self._vessel_entries()
+        self.source = self._source()
         boxes = self._boxes()
         self.detector = self._detector()
         self.problems += islice(self._mount_problems(), MOST_PROBLEMS)
         self.problems += islice(self._label_problems(), MOST_PROBLEMS)
-        self.source = self._source()
-        self.poses = self._poses(boxes)
-        self.wave_level = self._wave_level()
         self.obstacles = self._obstacles()
-        self.vessels = None if boxes is None else tuple(self._with_mesh(vessel) for vessel in boxes)
+        drawn = self._drawn(boxes)
+        self.poses = self._poses(boxes, drawn)
+        self.wave_level = self._wave_level()
+        self.vessels = None if boxes is None else (*map(self._with_mesh, boxes), *(drawn or ()))
         self.problems = self.settings.problems + self.settings.named(self.problems)
 
     @property
@@ -114,6 +117,11 @@ class SceneParts:
         """The scene file, and the files of vessels and poses that it names."""
         entry, files = self.data.get("vessels"), self.source.keys.files if self.source else ()
         return (self.path, *(self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files]))
+
+    @property
+    def draws_vessels(self) -> bool:
+        """Whether its pose source draws vessels beside those of the scene file."""
+        return self.source is not None and type(self.source.keys).vessels is not SourceKeys.vessels
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -165,8 +173,10 @@ class SceneParts:
         return entry if isinstance(entry, dict) else None  # validation of the keys reports it
 
     def _boxes(self) -> tuple[Vessel, ...] | None:
-        """The vessels as shoeboxes."""
+        """The vessels of the scene file as shoeboxes."""
         entries, place = self.vessel_entries, self.vessels_at
+        if entries == {} and self.draws_vessels:
+            return ()
         return None if entries is None else self._collect(lambda: parse_vessels(entries, place.source, *place.path))
 
     def _with_mesh(self, vessel: Vessel) -> Vessel:
@@ -214,11 +224,10 @@ class SceneParts:
             return None
         return source
 
-    def _poses(self, vessels: tuple[Vessel, ...] | None) -> PoseSource | None:
-        source, keys, names = self.source, self.keys, self.vessel_entries
-        if source is None or (source.keys.generated and (keys is None or vessels is None)):
-            return None
-        request = PoseRequest(
+    def _request(self, vessels: tuple[Vessel, ...] | None) -> PoseRequest:
+        """What the pose source is told of the scene file."""
+        keys, names = self.keys, self.vessel_entries
+        return PoseRequest(
             folder=self.folder,
             # Names of all entries, so that one wrong vessel does not keep the poses from being checked.
             names=None if names is None else tuple(map(str, names)),
@@ -226,7 +235,33 @@ class SceneParts:
             steps=keys.steps if keys else None,
             time_step_s=keys.time_step_s if keys else None,
             seed=keys.seed if keys else 0,
+            obstacles=self.obstacles,
         )
+
+    def _drawn(self, vessels: tuple[Vessel, ...] | None) -> tuple[Vessel, ...] | None:
+        """The vessels that the pose source draws; None if it cannot."""
+        source = self.source
+        if source is None or not self.draws_vessels:
+            return ()
+        if vessels is None or self.keys is None:
+            return None
+        request, labels = self._request(vessels), self.detector.labels if self.detector else None
+        drawn = self._collect(lambda: drawn_vessels(source, request, labels, self.meshes))
+        if drawn is not None and not (vessels or drawn):
+            self.problems.append(
+                f"poses.{source.name}: draws no vessel from seed {self.keys.seed}, and vessels has none: a scene needs "
+                "at least one"
+            )
+        return drawn
+
+    def _poses(self, vessels: tuple[Vessel, ...] | None, drawn: tuple[Vessel, ...] | None) -> PoseSource | None:
+        source = self.source
+        if source is None or drawn is None or (source.keys.generated and (self.keys is None or vessels is None)):
+            return None
+        request = self._request(vessels)
+        if drawn:
+            names = (*(request.names or ()), *(vessel.name for vessel in drawn))
+            request = replace(request, names=names, vessels=(*request.vessels, *drawn))
         poses = self._collect(lambda: source.build(request))
         if poses is not None and not isinstance(poses, LivePoses):
             self._check_steps(source.name, len(poses.timestamps))
@@ -245,7 +280,8 @@ class SceneParts:
 
     def _mount_problems(self) -> Iterator[str]:
         cameras, names = self.data.get("cameras"), {str(name): None for name in self.vessel_entries or ()}
-        for name, camera in cameras.items() if names and isinstance(cameras, dict) else ():
+        named = bool(names) or (self.vessel_entries is not None and self.draws_vessels)
+        for name, camera in cameras.items() if named and isinstance(cameras, dict) else ():
             mount = camera.get("mount") if isinstance(camera, dict) else None
             vessel = mount.get("vessel") if isinstance(mount, dict) else None
             if isinstance(vessel, str) and vessel not in names:

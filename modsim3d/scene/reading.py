@@ -18,7 +18,7 @@ from modsim3d.inputs.strict_json import load_json
 from modsim3d.inputs.strict_yaml import load_yaml
 from modsim3d.inputs.validation import kind_of, nearest, shown
 from modsim3d.motion.imu import PERFECT_IMU, Imu
-from modsim3d.motion.poses import LivePoses
+from modsim3d.motion.poses import LivePoses, read_source
 from modsim3d.motion.vessel_motion import Waves
 from modsim3d.motion.waves import AXES, PEAKEDNESS, Axis, FloatingVessels, Hull, SecondOrderWaves, jonswap_sea
 from modsim3d.motion.waves.levels import Axes
@@ -28,7 +28,7 @@ from modsim3d.scene.checks import scene_problems
 from modsim3d.scene.copy import copy_scene
 from modsim3d.scene.detector_choice import state_settings
 from modsim3d.scene.keys import MAX_STEPS, CameraKeys, WavesKeys
-from modsim3d.scene.parts import SCENE_FILE, SceneParts
+from modsim3d.scene.parts import SCENE_FILE, SceneParts, title_of
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import replacing, settings_of
 from modsim3d.truth.modes import Annotation
@@ -63,6 +63,11 @@ def find_scene(scene: StrPath) -> Path:
         return shipped[name]
     problem = f"no such file, and no shipped scene has this name ({nearest(name, shipped)})"
     raise InputError(f"scene {name}", [problem])
+
+
+def draws_traffic(path: Path) -> bool:
+    """Whether the traffic of a valid scene file is drawn from the seed."""
+    return read_source(load_yaml(path, "scene")["poses"], title_of(path)).keys.drawn
 
 
 def load_scene(
@@ -129,7 +134,8 @@ def load_scene(
 def assembled(parts: SceneParts) -> Scene:
     """The scene from its parts, or every problem at once."""
     keys, vessels, detector, poses = parts.keys, parts.vessels, parts.detector, parts.poses
-    if keys is None or vessels is None or detector is None or poses is None or parts.problems:
+    source = parts.source
+    if keys is None or vessels is None or detector is None or source is None or poses is None or parts.problems:
         raise InputError(parts.name, parts.problems)
     copy, level, live = copy_scene(parts, keys), parts.wave_level, isinstance(poses, LivePoses)
     scene = Scene(
@@ -138,7 +144,8 @@ def assembled(parts: SceneParts) -> Scene:
         sha256=copy.sha256(),
         seed=keys.seed,
         detector_seed=keys.seed if keys.detector_seed is None else keys.detector_seed,
-        truth_has_seed=keys.truth_has_seed,
+        traffic_has_seed=source.keys.drawn,
+        truth_has_seed=source.keys.drawn or keys.waves_have_seed,
         steps=keys.steps or (MAX_STEPS if live else len(poses.timestamps)),
         vessels=vessels,
         poses=poses,
@@ -153,6 +160,7 @@ def assembled(parts: SceneParts) -> Scene:
         origin=(keys.origin.latitude_deg, keys.origin.longitude_deg) if keys.origin else None,
         ais=Ais(**keys.ais.model_dump()),
         plugins=parts.plugins,
+        drawn_vessels=len(vessels) - len(parts.vessel_entries or ()),
     )
     problems = scene_problems(scene)
     if keys.imu is not None and not scene.own_ships:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -44,9 +45,10 @@ class Scene:
         sha256: Checksum of `copy`.
         seed: Seed of all random numbers but the detector's.
         detector_seed: Seed of the detector; the same unless the scene file says otherwise.
-        truth_has_seed: Whether what the cameras see depends on the seed.
+        traffic_has_seed: Whether the traffic, that is who is where, is drawn from the seed.
+        truth_has_seed: Whether what the cameras see depends on the seed: through the traffic or the waves.
         steps: Number of time steps; of a live scene the most that are taken.
-        vessels: Vessels in the order of the vessels file.
+        vessels: Vessels in the order of the vessels file, then those that the pose source draws.
         poses: Source of the vessels' poses.
         cameras: Cameras in the order of the scene file.
         annotation: Annotation mode, and where the truth comes from.
@@ -59,6 +61,7 @@ class Scene:
         origin: Latitude and longitude in degrees of w1 = w2 = 0, if the scene lies on the Earth.
         ais: AIS equipment of the vessels.
         plugins: Plug-ins that the scene uses.
+        drawn_vessels: Number of vessels that the pose source has drawn, the last ones.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Scene:
     sha256: str
     seed: int
     detector_seed: int
+    traffic_has_seed: bool
     truth_has_seed: bool
     steps: int
     vessels: tuple[Vessel, ...]
@@ -81,6 +85,7 @@ class Scene:
     origin: tuple[float, float] | None = None
     ais: Ais = USUAL_AIS
     plugins: tuple[Plugin, ...] = ()
+    drawn_vessels: int = 0
 
     def __repr__(self) -> str:
         """Three lines: vessels and cameras; steps, seed and truth; the detector."""
@@ -153,6 +158,27 @@ class Scene:
     def vessel_names(self) -> tuple[str, ...]:
         """IDs of the vessels, in order."""
         return tuple(vessel.name for vessel in self.vessels)
+
+    @property
+    def traffic_seed(self) -> int | None:
+        """The seed that its traffic is drawn from; None if every seed has the same traffic."""
+        return self.seed if self.traffic_has_seed else None
+
+    @property
+    def traffic(self) -> str:
+        """The same in words: `drawn from seed 7`, or `this traffic only`."""
+        return "this traffic only" if self.traffic_seed is None else f"drawn from seed {self.traffic_seed}"
+
+    def traffic_sha256(self) -> str | None:
+        """Checksum of the vessels and their poses at all steps; None if no vessel was drawn."""
+        if not self.drawn_vessels:
+            return None
+        poses = self.poses.poses(0, self.steps)
+        said = [(vessel.name, vessel.label, *vessel.extents_m.tolist()) for vessel in self.vessels]
+        digest = hashlib.sha256(repr(said).encode())
+        for values in (poses.present, poses.positions_m, poses.headings_rad):
+            digest.update(values.tobytes())
+        return digest.hexdigest()
 
     @property
     def occluder_names(self) -> tuple[str, ...]:

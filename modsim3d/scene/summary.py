@@ -35,6 +35,7 @@ def scene_table(scene: Scene) -> str:
         "cameras": listed(cameras),
         "obstacles": f"{len(scene.obstacles)} ({obstacles})" if scene.obstacles else "none",
         "waves": _waves(scene),
+        "traffic": scene.traffic,
         "steps": _steps(scene),
         "seed": f"{scene.seed}"
         + ("" if scene.detector_seed == scene.seed else f", of the detector {scene.detector_seed}"),

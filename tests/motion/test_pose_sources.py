@@ -51,6 +51,7 @@ def test_sources_without_times_of_their_own_need_the_scenes(tmp_path, name):
         "circular": {"radius_m": [20, 90], "rotation_rate_rad_s": [0.1, 0.2]},
         "tracks": {"a": [[0, 100, 0], [9, 100, 9]]},
         "agents": {"size_m": [80, 50]},
+        "traffic": {"own": {"a": {"waypoints_m": [[0, 0], [900, 0]], "speed_m_s": 3}}},
     }
     path = scene_of(tmp_path, {name: good[name]})
     assert load_scene(path).steps == 20

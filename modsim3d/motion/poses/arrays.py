@@ -29,6 +29,7 @@ class ArrayKeys(SourceKeys):
     section: Mapping[str, Any]
     name: str
     generated: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
 
     @property
     def files(self) -> tuple[str, ...]:

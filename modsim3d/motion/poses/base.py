@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.vessels.obstacles import Obstacle
 from modsim3d.vessels.vessel import Vessel
 
 
@@ -61,6 +62,7 @@ class PoseRequest:
         steps: Number of time steps, if the scene gives it.
         time_step_s: Interval between steps, if the scene gives it.
         seed: Seed of all random numbers.
+        obstacles: The scene's obstacles.
     """
 
     folder: Path
@@ -69,6 +71,7 @@ class PoseRequest:
     steps: int | None = None
     time_step_s: float | None = None
     seed: int = 0
+    obstacles: tuple[Obstacle, ...] = ()
 
     @property
     def timestamps(self) -> tuple[str, ...]:
@@ -82,14 +85,27 @@ class SourceKeys:
     Attributes:
         generated: Whether the source uses the scene's times, so that the scene must give `steps` and `time_step_s`.
             Such a source is built only if the rest of the scene is valid; one with its own times is always built.
+        drawn: Whether the traffic, that is who is where, depends on the seed.
     """
 
     generated: ClassVar[bool] = True
+    drawn: ClassVar[bool] = True
 
     @property
     def files(self) -> tuple[str, ...]:
         """Files that the source reads, as the scene file names them."""
         return ()
+
+    def vessels(self, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
+        """Entries of the vessels that the source itself draws, in the form of a vessels file; none by default.
+
+        They are added to those of the scene file, which are all that the request has here. `build` gets both: the
+        scene file's, then these.
+
+        Raises:
+            InputError: With every problem found.
+        """
+        return {}
 
     def build(self, request: PoseRequest) -> PoseSource:
         """The poses of a scene's vessels.

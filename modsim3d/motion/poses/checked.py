@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -77,6 +77,25 @@ def _check_files(files: object, request: PoseRequest) -> None:
     for file in files:
         if not (request.folder / file).is_file():
             raise ModsimError(f"files names {file!r}, which is no file")
+
+
+def plugin_vessels(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
+    """Entries of the vessels that a plug-in draws; each entry is checked elsewhere.
+
+    Raises:
+        InputError: The plug-in fails, or returns something that is no mapping of names to mappings.
+    """
+    try:
+        entries = keys.vessels(request)
+        if not isinstance(entries, Mapping) or not all(isinstance(entry, Mapping) for entry in entries.values()):
+            raise ModsimError("vessels() must return a mapping of vessel ID to the mapping of a vessels file's entry")
+        return {name: dict(entry) for name, entry in entries.items()}
+    except InputError:
+        raise
+    except ModsimError as error:
+        raise InputError(f"poses.{plugin.name}", [f"{plugin}: {error}"]) from error
+    except Exception as error:
+        raise InputError(f"poses.{plugin.name}", [str(failed(plugin, error))]) from error
 
 
 def build_plugin(keys: SourceKeys, plugin: Plugin, request: PoseRequest) -> PoseSource:

@@ -13,17 +13,19 @@ from modsim3d.inputs.plugins import POSE_SOURCES, Plugin, failed, load_plugin, p
 from modsim3d.inputs.validation import describe
 from modsim3d.motion.poses.agents import AgentsKeys
 from modsim3d.motion.poses.base import PoseRequest, PoseSource, SourceKeys
-from modsim3d.motion.poses.checked import build_plugin
+from modsim3d.motion.poses.checked import build_plugin, plugin_vessels
 from modsim3d.motion.poses.circular import CircularKeys
 from modsim3d.motion.poses.replay import FileKeys
 from modsim3d.motion.poses.stream import StreamKeys
 from modsim3d.motion.poses.tracks import TracksKeys
+from modsim3d.motion.poses.traffic import TrafficKeys
 
 SOURCES: dict[str, type[SourceKeys]] = {
     "file": FileKeys,
     "circular": CircularKeys,
     "tracks": TracksKeys,
     "agents": AgentsKeys,
+    "traffic": TrafficKeys,
     "stream": StreamKeys,
 }
 
@@ -35,6 +37,10 @@ class NamedSource:
     name: str
     keys: SourceKeys
     plugin: Plugin | None
+
+    def vessels(self, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
+        """Entries of the vessels that it draws; see `SourceKeys.vessels`."""
+        return self.keys.vessels(request) if self.plugin is None else plugin_vessels(self.keys, self.plugin, request)
 
     def build(self, request: PoseRequest) -> PoseSource:
         """The poses of a scene's vessels; see `SourceKeys.build`."""

@@ -30,6 +30,7 @@ class FileKeys(SourceKeys, RootModel[str]):
     """Poses from a file, with its own times."""
 
     generated: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
 
     @property
     def files(self) -> tuple[str, ...]:

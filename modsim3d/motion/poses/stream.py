@@ -27,6 +27,7 @@ class StreamKeys(SourceKeys, Strict):
     """Source of the lines, and how long to wait for a file to grow."""
 
     generated: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
 
     file: str
     timeout_s: Annotated[float, Field(strict=True, ge=0, le=1e9)] = TIMEOUT_S

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from pydantic import RootModel
@@ -21,6 +22,8 @@ Waypoint = tuple[Number, Metres, Metres]
 
 class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
     """Vessels along waypoints: vessel ID → waypoints."""
+
+    drawn: ClassVar[bool] = False
 
     def build(self, request: PoseRequest) -> Tracks:
         """The tracks through the waypoints."""

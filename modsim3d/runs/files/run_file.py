@@ -65,13 +65,20 @@ class Truncation(Strict):
 
 
 class Settings(Strict):
-    """Everything that decides the content of the files, see `runs.run.settings_of`."""
+    """Everything that decides the content of the files, see `runs.run.settings_of`.
+
+    Attributes:
+        traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
+        traffic_sha256: Checksum of the vessels and their poses where the vessels were drawn too.
+    """
 
     format: Literal[1, 2]
     scene: FileName
     scene_sha256: Sha256
     seed: Count
     detector_seed: Count
+    traffic_seed: Count | None = None
+    traffic_sha256: Sha256 | None = None
     steps: Count
     annotation: dict[Text, Any]
     cameras: list[Text]
@@ -197,6 +204,12 @@ def check_same_scene(settings: Settings, scene: Scene, source: Path) -> None:
                 f"{source}: {name} is {shown(found[name])}, but {shown(value)} in the run's copy of its scene "
                 f"({scene.path})"
             )
+    if settings.traffic_sha256 not in (None, scene.traffic_sha256()):
+        versions = " and ".join(f"{name} {settings.versions.get(name)}" for name in ("modsim3d", "shapely"))
+        raise RunDirectoryError(
+            f"{source}: seed {scene.seed} draws another traffic here than when the run was made, with {versions}: open "
+            "the run with those"
+        )
 
 
 def check_camera_counts(run: RunFile, source: Path) -> None:

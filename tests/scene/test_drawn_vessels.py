@@ -1,0 +1,210 @@
+"""Vessels that a pose source draws from the seed join those of the scene file, wherever the scene is read."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import Field
+
+from modsim3d.errors import InputError, RunDirectoryError
+from modsim3d.inputs.plugins import POSE_SOURCES, Plugin
+from modsim3d.inputs.validation import Strict
+from modsim3d.motion.poses import registry
+from modsim3d.motion.poses.base import PoseRequest, SourceKeys
+from modsim3d.motion.poses.timed import PosesByTime
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.vessels.meshes import shipped_meshes
+from tests.commands.bad_input.builders import ASHORE, GOOD, lens
+
+seen: list[PoseRequest] = []
+
+
+class Convoy(PosesByTime):
+    """As many vessels as the seed says; `entries` are added as they are."""
+
+    most: int = 3
+    label: str = "Vessel"
+    entries: dict[str, Any] = Field(default_factory=dict)
+    files_named: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        return self.files_named
+
+    def vessels(self, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
+        seen.append(request)
+        size = {"length_m": 8.0, "beam_m": 3.0, "air_draft_m": 2.0, "label": self.label}
+        drawn = {f"drawn_{i}": {**size, "mesh": "motorboat"} for i in range(request.seed % (self.most + 1))}
+        return {**drawn, **self.entries}
+
+    def at(self, time_s: float, request: PoseRequest) -> dict[str, tuple[tuple[float, float, float], float]]:
+        return {name: ((20.0 + time_s, 12.0 * i, 0.0), 0.0) for i, name in enumerate(request.names or ())}
+
+
+@pytest.fixture(autouse=True)
+def _convoy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(registry.SOURCES, "convoy", Convoy)
+    seen.clear()
+
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """A function that writes the good scene with a convoy, with some keys of its section and some of the scene."""
+
+    def scene(convoy: Mapping[str, Any] | None = None, **keys: Any) -> Path:
+        data = {**copy.deepcopy(GOOD["scene"]), "steps": 3, "time_step_s": 0.5, "vessels": "vessels.json"}
+        data["poses"], data["cameras"] = {"convoy": dict(convoy or {})}, {"shore": lens(pose=ASHORE)}
+        own = {"own": GOOD["vessels"]["vehicle1"]}
+        contents = {"scene": data | keys, "vessels": own, "detector": GOOD["detector"]}
+        for name, content in contents.items():
+            (tmp_path / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+        (tmp_path / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
+        return tmp_path / "scene.json"
+
+    return scene
+
+
+def test_drawn_vessels_come_after_those_of_the_scene_file_and_depend_on_the_seed(write: Write) -> None:
+    path = write(obstacles={"quay": {"polygon_m": [[0, 90], [9, 90], [9, 99]], "height_m": 3}})
+    assert load_scene(path).vessel_names == ("own", "drawn_0")
+    scene = load_scene(path, seed=3)
+    assert scene.vessel_names == ("own", "drawn_0", "drawn_1", "drawn_2")
+    assert [vessel.has_mesh for vessel in scene.vessels] == [False, True, True, True]
+    assert scene.poses.poses(0, 3).present.shape == (3, 4)
+    assert (seen[-1].names, [vessel.name for vessel in seen[-1].vessels]) == (("own",), ["own"])
+    assert [obstacle.name for obstacle in seen[-1].obstacles] == ["quay"]
+    assert (scene.traffic_seed, scene.traffic) == (3, "drawn from seed 3")
+    assert load_scene("strait").traffic_seed is None
+    assert load_scene("strait").traffic == "this traffic only"
+
+
+def test_a_setting_inside_the_section_reaches_the_source(write: Write) -> None:
+    path = write({"most": 3})
+    assert len(load_scene(path, seed=3, settings={"poses.convoy.most": 2}).vessels) == 1
+    with pytest.raises(
+        InputError, match=r"--set poses\.convoy\.label: |poses\.convoy: draws vessels with the label 'x'"
+    ):
+        load_scene(path, seed=3, settings={"poses.convoy.label": "x"})
+
+
+def test_a_scene_may_have_no_vessels_but_drawn_ones(write: Write) -> None:
+    path = write(vessels={})
+    assert load_scene(path, seed=2).vessel_names == ("drawn_0", "drawn_1")
+    with pytest.raises(InputError, match=r"poses\.convoy: draws no vessel from seed 4, and vessels has none"):
+        load_scene(path, seed=4)
+    path = write(vessels={}, cameras={"bow": lens(mount={"vessel": "own", "position_m": [4.0, 0.0, 1.0]})})
+    with pytest.raises(InputError, match=r"cameras\.bow\.mount\.vessel: no vessel 'own'"):
+        load_scene(path, seed=2)
+    path = write(vessels={}, poses={"tracks": {"a": [[0, 0, 0], [9, 9, 0]]}})
+    with pytest.raises(InputError, match="vessels: no vessels; a scene needs at least one"):
+        load_scene(path)
+
+
+WRONG = {
+    "label": ({"label": "tug"}, "poses.convoy: draws vessels with the label 'tug' (drawn_0, drawn_1, drawn_2), which"),
+    "name": (
+        {"entries": {"own": dict(GOOD["vessels"]["vehicle1"])}},
+        "poses.convoy: draws a vessel 'own', and the scene's vessels have one of this name",
+    ),
+    "marked name": (
+        {"entries": {"obstacle:x": dict(GOOD["vessels"]["vehicle1"])}},
+        "poses.convoy: obstacle:x: a vessel's ID must not begin with 'obstacle:'",
+    ),
+    "size": ({"entries": {"x": {**GOOD["vessels"]["vehicle1"], "length_m": -1}}}, "poses.convoy: x.length_m: "),
+    "no shape": (
+        {"entries": {"x": {**GOOD["vessels"]["vehicle1"], "mesh": "fery"}}},
+        "poses.convoy: x.mesh: nothing is called 'fery' here",
+    ),
+    "file": (
+        {"entries": {"x": {**GOOD["vessels"]["vehicle1"], "mesh": "x.glb"}}},
+        "poses.convoy: draws 'x' with the mesh x.glb, which is none of the files of the source",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_drawn_vessels_are_told_with_the_section_that_draws_them(write: Write, case: str) -> None:
+    convoy, message = WRONG[case]
+    with pytest.raises(InputError) as refused:
+        load_scene(write(convoy), seed=3)
+    assert any(problem.startswith(message) for problem in refused.value.problems), refused.value.problems
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (["a"], "must return a mapping"),
+        ({"a": 1}, "must return a mapping"),
+        (ZeroDivisionError("by zero"), "failed: ZeroDivisionError: by zero"),
+    ],
+)
+def test_a_plugin_that_draws_nonsense_is_named(
+    write: Write, monkeypatch: pytest.MonkeyPatch, returned: Any, message: str
+) -> None:
+    class Wrong(SourceKeys, Strict):
+        def vessels(self, request: PoseRequest) -> Any:
+            if isinstance(returned, Exception):
+                raise returned
+            return returned
+
+    plugin = Plugin(POSE_SOURCES, "wrong", "yard 1")
+    monkeypatch.setattr(registry, "_model", lambda name: (Wrong, plugin))
+    with pytest.raises(InputError, match=f"poses.wrong: the plug-in 'wrong' of yard 1:? .*{message}"):
+        load_scene(write(poses={"wrong": {}}))
+
+
+def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "own.glb").write_bytes(shipped_meshes()["ferry"].read_bytes())
+    ferry = {**GOOD["vessels"]["vehicle1"], "mesh": "own.glb"}
+    path = write(
+        {"entries": {"ferry": ferry}, "files_named": ["own.glb"]}, annotation={"mode": 2, "source": "analytic"}
+    )
+    first = run_scene(load_scene(path, seed=2), tmp_path / "first")
+    stored = open_run(first.folder).scene
+    assert stored.vessel_names == ("own", "drawn_0", "drawn_1", "ferry")
+    assert stored.vessels[-1].has_mesh
+    assert json.loads((first.folder / "run.json").read_bytes())["traffic_seed"] == 2
+    (tmp_path / "own.glb").unlink()  # the copy has one
+    second = run_scene(load_scene(stored.path), tmp_path / "second")
+    assert (second.folder / "truth.parquet").read_bytes() == (first.folder / "truth.parquet").read_bytes()
+    assert load_scene(stored.path, seed=3).vessel_names == ("own", "drawn_0", "drawn_1", "drawn_2", "ferry")
+
+
+def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(
+    write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with a later version of the source: the run's tables are not of these vessels."""
+    scene = load_scene(write(annotation={"mode": 2, "source": "analytic"}), seed=2)
+    folder = run_scene(scene, tmp_path / "run").folder
+    assert open_run(folder).scene.drawn_vessels == 2
+    at = Convoy.at
+    monkeypatch.setattr(
+        Convoy, "at", lambda self, time_s, request: dict(list(at(self, time_s, request).items())[::-1][1:])
+    )
+    with pytest.raises(RunDirectoryError, match="seed 2 draws another traffic here than when the run was made, with"):
+        open_run(folder)
+
+
+def test_a_scene_from_a_mapping_draws_vessels_too() -> None:
+    data = {
+        **GOOD["scene"],
+        "steps": 2,
+        "time_step_s": 0.5,
+        "vessels": {"own": GOOD["vessels"]["vehicle1"]},
+        "poses": {"convoy": {"most": np.int64(3)}},
+        "cameras": {"shore": lens(pose=ASHORE)},
+        "detector": GOOD["detector"],
+    }
+    assert Scene.from_dict(data, seed=2).vessel_names == ("own", "drawn_0", "drawn_1")

@@ -1,0 +1,127 @@
+"""The shipped scene with drawn traffic: a sample of `script/campaign traffic`, and what is wrong is found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.campaigns.traffic import RateTest, rates_of, verdict
+from benchmarks.traffic_measures import Drawn, measure
+from modsim3d.arrays import Array
+from modsim3d.commands.run_summary import traffic_in_words
+from modsim3d.motion.encounters import hull_tracks
+from modsim3d.scene.reading import draws_traffic, load_scene, shipped_scenes
+
+CAMPAIGN = Path(__file__).parents[2] / "docs" / "campaigns" / "traffic.json"
+Change = Callable[[Array, Drawn], None]
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Drawn:
+    return Drawn.of_seed("fairway", 1)
+
+
+@pytest.fixture(scope="module")
+def other() -> Drawn:
+    return Drawn.of_seed("fairway", 2)
+
+
+def test_traffic_of_two_seeds_is_as_asked_and_differs(drawn: Drawn, other: Drawn) -> None:
+    rows = [measure(drawn, 1), measure(other, 2)]
+    assert verdict(rows, rates_of(rows, drawn.scene, drawn.keys)) == []
+    assert len(drawn.craft) > 10
+    assert {craft.asked.kind for craft in drawn.craft if craft.asked} > {"head_on", "overtaking", "overtaken"}
+    assert {vessel.label for vessel in drawn.scene.vessels} == {"boat", "sailboat", "ship"}
+
+
+def of(section: str, drawn: Drawn) -> int:
+    """Column of a vessel of a section that is there at the first step."""
+    there = np.isfinite(drawn.tracks.headings_rad[0])
+    return next(drawn.column(craft) for craft in drawn.craft if section in craft.section and there[drawn.column(craft)])
+
+
+def on_top(centres: Array, drawn: Drawn) -> None:
+    centres[:, of("leisure", drawn)] = centres[:, 0] + [0.0, 5.0]
+
+
+def on_land(centres: Array, drawn: Drawn) -> None:
+    centres[:, of("leisure", drawn)] = [602.0, -408.0]
+
+
+def out_of_her_area(centres: Array, drawn: Drawn) -> None:
+    centres[:, of("leisure", drawn)] += [0.0, 1500.0]
+
+
+def faster(centres: Array, drawn: Drawn) -> None:
+    column = of("lanes", drawn)
+    centres[:, column] = centres[0, column] + 3 * (centres[:, column] - centres[0, column])
+
+
+def to_port(centres: Array, drawn: Drawn) -> None:
+    column = of("lanes.fairway", drawn)
+    ahead = centres[1, column] - centres[0, column]
+    centres[:, column] += 250 * np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead)
+
+
+def farther(centres: Array, drawn: Drawn) -> None:
+    centres[:, of("encounters.head_on", drawn)] += [0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (on_top, "hulls come to 0.00 m"),
+        (on_land, "a hull comes to 0.00 m of land"),
+        (out_of_her_area, "is outside her area at"),
+        (faster, "m/s, asked for"),
+        (to_port, "to starboard of the middle of her lane"),
+        (farther, "head_on: "),
+    ],
+)
+def test_a_vessel_that_is_not_as_asked_is_found(drawn: Drawn, change: Change, said: str) -> None:
+    centres = drawn.tracks.centres_m.copy()
+    change(centres, drawn)
+    faults = measure(replace(drawn, tracks=replace(drawn.tracks, centres_m=centres)), 1)["faults"]
+    assert any(said in fault for fault in faults), faults
+
+
+def test_rates_that_are_not_as_asked_are_found() -> None:
+    """The committed rows as they are, and without half of what enters the fairway."""
+    scene = Drawn.of_seed("fairway", 0)
+    rows: list[dict[str, Any]] = json.loads(CAMPAIGN.read_bytes())["seeds"]
+    assert verdict(rows, rates_of(rows, scene.scene, scene.keys)) == []
+    assert len(rows) == 200
+    assert rows[0]["vessels"] == len(scene.scene.vessels), "run script/campaign traffic again: the traffic has changed"
+    for row in rows:
+        row["lanes"]["fairway"]["entering"] //= 2
+    assert any("lanes.fairway: enter" in said for said in verdict(rows, rates_of(rows, scene.scene, scene.keys)))
+    assert verdict([rows[0], rows[0]], []) == ["two seeds have the same traffic"]
+
+
+def test_two_sided_tests_are_exact() -> None:
+    assert RateTest.binomial("x", 0, 10, 0.5).p_value == pytest.approx(2 / 1024)
+    assert RateTest.binomial("x", 10, 10, 0.5).p_value == pytest.approx(2 / 1024)
+    assert RateTest.poisson("x", 0, 3.0).p_value == pytest.approx(2 * np.exp(-3))
+    assert RateTest.poisson("x", 3, 3.0).p_value == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_shorter_run_shows_the_beginning_of_the_same_traffic(drawn: Drawn) -> None:
+    short = load_scene("fairway", seed=1, steps=40)
+    assert [(v.name, v.label, v.length_m) for v in short.vessels] == [
+        (v.name, v.label, v.length_m) for v in drawn.scene.vessels
+    ]
+    tracks = hull_tracks(short.vessels, short.poses, 40)
+    np.testing.assert_array_equal(tracks.centres_m, drawn.tracks.centres_m[:40])
+
+
+def test_only_scenes_whose_traffic_is_drawn_say_so() -> None:
+    drawn = {name for name, path in shipped_scenes().items() if draws_traffic(path)}
+    assert drawn == {"simulation_1", "fairway"}
+    assert traffic_in_words(load_scene("fairway", seed=7, steps=2)).startswith("drawn from seed 7;")
+    assert traffic_in_words(load_scene("strait")).startswith("this traffic only;")
