@@ -20,7 +20,7 @@ from modsim3d.detector.clutter_models import (
     numbered_rows,
     ordinal_uniforms,
 )
-from modsim3d.detector.draws import choose, cumulative
+from modsim3d.detector.draws import choose, cumulative, low_uniforms
 from modsim3d.detector.persistent_clutter import persistent_clutter
 from modsim3d.detector.placement import DRAWS, Placement
 from modsim3d.detector.records import CameraFrames, Targets
@@ -74,6 +74,7 @@ class SceneSizes:
         return self.census.sizes_px(uniforms)
 
 
+_MOST_CHANGE_PX = 0.5  # of a true side: true sides are often whole pixels, and detected ones never
 _LEAST_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
 
 
@@ -223,4 +224,5 @@ class ClutterSource:
         count = np.bincount(detected.frame, minlength=n_frames).astype(np.int64)
         starts = np.cumsum(count) - count
         source = starts[frame] + (uniforms * count[frame]).astype(np.int64)
-        return sizes(detected.boxes_px[source])
+        true = sizes(detected.boxes_px[source])
+        return true + _MOST_CHANGE_PX * (2 * low_uniforms(uniforms) - 1)

@@ -99,6 +99,11 @@ def cumulative(probabilities: Array) -> Array:
     return sums / sums[..., -1:]
 
 
+def low_uniforms(uniforms: Array) -> Array:
+    """Two more uniform numbers from each of n, out of the binary digits that a choice does not need, shape (n, 2)."""
+    return uniforms[:, None] * [2.0**20, 2.0**36] % 1
+
+
 def choose(distribution: Array, uniforms: Array) -> Indices:
     """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices, shape (n,).
 

@@ -38,7 +38,8 @@ class Located:
         bearing_std_rad: Its standard deviation, shape (n,).
         inverse_range_per_m: 1/r, with r the horizontal distance from the camera to the point where the ray through the
             middle of the box's lower edge meets the sea, shape (n,). At or below the inverse range of the horizon (0
-            on a flat sea) it means "at the horizon or beyond". NaN for a box that reaches the lower edge of the image.
+            on a flat sea) it means "at the horizon or beyond". NaN for a box that reaches the lower edge of the image,
+            and for a camera rolled by more than 45°: the lower edge of its boxes is not that of the vessel.
         inverse_range_std_per_m: Its standard deviation, shape (n,).
         covariance_rad_per_m: Covariance of bearing and inverse range, shape (n,).
         positions_m: w1 and w2 of that point, shape (n, 2). NaN where the standard deviation of the inverse range is
@@ -148,8 +149,15 @@ def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErro
     covariance = _on_the_sea(seen[:, 1], horizon, covariance)
     width, height = view.camera.intrinsics.image_size_px
     beside = (boxes_px[:, 0] <= _EDGE_PX) | (boxes_px[:, 2] >= width - _EDGE_PX)
-    below = boxes_px[:, 3] >= height - _EDGE_PX
-    return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, beside, below)
+    footless = (boxes_px[:, 3] >= height - _EDGE_PX) | ~_upright(poses)
+    return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, beside, footless)
+
+
+def _upright(poses: CameraPoses) -> Mask:
+    """Whether down in the world is nearest to down in the image, of its four sides, shape (n,)."""
+    right, down, _ = -poses.camera_R_world[:, :, 2].T
+    upright: Mask = down > np.abs(right)
+    return upright
 
 
 def _rows(poses: CameraPoses, frame: Indices) -> CameraPoses:
@@ -215,10 +223,10 @@ def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cam
 
 
 def _given(
-    bearing: Array, inverse: Array, covariance: Array, cameras_m: Array, horizon: Array, beside: Mask, below: Mask
+    bearing: Array, inverse: Array, covariance: Array, cameras_m: Array, horizon: Array, beside: Mask, footless: Mask
 ) -> Located:
     """What is given of each box: see `Located`."""
-    no_bearing, no_range = beside | np.isnan(bearing), below | np.isnan(inverse)
+    no_bearing, no_range = beside | np.isnan(bearing), footless | np.isnan(inverse)
     bearing, inverse = np.where(no_bearing, np.nan, bearing), np.where(no_range, np.nan, inverse)
     deviation = np.sqrt(covariance[:, 1, 1])
     placed = (inverse > horizon) & (deviation <= MOST_RANGE_ERROR * inverse) & ~no_bearing

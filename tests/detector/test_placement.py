@@ -147,8 +147,8 @@ def test_sizes_are_fixed_or_lognormal_as_asked() -> None:
 
 def test_sizes_come_from_all_of_the_scenes_boxes_where_a_frame_may_have_none() -> None:
     found = inner_sizes(detect({"model": "per_image", "rate": 2}))
-    wide = np.isclose(found, [200, 50], rtol=0.03).all(axis=1)
-    np.testing.assert_allclose(found[~wide], np.tile([80, 40], (np.sum(~wide), 1)), rtol=0.03)
+    wide = np.isclose(found, [200, 50], rtol=0.045).all(axis=1)
+    np.testing.assert_allclose(found[~wide], np.tile([80, 40], (np.sum(~wide), 1)), rtol=0.045)
     assert abs(wide.mean() - 1 / 6) < 4 * np.sqrt(5 / 36 / len(wide))
 
 

@@ -122,6 +122,13 @@ def test_every_frame_is_there_with_the_pose_of_the_camera(run: StoredRun, export
         np.testing.assert_allclose(places[step], true.positions_m[0], atol=1e-5 if camera == "shore" else 0.5)
 
 
+def test_worked_out_numbers_have_nine_digits(exported: Path) -> None:
+    for path in sorted(exported.glob("*.csv")):
+        for name, cells in read(path).items():
+            if name not in ("step", "timestamp", "time_s") and all(re.fullmatch(r"[-+.e0-9]*", cell) for cell in cells):
+                assert all(float(f"{float(cell):.9g}") == float(cell) for cell in cells if cell), (path.name, name)
+
+
 def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, exported: Path, tmp_path: Path) -> None:
     assert export(run, tmp_path / "true", "--attitude", "true").exit_code == 0
     frames = read(tmp_path / "true" / "frames_bow.csv")

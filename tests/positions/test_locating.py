@@ -195,6 +195,18 @@ def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
     assert np.isnan(found.positions_m[:3]).all()
 
 
+@pytest.mark.parametrize(
+    ("roll_deg", "given"), [(0, True), (44, True), (-44, True), (46, False), (-90, False), (180, False)]
+)
+def test_boxes_of_a_camera_on_its_side_have_a_bearing_and_no_foot(scene: Scene, roll_deg: float, given: bool) -> None:
+    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
+    rolled = replace(shore, mount=replace(shore.mount, roll_rad=np.deg2rad(roll_deg)))
+    found = locate(replace(scene, cameras=(rolled,)), "shore", 0, np.array([[600.0, 420, 660, 480]]))
+    assert np.isfinite(found.bearing_rad).all() and np.isfinite(found.bearing_std_rad).all()
+    assert np.isfinite(found.inverse_range_per_m).all() == np.isfinite(found.inverse_range_std_per_m).all() == given
+    assert given or np.isnan(found.positions_m).all()
+
+
 @pytest.mark.parametrize("sea", ["flat", "curved"])
 def test_a_position_is_given_where_the_share_of_the_error_is_small(scene: Scene, sea: str) -> None:
     bottom = np.arange(300.0, 790, 2)

@@ -22,6 +22,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import iou, sizes
+from modsim3d.errors import OutputError
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.formats.writing.sequences import CameraSequence, TrueBoxes
 from modsim3d.outputs.placing import write_files
@@ -46,8 +47,13 @@ def files(request: ExportRequest) -> tuple[str, ...]:
 
 
 def write(request: ExportRequest, folder: Path) -> None:
-    """Write a run."""
+    """Write a run.
+
+    Raises:
+        OutputError: The folder holds sequences of an earlier export that this one would not replace.
+    """
     sequences = _sequences(request)
+    _check_no_others(sequences, folder)
     contents = {f"{each.folder}/{file}": text(each) for each in sequences for file, text in _SEQUENCE_FILES.items()}
     for set_ in (ALL_SET, CLASS_SET):
         names = [each.name for each in sequences if each.set == set_]
@@ -55,6 +61,15 @@ def write(request: ExportRequest, folder: Path) -> None:
     contents["frames.csv"] = _frame_table(request.sequences)
     contents["vessels.csv"] = _vessel_table(request.run.scene.vessels)
     write_files({folder / path: text for path, text in contents.items()})
+
+
+def _check_no_others(sequences: Sequence[_Sequence], folder: Path) -> None:
+    """Refuse a folder with other sequences: programs read all that are in a set, whatever the sequence map lists."""
+    ours = {each.folder for each in sequences}
+    for set_ in (ALL_SET, CLASS_SET):
+        there = sorted(path.name for path in (folder / set_).glob("*/") if path.is_dir())
+        if others := [name for name in there if f"{set_}/{name}" not in ours]:
+            raise OutputError(f"{folder / set_} holds another sequence ({others[0]}): choose another folder")
 
 
 @dataclass(frozen=True, eq=False)

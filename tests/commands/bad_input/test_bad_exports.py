@@ -68,6 +68,19 @@ def test_a_folder_that_is_there_is_replaced_only_if_it_holds_nothing_else(
         assert {path.name for path in tmp_path.iterdir()} == {"data.yaml", "images", "labels", "predictions"}
 
 
+@pytest.mark.parametrize("set_", ["modsim3d-all", "modsim3d-class"])
+def test_sequences_of_another_export_are_not_left_among_the_new_ones(
+    modsim3d: Modsim3d, run: Path, tmp_path: Path, set_: str
+) -> None:
+    """A tracker or an evaluator that goes through the folders would take them for this run's."""
+    assert modsim3d("export", run, "--out", tmp_path, "--format", "mot").status == 0
+    old = tmp_path / set_ / "old" / "gt" / "gt.txt"
+    old.parent.mkdir(parents=True)
+    old.write_text("1,1,1,1,5,5,1,1,1\n")
+    said = export(modsim3d, run, tmp_path, "--format", "mot", "--overwrite")
+    assert f"{set_} holds another sequence (old): choose another folder" in said
+
+
 def test_a_folder_that_another_process_writes_is_left_alone(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
     with locked_file(tmp_path / "predictions"):
         assert "predictions is being written by" in export(modsim3d, run, tmp_path, "--format", "yolo")
