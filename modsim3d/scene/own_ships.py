@@ -60,7 +60,6 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
     streams, wanted = Streams(scene.seed), slice(first - begin, stop - begin)
     names = [scene.vessel_names[i] for i in own]
     errors = [scene.imu.errors(streams, name, first, stop - first) for name in names]
-    tilts = [scene.imu.attitude_errors(streams, name, first, stop - first) for name in names]
     headings, angles = sea.poses.headings_rad[wanted][:, own], sea.angles_rad[wanted][:, own]
     return OwnShips(
         vessels=np.array(own),
@@ -71,8 +70,24 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
         forces_m_s2=forces[wanted],
         measured_rates_rad_s=rates[wanted] + np.stack([rate for rate, _ in errors], axis=1),
         measured_forces_m_s2=forces[wanted] + np.stack([force for _, force in errors], axis=1),
-        measured_attitudes_rad=true_attitudes(headings, angles) + np.stack(tilts, axis=1),
+        measured_attitudes_rad=_as_measured(scene, headings, angles, first),
     )
+
+
+def measured_attitudes_at(scene: Scene, first: int, stop: int) -> Array:
+    """Measured roll, pitch and heading of the K vessels that carry cameras, shape (S, K, 3), as in `OwnShips`.
+
+    They need no motion at later steps, as rates and forces do.
+    """
+    sea, own = scene.motion.at(np.arange(first, stop)), list(scene.own_ships)
+    return _as_measured(scene, sea.poses.headings_rad[:, own], sea.angles_rad[:, own], first)
+
+
+def _as_measured(scene: Scene, headings_rad: Array, angles_rad: Array, first: int) -> Array:
+    """True attitudes from step `first` on, shapes (S, K) and (S, K, 3), with the errors of the units, (S, K, 3)."""
+    streams, names = Streams(scene.seed), [scene.vessel_names[index] for index in scene.own_ships]
+    errors = [scene.imu.attitude_errors(streams, name, first, len(headings_rad)) for name in names]
+    return true_attitudes(headings_rad, angles_rad) + np.stack(errors, axis=1)
 
 
 def true_attitudes(headings_rad: Array, angles_rad: Array) -> Array:

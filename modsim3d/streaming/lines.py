@@ -12,6 +12,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.runs.blocks import Block
 from modsim3d.runs.files.tracker_input import tracker_lines
 from modsim3d.runs.pipeline import simulate_blocks
+from modsim3d.scene.own_ships import measured_attitudes_at
 from modsim3d.scene.scene import Scene
 
 
@@ -72,22 +73,37 @@ def step_lines(scene: Scene, *, one_by_one: bool) -> Iterator[StepLines]:
 
 
 def _lines_of(block: Block, scene: Scene) -> Iterator[StepLines]:
+    attitudes = _attitudes(block, scene)
     cameras = [
         (
             orjson.dumps(scene.cameras[part.camera].name),
+            attitudes.get(scene.cameras[part.camera].mount.vessel),
             dict(zip(part.steps.tolist(), tracker_lines(block, part, scene), strict=True)),
         )
         for part in block.cameras
     ]
-    for step, time_s in enumerate(scene.times_s(block.first, block.stop).tolist(), block.first):
-        taken = [(name, lines[step]) for name, lines in cameras if step in lines]
+    for row, time_s in enumerate(scene.times_s(block.first, block.stop).tolist()):
+        step = block.first + row
+        taken = [(name, known and known[row], lines[step]) for name, known, lines in cameras if step in lines]
         if taken:
-            lines = tuple(_with_camera(line, name, len(taken)) for name, line in taken)
+            lines = tuple(_with_camera(line, name, len(taken), known) for name, known, line in taken)
         else:
             lines = (orjson.dumps({"frames_in_step": 0, "time_s": time_s, "step": step}) + b"\n",)
         yield StepLines(step, time_s, lines)
 
 
-def _with_camera(line: bytes, name: bytes, frames: int) -> bytes:
-    """A line of `tracker_input_<camera>.jsonl` with the camera and the number of the step's frames before its keys."""
-    return b'{"camera":%b,"frames_in_step":%d,' % (name, frames) + line[1:]
+def _attitudes(block: Block, scene: Scene) -> dict[str | None, list[bytes]]:
+    """Measured roll, pitch and heading at each step, as JSON, of each vessel that carries a camera, by its name."""
+    if not scene.own_ships:
+        return {}
+    measured = measured_attitudes_at(scene, block.first, block.stop)
+    return {
+        scene.vessel_names[vessel]: [orjson.dumps(each) for each in measured[:, column].tolist()]
+        for column, vessel in enumerate(scene.own_ships)
+    }
+
+
+def _with_camera(line: bytes, name: bytes, frames: int, attitude: bytes | None) -> bytes:
+    """A line of `tracker_input_<camera>.jsonl` with what is known of the camera and the step before its keys."""
+    on_board = b"" if attitude is None else b'"attitude_rad":%b,' % attitude
+    return b'{"camera":%b,"frames_in_step":%d,%b' % (name, frames, on_board) + line[1:]

@@ -11,7 +11,7 @@ from PIL import Image
 from modsim3d.errors import InputError
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.image_sizes import image_size_px
-from modsim3d.formats.reading.pair import read_pair
+from modsim3d.formats.reading.pair import read_pair, read_truth
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 
@@ -133,6 +133,24 @@ def test_a_track_below_zero_is_nobodys(tmp_path):
         -1,
         -1,
     ]
+
+
+def of_track(tmp_path, **keys):
+    """Truth of one box with these keys."""
+    box = {"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], **keys}
+    return read_truth(coco(tmp_path, [], annotations=[box])[0], ReadOptions())[0]
+
+
+@pytest.mark.parametrize("key", ["track_id", "instance_id"])
+def test_a_whole_number_is_a_track_however_it_is_written(tmp_path, key):
+    found = of_track(tmp_path, **{key: 4.0})
+    assert found.ids.identities == (4,) and found.annotations.identity.tolist() == [0]
+
+
+@pytest.mark.parametrize("track", [1.5, True, [4]])
+def test_a_track_that_is_neither_a_number_nor_a_text_is_refused(tmp_path, track):
+    with pytest.raises(InputError, match=r"annotations\[0\]: track_id must be a whole number or a text \(got"):
+        of_track(tmp_path, track_id=track)
 
 
 def test_mot_frames_have_times_where_the_rate_is_known(tmp_path):

@@ -8,6 +8,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -20,12 +21,13 @@ from modsim3d.streaming.pace import Pace
 
 STEPS = 12
 ROOT = Path(__file__).resolve().parents[2]
-PREFIX = re.compile(rb'\{"camera":("[^"]*"),"frames_in_step":([0-9]+),')
+PREFIX = re.compile(rb'\{"camera":("[^"]*"),"frames_in_step":([0-9]+),(?:"attitude_rad":[^]]*],)?')
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return load_scene("strait", steps=STEPS, source="analytic")
+    unit = {"imu": {"attitude_noise_rad": 0.01, "heading_bias_rad": 0.1}}
+    return load_scene("strait", steps=STEPS, source="analytic", settings=unit)
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +45,24 @@ def by_camera(streamed: list[StepLines]) -> dict[str, bytes]:
     return files
 
 
-def test_they_are_the_lines_of_a_runs_files_byte_for_byte(
-    scene: Scene, streamed: list[StepLines], tmp_path: Path
-) -> None:
-    run_scene(scene, tmp_path / "run")
-    files = {camera.name: (tmp_path / "run" / f"tracker_input_{camera.name}.jsonl") for camera in scene.cameras}
+@pytest.fixture(scope="module")
+def run(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run_scene(scene, tmp_path_factory.mktemp("lines") / "run").folder
+
+
+def test_they_are_the_lines_of_a_runs_files_byte_for_byte(scene: Scene, streamed: list[StepLines], run: Path) -> None:
+    files = {camera.name: (run / f"tracker_input_{camera.name}.jsonl") for camera in scene.cameras}
     assert by_camera(streamed) == {name: file.read_bytes() for name, file in files.items()}
+
+
+def test_cameras_on_board_have_the_attitude_that_the_runs_own_ship_measures(
+    streamed: list[StepLines], run: Path
+) -> None:
+    entries = [json.loads(line) for step in streamed for line in step.lines]
+    rows = pq.read_table(run / "ownship.parquet").to_pylist()
+    measured = [[row[f"measured_{angle}_rad"] for angle in ("roll", "pitch", "heading")] for row in rows]
+    assert [entry["attitude_rad"] for entry in entries if entry["camera"] == "bow"] == measured
+    assert all("attitude_rad" not in entry for entry in entries if entry["camera"] == "quay")
 
 
 def test_steps_one_by_one_give_the_same_lines(scene: Scene, streamed: list[StepLines]) -> None:

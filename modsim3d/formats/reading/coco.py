@@ -314,11 +314,21 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
     return math.nan
 
 
-def _identity(entry: Mapping[str, Any]) -> ID | None:
-    """Identity of an annotation; None where it is not given or a number below 0, as in MOT."""
-    identity = entry.get("track_id", entry.get("instance_id"))
-    known = isinstance(identity, str) or (isinstance(identity, int) and is_number(identity, 0, math.inf))
-    return identity if known else None
+def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | None:
+    """Identity of an annotation; None where it is not given or a number below 0, as in MOT.
+
+    Other programs write whole numbers as 4.0 too. Adds a problem if it is neither a whole number nor a text.
+    """
+    key = "track_id" if "track_id" in entry else "instance_id"
+    identity = entry.get(key)
+    if isinstance(identity, float) and identity.is_integer():
+        identity = int(identity)
+    if identity is None or isinstance(identity, str):
+        return identity
+    if isinstance(identity, bool) or not isinstance(identity, int):
+        problems.add(f"{where}: {key} must be a whole number or a text (got {shown(identity)})")
+        return None
+    return identity if identity >= 0 else None
 
 
 def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, problems: Problems) -> None:
@@ -327,7 +337,7 @@ def _annotation(entry: Any, where: str, known: _Known, rows: AnnotationRows, pro
         return
     before = problems.count
     visible_fraction, depth_m = (_number(entry, key, where, problems) for key in ("visible_fraction", "distance_m"))
-    identity = _identity(entry)
+    identity = _identity(entry, where, problems)
     if rows.has(place.image, identity):
         problems.add(f"{where}: identity {shown(identity)} is in the image {shown(entry.get('image_id'))} already")
     if problems.count == before:

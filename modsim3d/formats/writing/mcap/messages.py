@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,9 +19,6 @@ from modsim3d.geometry.lens import Distortion
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-NO_ORIENTATION = np.diag([-1.0, 0.0, 0.0])
-"""The covariance with which an `Imu` says that it measures no orientation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +36,29 @@ class Place:
     child: str
     positions_m: Array
     quaternions: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What an inertial unit measures at S steps.
+
+    Attributes:
+        quaternions: The rotation from its axes to the map as x, y, z, w, shape (S, 4).
+        rates_rad_s: Angular velocity along its axes, shape (S, 3).
+        forces_m_s2: Specific force along its axes, shape (S, 3).
+    """
+
+    quaternions: Array
+    rates_rad_s: Array
+    forces_m_s2: Array
+
+
+class Variances(NamedTuple):
+    """Variances of the errors of an inertial unit about or along each axis, shape (3,) each."""
+
+    turn_rad2: Array
+    rates_rad2_s2: Array
+    forces_m2_s4: Array
 
 
 def quaternions(parent_R_child: Array) -> Array:
@@ -108,20 +128,17 @@ class Messages:
             self._types["geometry_msgs/TwistWithCovariance"](twist, exact),
         )
 
-    def imu(
-        self, stamp_ns: int, frame: str, rates_rad_s: Array, forces_m_s2: Array, variances: tuple[float, float]
-    ) -> Any:
-        """An `Imu` without orientation; `variances` are those of the error of each rate and of each force."""
-        rate, force = (np.diag([variance] * 3).ravel() for variance in variances)
-        level = self._quaternion((0.0, 0.0, 0.0, 1.0))
+    def imu(self, stamp_ns: int, frame: str, measured: Measured, step: int, variances: Variances) -> Any:
+        """An `Imu` of an inertial unit at a step."""
+        turn, rate, force = (np.diag(each).ravel() for each in variances)
         return self._make(
             IMU,
             self._header(stamp_ns, frame),
-            level,
-            NO_ORIENTATION.ravel(),
-            self._vector(rates_rad_s),
+            self._quaternion(measured.quaternions[step]),
+            turn,
+            self._vector(measured.rates_rad_s[step]),
             rate,
-            self._vector(forces_m_s2),
+            self._vector(measured.forces_m_s2[step]),
             force,
         )
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Mask
-from modsim3d.formats.writing.mcap.messages import Place, quaternions
+from modsim3d.formats.writing.mcap.messages import Measured, Place, quaternions
 from modsim3d.formats.writing.mcap.names import MAP, BagNames
 from modsim3d.geometry.kinematics import first_derivative, slopes
 from modsim3d.geometry.rotations import camera_R_parent, vehicle_R_nominal, world_R_vehicle
@@ -28,16 +28,14 @@ class OwnMotion:
         place: Its frame in the map.
         velocities_m_s: Of its origin, along its own axes, shape (S, 3).
         rates_rad_s: Angular velocity along its own axes, shape (S, 3).
-        measured_rates_rad_s: As its inertial unit measures them, shape (S, 3).
-        measured_forces_m_s2: Specific force as the unit measures it, shape (S, 3).
+        measured: What its inertial unit measures.
     """
 
     vessel: int
     place: Place
     velocities_m_s: Array
     rates_rad_s: Array
-    measured_rates_rad_s: Array
-    measured_forces_m_s2: Array
+    measured: Measured
 
 
 def static_places(scene: Scene, names: BagNames) -> list[Place]:
@@ -91,9 +89,22 @@ def _own_motion(
         Place(MAP, names.base(vessel), own.positions_m[wanted, column], quaternions(turns)),
         velocities_m_s,
         own.rates_rad_s[wanted, column],
-        own.measured_rates_rad_s[wanted, column],
-        own.measured_forces_m_s2[wanted, column],
+        Measured(
+            quaternions(_world_R_vessel(own.measured_attitudes_rad[wanted, column])),
+            own.measured_rates_rad_s[wanted, column],
+            own.measured_forces_m_s2[wanted, column],
+        ),
     )
+
+
+def _world_R_vessel(attitudes_rad: Array) -> Array:
+    """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3).
+
+    The yaw in waves is about the world's axis, so it is part of the heading.
+    """
+    tilts = attitudes_rad * np.array([1.0, 1.0, 0.0])
+    turns: Array = world_R_vehicle(attitudes_rad[..., 2]) @ np.swapaxes(vehicle_R_nominal(tilts), -1, -2)
+    return turns
 
 
 def vessels_in_map(scene: Scene, first: int, stop: int) -> list[tuple[Place, Mask]]:

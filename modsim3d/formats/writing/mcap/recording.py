@@ -6,11 +6,13 @@ import heapq
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from modsim3d.arrays import Indices
 from modsim3d.formats.writing.mcap.bag import Bag
 from modsim3d.formats.writing.mcap.boxes import Boxes, detected_boxes, true_boxes
 from modsim3d.formats.writing.mcap.definitions import CAMERA_INFO, DETECTIONS, IMU, ODOMETRY, TRANSFORMS
-from modsim3d.formats.writing.mcap.messages import Messages, Place
+from modsim3d.formats.writing.mcap.messages import Messages, Place, Variances
 from modsim3d.formats.writing.mcap.names import BagNames
 from modsim3d.formats.writing.mcap.places import (
     OwnMotion,
@@ -84,8 +86,7 @@ class Recording:
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
             speeds = motion.velocities_m_s[row], motion.rates_rad_s[row]
             yield Stamped(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
-            measured = motion.measured_rates_rad_s[row], motion.measured_forces_m_s2[row]
-            yield Stamped(stamp, f"/{prefix}imu", self._make.imu(stamp, unit, *measured, variances))
+            yield Stamped(stamp, f"/{prefix}imu", self._make.imu(stamp, unit, motion.measured, row, variances))
 
     def _camera(self, part: CameraBlock) -> Iterator[Stamped]:
         name, frame = self._names.cameras[part.camera], self._names.optical(part.camera)
@@ -115,9 +116,8 @@ def _write(bag: Bag, sources: Iterable[Iterator[Stamped]]) -> None:
         bag.write(topic, stamp_ns, message)
 
 
-def _variances(imu: Imu) -> tuple[float, float]:
-    """Variances of the error of each measured rate and force: noise and offset."""
-    return (
-        imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2,
-        imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2,
-    )
+def _variances(imu: Imu) -> Variances:
+    """Variances of all errors: noise and offset. Those of roll, pitch and heading are ROS's, about x, y and z."""
+    rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
+    force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
+    return Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
