@@ -63,9 +63,8 @@ def traffic_warnings(scene: Scene) -> list[str]:
     if not left_out:
         return []
     missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
-    return [
-        f"poses.traffic: {sum(left_out.values())} of the vessels that were drawn found no room and are left out: {missing}"
-    ]
+    total = sum(left_out.values())
+    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}"]
 
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
