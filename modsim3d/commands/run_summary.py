@@ -51,8 +51,20 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
 def traffic_in_words(scene: Scene) -> str:
     """Whether a scene's traffic is drawn, and what another seed would change."""
     if scene.traffic_has_seed:
-        return f"{scene.traffic}; another seed is another traffic"
+        return f"{scene.traffic}; a run with another seed has another traffic"
     return f"{scene.traffic}; another seed is another look at it"
+
+
+def traffic_warnings(scene: Scene) -> list[str]:
+    """Vessels that were asked for and are not there, because there was no room for them."""
+    from modsim3d.motion.poses.traffic import DrawnTraffic
+
+    left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
+    if not left_out:
+        return []
+    missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
+    total = sum(left_out.values())
+    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}"]
 
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
@@ -151,6 +163,7 @@ def run_warnings(scene: Scene, result: RunResult) -> list[str]:
     warnings = blind_cameras(scene, result.steps, result.camera_counts)
     if len(warnings) == len(scene.cameras) > 1:
         warnings.insert(0, "no camera sees a vessel in this run")
+    warnings += traffic_warnings(scene)
     warnings += [
         f"the boxes of {' and '.join(pair)} intersect, so who hides whom is undefined; only the rendered source decides"
         for pair in result.intersecting

@@ -133,6 +133,13 @@ def test_crowd_without_room_is_an_error_after_a_bounded_time(monkeypatch):
         draw(traffic_keys(leisure__bay__per_km2=5), seed=77, steps=200)
 
 
+def test_comparing_many_vessels_takes_long_in_a_short_drive_too(monkeypatch):
+    monkeypatch.setattr("modsim3d.motion.poses.traffic.waters.MOST_WORK", 1_000_000)
+    pond = {"polygon_m": [[0, 0], [300, 0], [300, 300], [0, 300]], "per_km2": 500, "kinds": "kayak"}
+    with pytest.raises(InputError, match=r"too many vessels for the water or the time: [0-9]+ found room so far"):
+        draw({"leisure": {"pond": pond}}, steps=2, land={})
+
+
 def test_two_vessels_of_the_scene_file_must_keep_clear_of_each_other():
     there, back = [[0, 0], [900, 0]], [[900, 0], [0, 0]]
     own = {name: {"waypoints_m": way, "speed_m_s": 3} for name, way in (("own", there), ("other", back))}

@@ -9,6 +9,10 @@ from typing import Any
 
 import pytest
 
+from modsim3d import cli
+from modsim3d.commands.run_summary import run_warnings
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
 from tests.commands.bad_input.builders import ASHORE, GOOD, Refused, lens
 
 LANE = {"waypoints_m": [[-400, 0], [400, 0]], "width_m": 120, "per_hour": 60, "kinds": ["motorboat"]}
@@ -78,3 +82,23 @@ def test_a_wrong_setting_of_the_section_names_the_option(tmp_path: Path, refused
         "--set poses.traffic.lanes.est.per_hour: poses.traffic.lanes has no 'est' (did you mean 'west'?)",
         options=("--set", "poses.traffic.lanes.est.per_hour=1"),
     )
+
+
+def test_vessels_without_room_are_warned_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pond = {"polygon_m": [[-30, 30], [30, 30], [30, 90], [-30, 90]], "per_km2": 5000, "kinds": "kayak"}
+    traffic = {"own": OWN, "leisure": {"pond": pond}, "labels": "Vessel"}
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps(SCENE | {"poses": {"traffic": traffic}}), encoding="utf-8")
+    (tmp_path / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
+    loaded = load_scene(scene)
+    left_out = loaded.poses.left_out["leisure.pond"]  # type: ignore[attr-defined]
+    said = f"poses.traffic: {left_out} of the vessels that were drawn found no room and are left out: {left_out} of"
+    assert left_out > 0
+    result = run_scene(loaded, tmp_path / "run")
+    assert any(warning.startswith(said) for warning in run_warnings(loaded, result))
+    monkeypatch.setattr("sys.argv", ["modsim3d", "check", str(scene), "--json"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert any(warning.startswith(said) for warning in json.loads(capsys.readouterr().out)["warnings"])

@@ -21,8 +21,9 @@ CROWDING = 3.0
 SMALL_CHANGE = 1.5
 """Cost up to which a changed track is taken without a look at larger changes."""
 LONGEST_INTERVAL_S = 1.0
-LAND_WORK, MOST_WORK = 20, 3_000_000_000
-"""Comparing a place with land, as other vessels; and the work that may be done for a drive: about a minute."""
+LAND_WORK, PAIR_WORK, MOST_WORK = 20, 2_000, 3_000_000_000
+"""Comparing a place with land, as other vessels; comparing two vessels at all, as places; and the work that may be done
+for a drive: about a minute."""
 
 
 class TooCrowded(Exception):
@@ -89,9 +90,7 @@ class Waters:
 
     def judge(self, tracks: Sequence[Track]) -> Verdict:
         """The best of some tracks of one hull: the least cost among those that keep clear at all times."""
-        self.work += len(tracks) * len(self.times_s) * (len(self.fleet) + LAND_WORK)
-        if self.work > MOST_WORK:
-            raise TooCrowded
+        self._count(len(tracks) * len(self.times_s) * (len(self.fleet) + LAND_WORK) + PAIR_WORK * len(self.fleet))
         sweep = Sweep.of(tracks, self.times_s, self.interval_s)
         crowding, conflict_s, closest = np.zeros(len(tracks)), None, np.inf
         for other in self.fleet:
@@ -117,13 +116,19 @@ class Waters:
         steps = slice(*np.searchsorted(self.times_s, (first_s, last_s)).tolist())
         if steps.start == steps.stop:
             return True
-        self.work += (steps.stop - steps.start) * len(self.fleet)
         sweep = Sweep.of([track], self.times_s[steps], self.interval_s)
-        for index in self._around(sweep, steps):
+        near = self._around(sweep, steps)
+        self._count((steps.stop - steps.start) * len(self.fleet) + PAIR_WORK * len(near))
+        for index in near:
             other = self.fleet[index].during(steps)
             if least_gaps(sweep, other, self.interval_s, self.clearance_m)[0][0] < self.clearance_m:
                 return False
         return True
+
+    def _count(self, work: int) -> None:
+        self.work += work
+        if self.work > MOST_WORK:
+            raise TooCrowded
 
     def _around(self, sweep: Sweep, steps: slice) -> list[int]:
         """Vessels that a short track could come near, by the distance at its middle."""
