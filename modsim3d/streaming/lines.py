@@ -84,7 +84,11 @@ def _lines_of(block: Block, scene: Scene) -> Iterator[StepLines]:
     ]
     for row, time_s in enumerate(scene.times_s(block.first, block.stop).tolist()):
         step = block.first + row
-        taken = [(name, known and known[row], lines[step]) for name, known, lines in cameras if step in lines]
+        taken = [
+            (name, None if known is None else known[row], lines[step])
+            for name, known, lines in cameras
+            if step in lines
+        ]
         if taken:
             lines = tuple(_with_camera(line, name, len(taken), known) for name, known, line in taken)
         else:
