@@ -11,27 +11,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.model import DetectorModel
 
 FOOT_OF_ERRORS = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0.5]], dtype=np.float64)
 """Centre column, centre row and row of the foot from centre, width and height."""
+EDGES_OF_ERRORS = np.array([[1, 0, -0.5, 0], [1, 0, 0.5, 0], [0, 1, 0, 0.5]], dtype=np.float64)
+"""Left, right and lower edge from the same."""
 _DOUBLINGS = 60
 
 
 @dataclass(frozen=True, eq=False)
 class FootErrors:
-    """Errors of the centre's column and row and of the foot's row of n boxes, in pixels.
+    """Errors of the centre's column and row and of the foot's row of n boxes, and of their edges, in pixels.
 
     Attributes:
         means: Shape (n, 3).
         covariances: Shape (n, 3, 3).
+        edge_means: Of the left, right and lower edge, shape (n, 3).
+        edge_stds: Their standard deviations, shape (n, 3).
     """
 
     means: Array
     covariances: Array
+    edge_means: Array
+    edge_stds: Array
+
+    def take(self, rows: Indices) -> FootErrors:
+        """Those of some of the boxes."""
+        return FootErrors(*(column[rows] for column in vars(self).values()))
 
 
 def state_shares(model: DetectorModel) -> Array:
@@ -57,7 +67,13 @@ def foot_errors(model: DetectorModel, boxes_px: Array) -> FootErrors:
     observed = np.maximum(sizes(boxes_px), 1.0)
     growth = _mixed(source, shares, observed)[0][:, 2:]
     means, covariances = _mixed(source, shares, np.maximum(observed - growth, 1.0))
-    return FootErrors(means @ FOOT_OF_ERRORS.T, FOOT_OF_ERRORS @ covariances @ FOOT_OF_ERRORS.T)
+    edges = EDGES_OF_ERRORS @ covariances @ EDGES_OF_ERRORS.T
+    return FootErrors(
+        means @ FOOT_OF_ERRORS.T,
+        FOOT_OF_ERRORS @ covariances @ FOOT_OF_ERRORS.T,
+        means @ EDGES_OF_ERRORS.T,
+        np.sqrt(np.diagonal(edges, axis1=1, axis2=2)),
+    )
 
 
 def _mixed(source: BoxErrorSource, shares: Array, sizes_px: Array) -> tuple[Array, Array]:

@@ -24,6 +24,7 @@ MOST_RANGE_ERROR = 0.05
 
 `script/campaign positions` measures what comes of it, and docs/positions.md says why it is so small."""
 _EDGE_PX = 1e-3  # boxes are rounded to that
+_CUT_STDS = 3.0
 _STEP_PX, _STEP_RAD = 0.5, 1e-5
 _STEPS_AT_ONCE = 4096
 
@@ -34,12 +35,12 @@ class Located:
 
     Attributes:
         bearing_rad: Bearing of the middle of each box, counter-clockwise from w1, in (−π, π], shape (n,). NaN for a box
-            that reaches the left or right edge of the image, whose middle is not that of the vessel.
+            that may be cut by the left or right edge of the image: it ends within three standard deviations of it.
         bearing_std_rad: Its standard deviation, shape (n,).
         inverse_range_per_m: 1/r, with r the horizontal distance from the camera to the point where the ray through the
             middle of the box's lower edge meets the sea, shape (n,). At or below the inverse range of the horizon (0
-            on a flat sea) it means "at the horizon or beyond". NaN for a box that reaches the lower edge of the image,
-            and for a camera rolled by more than 45°: the lower edge of its boxes is not that of the vessel.
+            on a flat sea) it means "at the horizon or beyond". NaN for a box that may be cut by the lower edge of the
+            image, and for a camera rolled by more than 45°: the lower edge of its boxes is not that of the vessel.
         inverse_range_std_per_m: Its standard deviation, shape (n,).
         covariance_rad_per_m: Covariance of bearing and inverse range, shape (n,).
         positions_m: w1 and w2 of that point, shape (n, 2). NaN where the standard deviation of the inverse range is
@@ -89,8 +90,7 @@ def locate(scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, atti
         at, frame = np.unique(steps[rows], return_inverse=True)
         if len(at):
             view = Viewpoints.of(scene, chosen, at, measured=attitude == "measured")
-            errors = FootErrors(law.means[rows], law.covariances[rows])
-            parts.append(_located(view, frame, boxes[rows], errors))
+            parts.append(_located(view, frame, boxes[rows], law.take(rows)))
     if not parts:
         return Located(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
     back = np.argsort(order, kind="stable")
@@ -147,10 +147,21 @@ def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErro
     horizon = horizon_inverse_range(poses.positions_m[:, 2], curved=view.scene.sea == "curved")
     inverse = inverse_range(seen[:, 1], horizon)
     covariance = _on_the_sea(seen[:, 1], horizon, covariance)
-    width, height = view.camera.intrinsics.image_size_px
-    beside = (boxes_px[:, 0] <= _EDGE_PX) | (boxes_px[:, 2] >= width - _EDGE_PX)
-    footless = (boxes_px[:, 3] >= height - _EDGE_PX) | ~_upright(poses)
-    return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, beside, footless)
+    left, right, lower = _cut(boxes_px, errors, view.camera.intrinsics.image_size_px).T
+    footless = lower | ~_upright(poses)
+    return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, left | right, footless)
+
+
+def _cut(boxes_px: Array, errors: FootErrors, image_size_px: tuple[int, int]) -> Mask:
+    """Whether the image may cut a vessel at its left, right and lower side, by its detected box, shape (n, 3).
+
+    The box of a vessel that is cut ends at the edge of the image but for its error.
+    """
+    width, height = image_size_px
+    inside = np.stack([boxes_px[:, 0], width - boxes_px[:, 2], height - boxes_px[:, 3]], axis=-1)
+    expected = errors.edge_means * [1, -1, -1]
+    cut: Mask = (inside <= _EDGE_PX) | (inside - expected <= _CUT_STDS * errors.edge_stds + _EDGE_PX)
+    return cut
 
 
 def _upright(poses: CameraPoses) -> Mask:

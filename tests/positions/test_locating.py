@@ -195,6 +195,24 @@ def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
     assert np.isnan(found.positions_m[:3]).all()
 
 
+@pytest.mark.parametrize("side", [0, 2, 3])
+def test_the_error_of_the_box_of_a_cut_vessel_does_not_make_it_whole(scene: Scene, side: int) -> None:
+    """The true box ends at the image's edge; detected ones end anywhere around it, and then are cut there."""
+    width, height = scene.cameras[1].intrinsics.image_size_px
+    cut, whole = np.array([600.0, 400, 700, 480]), np.array([600.0, 400, 700, 480])
+    lines = {0: 0.0, 2: float(width), 3: float(height)}
+    cut[side], cut[side - 2] = lines[side], lines[side] - np.sign(side - 1) * 100
+    law, draws = scene.detector.states[0].box_error, np.random.default_rng(5)
+    errors = draws.multivariate_normal(law.mean, law.covariance, FEW_DRAWS)
+    corners = errors[:, [0, 1, 0, 1]] + errors[:, [2, 3, 2, 3]] * [-0.5, -0.5, 0.5, 0.5]
+    given = []
+    for box in (cut, whole):
+        detected = np.clip(box + corners, 0, [width, height, width, height])
+        found = locate(scene, "shore", 0, detected)
+        given.append(np.isfinite(found.inverse_range_per_m if side == 3 else found.bearing_rad).mean())
+    assert given[0] < 0.01 and given[1] == 1
+
+
 @pytest.mark.parametrize(
     ("roll_deg", "given"), [(0, True), (44, True), (-44, True), (46, False), (-90, False), (180, False)]
 )
