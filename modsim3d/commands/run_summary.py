@@ -75,8 +75,12 @@ def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
 def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
     counts, cameras = result.counts, len(scene.cameras)
     many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
+    return [("frames", str(counts.frames), many), *vessel_rows(counts)]
+
+
+def vessel_rows(counts: Counts) -> list[Row]:
+    """What was in the images."""
     return [
-        ("frames", str(counts.frames), many),
         ("vessels seen", str(counts.seen), "summed over frames"),
         ("partly hidden", str(counts.partly_hidden), share(counts.partly_hidden, counts.seen, "seen")),
         ("fully hidden", str(counts.fully_hidden), "vessels, beside those seen"),

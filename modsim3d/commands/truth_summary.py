@@ -11,7 +11,7 @@ from modsim3d.commands.run_summary import (
     detection_rows,
     gate_rows,
     iou_warnings,
-    share,
+    vessel_rows,
 )
 from modsim3d.commands.shared import print_line, print_path
 from modsim3d.commands.tables import print_prose, print_table
@@ -47,10 +47,7 @@ def _rows(result: TruthResult) -> list[Row]:
     many = f"{sequences} sequence{'s' if sequences > 1 else ''}, from {result.kind}"
     return [
         ("frames", str(counts.frames), many),
-        ("vessels seen", str(counts.seen), "summed over frames"),
-        ("partly hidden", str(counts.partly_hidden), share(counts.partly_hidden, counts.seen, "seen")),
-        ("fully hidden", str(counts.fully_hidden), "vessels, beside those seen"),
-        ("annotated", str(counts.annotated), "vessels given to the detector"),
+        *vessel_rows(counts),
         *detection_rows(counts),
         *gate_rows(counts),
     ]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.boxes import sizes
 from modsim3d.detector.census import take_census
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.model import DetectorModel
@@ -17,8 +16,7 @@ from modsim3d.detector.persistence import Clock
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.other_truth.sought import Sought
 from modsim3d.other_truth.videos import Video
-from modsim3d.runs.counts import Counts
-from modsim3d.runs.outcomes import Outcome, having, outcomes
+from modsim3d.runs.counts import Counts, detection_counts
 
 BLOCK_BOXES, BLOCK_FRAMES = 8000, 2000
 """About so many boxes, and at most so many frames, are worked on at once; no result depends on it."""
@@ -175,13 +173,7 @@ def _ranges(starts: Indices) -> Iterator[tuple[int, int]]:
 
 def count_part(part: Part, sought: Sought) -> Counts:
     """What happened in some frames; see `Counts`."""
-    detections, visible = part.detections, sought.visible_fraction[part.rows]
-    true = np.flatnonzero(~detections.false())
-    origin = part.origin[true]
-    boxes, annotated = detections.boxes_px[true], sought.boxes_px[origin]
-    mislabelled = detections.label[true] != sought.label[origin]
-    outcome = outcomes(np.zeros(len(true), dtype=bool), mislabelled, boxes, annotated)
-    unclipped, detected = sizes(annotated) + detections.errors_px[true, 2:], int(part.detected.sum())
+    visible, origin = sought.visible_fraction[part.rows], part.origin[~part.detections.false()]
     return Counts(
         frames=len(part.steps),
         vessel_frames=len(part.rows),
@@ -189,14 +181,7 @@ def count_part(part: Part, sought: Sought) -> Counts:
         partly_hidden=int(((visible > 0) & (visible < 1)).sum()),
         fully_hidden=int((visible == 0).sum()),
         annotated=len(part.target_rows),
-        detected=detected,
+        detected=(detected := int(part.detected.sum())),
         missed=len(part.target_rows) - detected,
-        missed_by_gate=int(detections.gated.sum()),
-        merged=int((detections.partner >= 0).sum()),
-        mislabelled=int(having(outcome, Outcome.MISLABELLED).sum()),
-        false_positives=len(detections) - len(true),
-        clipped=int(np.any(sizes(boxes) < unclipped - 1e-6, axis=1).sum()),
-        redrawn=int(detections.redrawn[true].sum()),
-        below_half_iou=int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
-        off_vessel=int(having(outcome, Outcome.OFF_VESSEL).sum()),
+        **detection_counts(part.detections, sought.boxes_px[origin], sought.label[origin]),
     )

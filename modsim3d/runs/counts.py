@@ -7,7 +7,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import sizes
+from modsim3d.detector.records import Detections
 from modsim3d.geometry.curved_sea import shift_px
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.outcomes import Outcome, having, outcomes
@@ -85,15 +87,8 @@ def camera_counts(block: Block, scene: Scene) -> dict[str, Counts]:
 
 
 def _count(part: CameraBlock, scene: Scene) -> Counts:
-    truth, detections = part.truth, part.detections
-    true = np.flatnonzero(~detections.false())
-    rows = part.truth_row[true]
+    truth, rows = part.truth, part.truth_row[~part.detections.false()]
     labels = np.array([scene.detector.labels.index(vessel.label) for vessel in scene.vessels])
-    boxes, annotated = detections.boxes_px[true], annotation_boxes(truth, scene.annotation.mode)[rows]
-    mislabelled = detections.label[true] != labels[truth.vessel[rows]]
-    outcome = outcomes(np.zeros(len(true), dtype=bool), mislabelled, boxes, annotated)
-    unclipped = sizes(annotated) + detections.errors_px[true, 2:]
-    detected = int(part.detected.sum())
     focal_px = scene.cameras[part.camera].intrinsics.focal_px
     curvature_px = shift_px(truth.depth_m if scene.sea == "flat" else np.empty(0), focal_px)
     curvature_px = curvature_px[curvature_px > WORTH_A_WARNING_PX]
@@ -104,16 +99,35 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
         partly_hidden=int(((truth.visible_px > 0) & (truth.visible_px < truth.silhouette_px)).sum()),
         fully_hidden=int(((truth.visible_px == 0) & (truth.silhouette_px > 0)).sum()),
         annotated=len(part.target_rows),
-        detected=detected,
+        detected=(detected := int(part.detected.sum())),
         missed=len(part.target_rows) - detected,
-        missed_by_gate=int(detections.gated.sum()),
-        merged=int((detections.partner >= 0).sum()),
-        mislabelled=int(having(outcome, Outcome.MISLABELLED).sum()),
-        false_positives=len(detections) - len(true),
-        clipped=int(np.any(sizes(boxes) < unclipped - 1e-6, axis=1).sum()),
-        redrawn=int(detections.redrawn[true].sum()),
-        below_half_iou=int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
-        off_vessel=int(having(outcome, Outcome.OFF_VESSEL).sum()),
+        **detection_counts(
+            part.detections, annotation_boxes(truth, scene.annotation.mode)[rows], labels[truth.vessel[rows]]
+        ),
         off_by_curvature=len(curvature_px),
         largest_curvature_px=float(curvature_px.max(initial=0.0)),
     )
+
+
+def detection_counts(detections: Detections, boxes_px: Array, labels: Indices) -> dict[str, int]:
+    """Counts of what a detector put out, by their names in `Counts`.
+
+    Args:
+        detections: The detections, of which t are true.
+        boxes_px: The annotated box of the vessel that each true one is of, shape (t, 4).
+        labels: Index of the label of that vessel, shape (t,).
+    """
+    true = np.flatnonzero(~detections.false())
+    found = detections.boxes_px[true]
+    outcome = outcomes(np.zeros(len(true), dtype=bool), detections.label[true] != labels, found, boxes_px)
+    unclipped = sizes(boxes_px) + detections.errors_px[true, 2:]
+    return {
+        "missed_by_gate": int(detections.gated.sum()),
+        "merged": int((detections.partner >= 0).sum()),
+        "mislabelled": int(having(outcome, Outcome.MISLABELLED).sum()),
+        "false_positives": len(detections) - len(true),
+        "clipped": int(np.any(sizes(found) < unclipped - 1e-6, axis=1).sum()),
+        "redrawn": int(detections.redrawn[true].sum()),
+        "below_half_iou": int(having(outcome, Outcome.BELOW_HALF_IOU).sum()),
+        "off_vessel": int(having(outcome, Outcome.OFF_VESSEL).sum()),
+    }
