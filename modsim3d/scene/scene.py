@@ -31,6 +31,9 @@ from modsim3d.truth.modes import Annotation
 from modsim3d.vessels.obstacles import PREFIX, Obstacle
 from modsim3d.vessels.vessel import Vessel
 
+_SAME_DECIMALS = 4
+"""Of metres and radians that are the same traffic: the last bits of exact ones depend on the processor."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
@@ -170,14 +173,17 @@ class Scene:
         return "this traffic only" if self.traffic_seed is None else f"drawn from seed {self.traffic_seed}"
 
     def traffic_sha256(self) -> str | None:
-        """Checksum of the vessels and their poses at all steps; None if no vessel was drawn."""
+        """Checksum of the vessels and their poses at all steps, to 0.0001 m and rad; None if no vessel was drawn."""
         if not self.drawn_vessels:
             return None
         poses = self.poses.poses(0, self.steps)
-        said = [(vessel.name, vessel.label, *vessel.extents_m.tolist()) for vessel in self.vessels]
+        said = [
+            (vessel.name, vessel.label, *np.round(vessel.extents_m, _SAME_DECIMALS).tolist()) for vessel in self.vessels
+        ]
         digest = hashlib.sha256(repr(said).encode())
-        for values in (poses.present, poses.positions_m, poses.headings_rad):
-            digest.update(values.tobytes())
+        digest.update(poses.present.tobytes())
+        for values in (poses.positions_m, poses.headings_rad):
+            digest.update((np.round(values, _SAME_DECIMALS) + 0.0).tobytes())
         return digest.hexdigest()
 
     @property

@@ -197,6 +197,24 @@ def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(
         open_run(folder)
 
 
+@pytest.mark.parametrize(("shift_m", "same"), [(1e-12, True), (1e-3, False)])
+def test_the_checksum_of_a_traffic_is_that_of_every_processor(
+    write: Write, monkeypatch: pytest.MonkeyPatch, shift_m: float, same: bool
+) -> None:
+    """Last bits of sines differ between processors: a run is opened where they do."""
+    path, at = write(), Convoy.at
+    before = load_scene(path, seed=2).traffic_sha256()
+    monkeypatch.setattr(
+        Convoy,
+        "at",
+        lambda self, time_s, request: {
+            name: ((place[0] + shift_m, *place[1:]), heading + shift_m)
+            for name, (place, heading) in at(self, time_s, request).items()
+        },
+    )
+    assert (load_scene(path, seed=2).traffic_sha256() == before) is same
+
+
 def test_a_scene_from_a_mapping_draws_vessels_too() -> None:
     data = {
         **GOOD["scene"],
