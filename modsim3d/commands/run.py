@@ -15,11 +15,14 @@ from modsim3d.commands.run_json import run_json, tell_backend
 from modsim3d.commands.run_summary import print_summary
 from modsim3d.commands.shared import (
     INTERRUPTED,
+    DetectorOption,
+    DetectorSeedOption,
     FromOption,
     JsonOption,
     OverwriteOption,
     QuietOption,
     SceneArgument,
+    SeedOption,
     SetOption,
     StateOption,
     StepsOption,
@@ -54,15 +57,9 @@ def run_command(
     ] = None,
     overwrite: OverwriteOption = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in DIR.")] = False,
-    seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of all random numbers, in place of the scene's.")
-    ] = None,
-    detector: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the scene's.")
-    ] = None,
-    detector_seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of the detector; poses and waves keep the scene's.")
-    ] = None,
+    seed: SeedOption = None,
+    detector: DetectorOption = None,
+    detector_seed: DetectorSeedOption = None,
     mode: Annotated[
         int | None,
         typer.Option(

@@ -47,6 +47,13 @@ WorkersOption = Annotated[
 StepsOption = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Number of time steps, in place of the scene's.")
 ]
+SeedOption = Annotated[
+    int | None, typer.Option(min=0, metavar="N", help="Seed of all random numbers, in place of the scene's.")
+]
+DetectorOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the scene's.")]
+DetectorSeedOption = Annotated[
+    int | None, typer.Option(min=0, metavar="N", help="Seed of the detector; poses and waves keep the scene's.")
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the scene or, below detector., of its detector."),

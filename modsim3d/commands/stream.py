@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modsim3d.commands.shared import (
     INTERRUPTED,
+    DetectorOption,
+    DetectorSeedOption,
     FromOption,
     QuietOption,
     SceneArgument,
+    SeedOption,
     SetOption,
     StateOption,
     StepsOption,
@@ -45,15 +47,9 @@ def stream_command(
         float | None,
         typer.Option(metavar="S", help="Seconds to wait while no reader is connected over TCP.", show_default="60"),
     ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of all random numbers, in place of the scene's.")
-    ] = None,
-    detector: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the scene's.")
-    ] = None,
-    detector_seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Seed of the detector; poses and waves keep the scene's.")
-    ] = None,
+    seed: SeedOption = None,
+    detector: DetectorOption = None,
+    detector_seed: DetectorSeedOption = None,
     steps: StepsOption = None,
     settings: SetOption = None,
     state: StateOption = None,

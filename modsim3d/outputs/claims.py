@@ -29,10 +29,7 @@ def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = 
     with ExitStack() as locks:
         for path in paths:
             check_free(path, overwrite, inputs)
-            try:
-                locks.enter_context(locked_file(path))
-            except OSError as error:
-                raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
+            locks.enter_context(_locked(path))
             check_free(path, overwrite, inputs)  # another process may have ended just now
         yield
 
@@ -49,11 +46,18 @@ def claimed_folders(patterns: Mapping[Path, str], *, overwrite: bool, inputs: It
         for path, pattern in patterns.items():
             check_not_read(path, inputs)
             check_free_folder(path, pattern, overwrite)
-            try:
-                locks.enter_context(locked_file(path))
-            except OSError as error:
-                raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
+            locks.enter_context(_locked(path))
             check_free_folder(path, pattern, overwrite)  # another process may have ended just now
+        yield
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with ExitStack() as lock:
+        try:
+            lock.enter_context(locked_file(path))
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written to: {error.strerror or error}") from error
         yield
 
 
