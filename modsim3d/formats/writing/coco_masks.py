@@ -18,8 +18,8 @@ import numpy as np
 from modsim3d.arrays import Indices, Mask
 from modsim3d.errors import ModsimError
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.formats.writing.sequences import CameraSequence
 from modsim3d.render.id_pass import IdRenderer, Region
+from modsim3d.runs.camera_sequences import CameraSequence
 from modsim3d.runs.pipeline import open_renderer
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.full_frame import vessel_masks

@@ -15,13 +15,13 @@ from pyarrow import csv
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.formats.writing.sequences import CameraSequence
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.rotations import BASE_R_WORLD
 from modsim3d.outputs.placing import write_files
 from modsim3d.positions.locating import Attitude, locate
 from modsim3d.positions.viewpoints import Viewpoints
+from modsim3d.runs.camera_sequences import CameraSequence
 from modsim3d.runs.files.columns import numbers
 from modsim3d.runs.files.tables import BOX_SIDES
 from modsim3d.runs.run_rows import RunRows

@@ -24,8 +24,8 @@ from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import iou, sizes
 from modsim3d.errors import OutputError
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.formats.writing.sequences import CameraSequence, TrueBoxes
 from modsim3d.outputs.placing import write_files
+from modsim3d.runs.camera_sequences import CameraSequence, TrueBoxes
 from modsim3d.runs.told import Told
 from modsim3d.vessels.vessel import Vessel
 

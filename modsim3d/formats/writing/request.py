@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from modsim3d.formats.writing.sequences import CameraSequence, camera_sequences
 from modsim3d.positions.locating import Attitude
+from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
 from modsim3d.runs.stored_run import StoredRun
 
 

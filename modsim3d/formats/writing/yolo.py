@@ -20,8 +20,8 @@ from PIL import Image
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import centre_form
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.formats.writing.sequences import CameraSequence
 from modsim3d.outputs.placing import make_folder, put_folder_in_place, write_files
+from modsim3d.runs.camera_sequences import CameraSequence
 
 DATA_FILE = "data.yaml"
 FOLDERS = {"images": "*.png", "labels": "*.txt", "predictions": "*.txt"}

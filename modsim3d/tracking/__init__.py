@@ -1,0 +1,1 @@
+"""Trackers behind a run, and their scores."""

@@ -1,0 +1,1 @@
+"""Trackers: a reference of our own, adapters to libraries, plug-ins."""
