@@ -83,4 +83,5 @@ class Scored:
 
     def state_frames(self, state: int) -> Indices:
         """The frames of a performance state, shape (f,)."""
-        return self.frames[self.rows.states_of(self.frames) == state]
+        chosen: Indices = self.frames[self.rows.states_of(self.frames) == state]
+        return chosen
