@@ -1,0 +1,120 @@
+"""Which track follows which vessel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.errors import ModsimError
+from modsim3d.tracks.following import best_pairs, follow
+from modsim3d.tracks.similarity import Similarity
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import TrueTracks
+
+Row = tuple[int, int, float]
+"""Frame, identity or track, and the left edge of a box of 10 × 10 px."""
+
+
+def box(x_px: float) -> list[float]:
+    return [x_px, 0, x_px + 10, 10]
+
+
+def true_tracks(rows: list[Row], hidden: tuple[int, ...] = ()) -> TrueTracks:
+    frame, identity, boxes = (np.array(column) for column in zip(*((f, i, box(x)) for f, i, x in rows), strict=True))
+    unseen = np.isin(np.arange(len(rows)), hidden)
+    return TrueTracks(1, np.arange(len(rows)), frame, identity, identity, 0 * identity, boxes, ~unseen, unseen)
+
+
+def tracks(rows: list[Row]) -> Tracks:
+    return Tracks.of(1, *(np.array(column) for column in zip(*((f, t, box(x)) for f, t, x in rows), strict=True)))
+
+
+def test_a_track_keeps_its_vessel_although_another_box_is_more_alike() -> None:
+    truth = true_tracks([(0, 1, 0), (1, 1, 0)])
+    found = follow(truth, tracks([(0, 7, 0), (1, 7, 3), (1, 8, 1)]), Similarity())
+    assert found.track_row.tolist() == [0, 1]  # IoU 7/13 with track 7, 9/11 with track 8
+
+
+def test_a_track_that_is_no_longer_alike_enough_loses_its_vessel() -> None:
+    truth = true_tracks([(0, 1, 0), (1, 1, 0)])
+    found = follow(truth, tracks([(0, 7, 0), (1, 7, 4), (1, 8, 1)]), Similarity())
+    assert found.track_row.tolist() == [0, 2]  # IoU 6/14
+
+
+def test_the_sum_of_similarities_decides_between_new_pairs() -> None:
+    truth = true_tracks([(0, 1, 0), (0, 2, 4)])
+    found = follow(truth, tracks([(0, 7, 3), (0, 8, 6)]), Similarity())
+    assert found.track_row.tolist() == [0, 1]  # 7 is nearest to 2, but then 1 would have nothing
+    assert found.truth_row.tolist() == [0, 1]
+
+
+def test_a_track_on_a_hidden_vessel_is_neither_right_nor_wrong() -> None:
+    truth = true_tracks([(0, 1, 0), (0, 2, 100)], hidden=(1,))
+    found = follow(truth, tracks([(0, 7, 0), (0, 8, 100), (0, 9, 500)]), Similarity())
+    assert found.counted.tolist() == [True, False, True]
+    assert found.false.tolist() == [False, False, True]
+
+
+def test_without_truth_every_track_counts_and_is_false() -> None:
+    truth = true_tracks([(0, 1, 0)])
+    found = follow(truth.take(np.array([], dtype=int)), tracks([(0, 7, 0)]), Similarity())
+    assert found.counted.tolist() == [True] and found.false.tolist() == [True]
+
+
+def test_cameras_remember_on_their_own() -> None:
+    """Two cameras: frames 0 and 2 are of the first, 1 of the second."""
+    rows = np.arange(3)
+    truth = TrueTracks(
+        2, rows, rows, rows * 0, np.array([0, 1, 0]), rows * 0, np.array([box(0)] * 3), rows >= 0, rows < 0
+    )
+    given = Tracks.of(2, np.array([0, 1, 2, 2]), np.array([7, 9, 7, 8]), np.array([box(0), box(0), box(3), box(1)]))
+    assert follow(truth, given, Similarity()).track_row.tolist() == [0, 1, 2]
+
+
+def test_centre_similarity_falls_linearly_to_the_scale() -> None:
+    alike = Similarity("centre", scale_px=20)(np.array([box(0)]), np.array([box(0), box(5), box(20), box(90)]))
+    np.testing.assert_allclose(alike, [1, 0.75, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"name": "centre"}, "--similarity centre needs --scale"),
+        ({"scale_px": 5.0}, "--scale is for --similarity centre"),
+        ({"name": "centre", "scale_px": 0.0}, "--scale must be above 0"),
+        ({"least": 0.0}, "--threshold must be above 0"),
+        ({"least": 1.5}, "--threshold must be above 0 and at most 1"),
+    ],
+)
+def test_a_similarity_that_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ModsimError, match=message):
+        Similarity(**given)  # type: ignore[arg-type]
+
+
+@given(st.integers(0, 5), st.integers(0, 5), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_pairs_are_the_best_of_all_assignments(a: int, b: int, seed: int) -> None:
+    """Against all assignments one by one."""
+    alike = np.random.default_rng(seed).uniform(size=(a, b))
+    i, j = best_pairs(alike, 0.5, np.zeros((a, b), dtype=bool))
+    assert (alike[i, j] >= 0.5).all() and len(set(i.tolist())) == len(i) and len(set(j.tolist())) == len(j)
+    assert alike[i, j].sum() == pytest.approx(best_sum(alike, 0))
+
+
+def best_sum(alike: np.ndarray, row: int, taken: frozenset[int] = frozenset()) -> float:
+    if row == len(alike):
+        return 0.0
+    free = (column for column in range(alike.shape[1]) if column not in taken and alike[row, column] >= 0.5)
+    return max(
+        best_sum(alike, row + 1, taken),
+        *(alike[row, column] + best_sum(alike, row + 1, taken | {column}) for column in free),
+        0.0,
+    )
+
+
+def test_the_numbers_of_tracks_are_their_cameras_own() -> None:
+    given = Tracks.of(2, np.array([3, 0, 1, 2]), np.array([5, 5, 5, 4]), np.zeros((4, 4)))
+    assert given.frame.tolist() == [0, 1, 2, 3]
+    assert given.identity.tolist() == [1, 2, 0, 2]

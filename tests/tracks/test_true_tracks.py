@@ -1,0 +1,84 @@
+"""Identities and what is scored, from a run's truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.scene import Scene
+from modsim3d.tracks.true_tracks import TrueTracks
+
+BOAT = {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": "Vessel"}
+CAMERA = {
+    "focal_length_m": 0.01,
+    "pixel_size_m": [1.0e-5, 1.0e-5],
+    "principal_point_px": [200, 100],
+    "image_size_px": [400, 200],
+    "pose": {"position_m": [0, 0, 3], "roll_rad": 0, "pitch_rad": 0, "yaw_rad": 0},
+}
+"""Looks along w1: at 100 m the image ends 20 m to either side."""
+FRONT, BEHIND, ASIDE, AWAY = (100.0, 0.0), (200.0, 0.0), (100.0, 10.0), None
+Place = tuple[float, float] | None
+
+
+def rows_of(folder: Path, ways: dict[str, list[Place]], **annotation: object) -> RunRows:
+    """A run of boats that show the camera their side, with their places a second apart, None for absent."""
+    positions = np.array([[place or (np.nan, np.nan) for place in way] for way in ways.values()]).swapaxes(0, 1)
+    headings = np.where(np.isnan(positions[:, :, 0]), np.nan, np.pi / 2)
+    scene = Scene.from_dict(
+        {
+            "vessels": dict.fromkeys(ways, BOAT),
+            "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 1.0},
+            "cameras": {"c": CAMERA},
+            "annotation": {"mode": 1, "source": "analytic", **annotation},
+            "detector": "thesis",
+        }
+    )
+    run_scene(scene, folder)
+    return RunRows.of(open_run(folder))
+
+
+@pytest.mark.parametrize(("away_s", "identities"), [(1, 1), (2, 1), (3, 2)])
+def test_a_vessel_that_was_outside_the_image_for_longer_than_the_gap_is_a_new_identity(
+    tmp_path: Path, away_s: int, identities: int
+) -> None:
+    rows = rows_of(tmp_path / "run", {"a": [FRONT, FRONT, *[AWAY] * (away_s - 1), FRONT]})
+    truth = TrueTracks.of(rows, gap_s=2)
+    assert len(np.unique(truth.identity)) == identities
+    assert len(np.unique(TrueTracks.of(rows, gap_s=0).identity)) == (1 if away_s == 1 else 2)
+
+
+def test_a_hidden_vessel_keeps_its_identity_and_is_not_scored(tmp_path: Path) -> None:
+    rows = rows_of(tmp_path / "run", {"a": [FRONT] * 6, "b": [(200.0, 30.0), *[BEHIND] * 4, (200.0, 30.0)]})
+    truth = TrueTracks.of(rows, gap_s=0)
+    b = truth.vessel == 1
+    assert len(np.unique(truth.identity[b])) == 1
+    assert truth.hidden[b].tolist() == [False, True, True, True, True, False]
+    assert (truth.scored == ~truth.hidden).all()
+    assert np.isfinite(truth.boxes_px).all()  # the box of the whole vessel where nothing is visible
+
+
+def test_the_thesis_s_mode_annotates_hidden_vessels_and_they_are_not_scored_either(tmp_path: Path) -> None:
+    rows = rows_of(tmp_path / "run", {"a": [FRONT], "b": [BEHIND]}, mode=0)
+    assert rows.annotated.all()
+    assert TrueTracks.of(rows).scored.tolist() == [True, False]
+
+
+def test_full_truth_has_the_whole_vessel_and_annotated_truth_what_the_mode_takes(tmp_path: Path) -> None:
+    """Half of b's 50 px stand behind a: its whole box is 50 px wide, its visible one 25 px and a little more."""
+    rows = rows_of(tmp_path / "run", {"a": [FRONT], "b": [(200.0, 10.0)]}, mode=2)
+    annotated, full = (TrueTracks.of(rows, name).boxes_px[1] for name in ("annotated", "full"))
+    assert full[2] - full[0] > 49
+    assert 24 < annotated[2] - annotated[0] < 30
+
+
+def test_what_a_filter_leaves_out_is_scored_in_full_truth_only(tmp_path: Path) -> None:
+    rows = rows_of(tmp_path / "run", {"a": [FRONT], "b": [(2000.0, 300.0)]}, min_visible_px=100)
+    assert TrueTracks.of(rows, "annotated").scored.tolist() == [True, False]
+    assert TrueTracks.of(rows, "full").scored.tolist() == [True, True]
+    assert not TrueTracks.of(rows).hidden.any()
