@@ -1,0 +1,318 @@
+"""trackers: real trackers behind the shipped scenes, with intervals over traffic seeds and the reference beside them.
+
+The fairway draws its traffic, so its table is over traffic seeds, with detector seeds nested in them: the mean over the
+detector seeds of each traffic, then the interval over these means. The other scenes replay one traffic, and their
+intervals are over detector seeds: they hold for this traffic only. No seed here is one that settings were chosen on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.tracker_trials import (
+    OCCLUSION_EDGES_S,
+    ORACLES,
+    SCENES,
+    looks,
+    mean_and_interval,
+    perfect_detector,
+    scores,
+    tracks_of,
+)
+from modsim3d.scene.reading import load_scene
+
+OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
+TRACKERS = ("reference", "sort", "bytetrack", "ocsort")
+DRAWN = "fairway"
+SEEDS, LOOKS, OTHER_LOOKS = 20, 2, 10
+MISS_RATES, MISS_SEEDS = (0.0, 0.1, 0.2, 0.4), 8
+PERFECT_LEAST = 0.9
+"""HOTA that `reference` must reach behind a perfect detector."""
+MAIN = ("hota", "hota_centre", "deta", "assa", "idf1", "id_switches", "false_tracks")
+Row = dict[str, Any]
+
+
+def trial(job: tuple[str, int, int, int | None]) -> list[Row]:
+    """All trackers and references on the looks at one traffic."""
+    name, seed, count, steps = job
+    return [
+        {"scene": name, "traffic_seed": seed, "detector_seed": look, "tracker": tracker}
+        | scores(rows, tracks_of(rows, tracker))
+        for look, rows in looks(name, seed, count, steps)
+        for tracker in (*TRACKERS, *ORACLES)
+    ]
+
+
+def perfect_trial(job: tuple[str, int, float, int | None]) -> list[Row]:
+    """Trackers behind a detector that does nothing but miss."""
+    name, seed, miss_rate, steps = job
+    labels = load_scene(name, steps=1).detector.labels
+    rows = next(iter(looks(name, seed, 1, steps, perfect_detector(labels, miss_rate))))[1]
+    return [
+        {"scene": name, "traffic_seed": seed, "miss_rate": miss_rate, "tracker": tracker}
+        | scores(rows, tracks_of(rows, tracker), annotated=True)
+        for tracker in ("reference", *(TRACKERS[1:] if name == DRAWN else ()))
+    ]
+
+
+def nested(rows: Iterable[Row], key: str) -> dict[str, Any]:
+    """Mean of a score and its interval: over the traffics if there are several, else over the looks at the one."""
+    by_traffic: dict[int, list[float]] = {}
+    for row in rows:
+        if row[key] is not None:
+            by_traffic.setdefault(row["traffic_seed"], []).append(row[key])
+    traffics = list(by_traffic.values())
+    means = [float(np.mean(each)) for each in traffics]
+    return mean_and_interval(means if len(means) > 1 else traffics[0] if traffics else [])
+
+
+def shares(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Share of occlusions of each length that are survived, with an interval over traffics or looks."""
+    found = []
+    for k in range(len(OCCLUSION_EDGES_S) - 1):
+        counts = {"all": sum(row["occlusions"][k][0] for row in rows)}
+        with_some = [
+            row | {"share": row["occlusions"][k][1] / row["occlusions"][k][0]}
+            for row in rows
+            if row["occlusions"][k][0]
+        ]
+        found.append(counts | nested(with_some, "share"))
+    return found
+
+
+def table(rows: Sequence[Row], scene: str) -> list[dict[str, Any]]:
+    """The lines of a scene's table."""
+    lines = []
+    for tracker in (*TRACKERS, *ORACLES):
+        own = [row for row in rows if row["scene"] == scene and row["tracker"] == tracker]
+        states = sorted({state for row in own for state in row["states"]})
+        with_states = [row | {f"state {state}": row["states"].get(state) for state in states} for row in own]
+        lines.append(
+            {"tracker": tracker}
+            | {key: nested(own, key) for key in MAIN}
+            | {"states": {state: nested(with_states, f"state {state}") for state in states}}
+            | {"occlusions": shares(own)}
+        )
+    return lines
+
+
+def differences(rows: Sequence[Row], key: str = "hota") -> list[dict[str, Any]]:
+    """Paired differences of trackers on the drawn scene: the same traffic and detections for both."""
+    means = {
+        tracker: {
+            seed: float(
+                np.mean(
+                    [
+                        row[key]
+                        for row in rows
+                        if (row["tracker"], row["traffic_seed"], row["scene"]) == (tracker, seed, DRAWN)
+                    ]
+                )
+            )
+            for seed in sorted({row["traffic_seed"] for row in rows if row["scene"] == DRAWN})
+        }
+        for tracker in TRACKERS
+    }
+    return [
+        {"a": a, "b": b} | mean_and_interval([means[a][seed] - means[b][seed] for seed in means[a]])
+        for i, a in enumerate(TRACKERS)
+        for b in TRACKERS[i + 1 :]
+    ]
+
+
+def falls(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """HOTA at each miss rate, and its paired change from the rate before."""
+    found = []
+    for tracker in TRACKERS:
+        at = {
+            rate: {
+                row["traffic_seed"]: row["hota"]
+                for row in rows
+                if row["tracker"] == tracker and row["miss_rate"] == rate
+            }
+            for rate in MISS_RATES
+        }
+        for before, rate in zip((None, *MISS_RATES), MISS_RATES, strict=False):
+            change = None if before is None else mean_and_interval([at[rate][s] - at[before][s] for s in at[rate]])
+            found.append(
+                {
+                    "tracker": tracker,
+                    "miss_rate": rate,
+                    "hota": mean_and_interval(list(at[rate].values())),
+                    "change": change,
+                }
+            )
+    return found
+
+
+def problems(data: dict[str, Any]) -> list[str]:
+    """What does not hold that should."""
+    found = [
+        f"{row['scene']}: HOTA {row['hota']:.3f} of reference behind a perfect detector is below {PERFECT_LEAST}"
+        for row in data["perfect"]
+        if row["tracker"] == "reference" and row["hota"] < PERFECT_LEAST
+    ]
+    for row in data["miss_rates"]:
+        change = row["change"]
+        if change is not None and not change["mean"] + change["half"] < 0:
+            found.append(f"{row['tracker']}: HOTA does not fall to miss rate {row['miss_rate']}: {change}")
+    return found
+
+
+def cell(value: dict[str, Any], digits: int = 2) -> str:
+    if value["mean"] is None:
+        return "–"
+    half = "" if value["half"] is None else f" ± {value['half']:.{digits}f}"
+    return f"{value['mean']:.{digits}f}{half}"
+
+
+def scene_table(lines: Sequence[dict[str, Any]]) -> list[str]:
+    """A scene's tables in Markdown."""
+    states = list(lines[0]["states"])
+    bins = [
+        f"{low:g} to {high:g} s" if np.isfinite(high) else f"over {low:g} s"
+        for low, high in pairwise(OCCLUSION_EDGES_S)
+    ]
+    counts = [each["all"] for each in lines[-1]["occlusions"]]
+    text = [
+        "| Tracker | HOTA | HOTA by centre | DetA | AssA | IDF1 | ID switches | False tracks |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for line in lines:
+        cells = [cell(line[key], 1 if key in ("id_switches", "false_tracks") else 2) for key in MAIN]
+        text.append(f"| {line['tracker']} | {' | '.join(cells)} |")
+    shown = [k for k, count in enumerate(counts) if count]
+    head = [*(f"HOTA in `{state}`" for state in states), *(f"Survives {bins[k]}" for k in shown)]
+    text += ["", f"| Tracker | {' | '.join(head)} |", "|---|" + "---|" * len(head)]
+    for line in lines:
+        cells = [cell(line["states"][state]) for state in states]
+        cells += [f"{cell(line['occlusions'][k])} of {line['occlusions'][k]['all']}" for k in shown]
+        text.append(f"| {line['tracker']} | {' | '.join(cells)} |")
+    return text
+
+
+def page(data: dict[str, Any]) -> str:
+    """The page of the results."""
+    lines = [
+        "# Trackers behind the shipped scenes",
+        "",
+        "Written by `script/campaign trackers`; the same figures are in `trackers.json`. "
+        "[Scores](../scores.md) says what each means, [Trackers](../trackers.md) what they are and how their "
+        "settings were chosen.",
+        "",
+        "Truth is `full`. HOTA compares boxes by IoU; *by centre* by 1 − distance / 150 px, as do the columns of "
+        "states and occlusions. ± is half the 95 % interval of the mean. *Survives*: share of the occlusions of that "
+        "length (less than half of the vessel visible) after which the same track follows the vessel, of those that "
+        "it followed before. The oracle-association references have the same detections; a tracker that smooths "
+        "better may exceed them.",
+    ]
+    for scene in data["scenes"]:
+        over = (
+            f"{data['seeds']} traffic seeds with {data['looks']} detector seeds each; intervals are over traffic seeds."
+            if scene == DRAWN
+            else f"{data['other_looks']} detector seeds; intervals are over these, and hold for this traffic only."
+        )
+        lines += ["", f"## {scene}", "", over, "", *scene_table(data["scenes"][scene])]
+    lines += [
+        "",
+        f"Paired differences of HOTA on `{DRAWN}`, over traffic seeds:",
+        "",
+        "| Difference | HOTA |",
+        "|---|---|",
+    ]
+    lines += [f"| {each['a']} − {each['b']} | {cell(each, 3)} |" for each in data["differences"]]
+    lines += [
+        "",
+        "## A perfect detector",
+        "",
+        "HOTA of `reference` where the detector makes no error, with truth `annotated`. The rest to 1 is confirmation "
+        "at the beginning of a track, boxes that a Kalman filter smooths although they are exact, and vessels that "
+        "overlap.",
+        "",
+        "| Scene | HOTA | DetA | AssA | ID switches |",
+        "|---|---|---|---|---|",
+    ]
+    for row in data["perfect"]:
+        if row["tracker"] == "reference":
+            lines.append(
+                f"| {row['scene']} | {row['hota']:.3f} | {row['deta']:.3f} | {row['assa']:.3f} | {row['id_switches']} |"
+            )
+    lines += [
+        "",
+        "## Misses",
+        "",
+        f"The same perfect detector on `{DRAWN}`, which misses a share of the vessels in each frame: "
+        f"{data['miss_seeds']} traffic seeds, the same for each share. *Change* is the paired change from the "
+        "share before.",
+        "",
+        "| Tracker | Missed | HOTA | Change |",
+        "|---|---|---|---|",
+    ]
+    for row in data["miss_rates"]:
+        change = "" if row["change"] is None else cell(row["change"], 3)
+        lines.append(f"| {row['tracker']} | {row['miss_rate']:.0%} | {cell(row['hota'], 3)} | {change} |")
+    lines += ["", "With " + ", ".join(f"{name} {number}" for name, number in data["versions"].items()) + "."]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="script/campaign trackers", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="traffic seeds of the drawn scene")
+    parser.add_argument("--looks", type=int, default=LOOKS, help="detector seeds of each of them")
+    parser.add_argument("--other-looks", type=int, default=OTHER_LOOKS, help="detector seeds of the other scenes")
+    parser.add_argument("--miss-seeds", type=int, default=MISS_SEEDS, help="traffic seeds of the miss rates")
+    parser.add_argument("--steps", type=int, help="steps of each scene, in place of its own: a trial of the campaign")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for trackers.md and trackers.json")
+    asked = parser.parse_args()
+    drawn = [(DRAWN, seed, asked.looks, asked.steps) for seed in range(1, asked.seeds + 1)]
+    others = [(name, 0, asked.other_looks, asked.steps) for name in SCENES if name != DRAWN]
+    perfect = [(name, 1 if name == DRAWN else 0, 0.0, asked.steps) for name in SCENES]
+    misses = [(DRAWN, seed, rate, asked.steps) for seed in range(1, asked.miss_seeds + 1) for rate in MISS_RATES]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(asked.workers, mp_context=context) as pool:
+        rows, alone, missed = (
+            [row for part in pool.map(work, jobs) for row in told(part)]
+            for work, jobs in ((trial, drawn + others), (perfect_trial, perfect), (perfect_trial, misses))
+        )
+    packages = ("modsim3d", "trackers", "trackeval")
+    data = {
+        "format": 1,
+        "versions": {name: version(name) for name in packages},
+        "seeds": asked.seeds,
+        "looks": asked.looks,
+        "other_looks": asked.other_looks,
+        "miss_seeds": asked.miss_seeds,
+        "scenes": {name: table(rows, name) for name in SCENES},
+        "differences": differences(rows),
+        "perfect": alone,
+        "miss_rates": falls(missed),
+    }
+    asked.out.mkdir(parents=True, exist_ok=True)
+    (asked.out / "trackers.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    (asked.out / "trackers.md").write_text(page(data), encoding="utf-8")
+    for problem in problems(data):
+        print(problem, file=sys.stderr)
+    return int(bool(problems(data)))
+
+
+def told(part: list[Row]) -> list[Row]:
+    """Say that a part is done."""
+    first = part[0]
+    print(first["scene"], first["traffic_seed"], first.get("miss_rate", ""), file=sys.stderr, flush=True)
+    return part
+
+
+if __name__ == "__main__":
+    sys.exit(main())
