@@ -28,7 +28,7 @@ class GospaParts(NamedTuple):
 
 
 def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaParts:
-    """GOSPA of one frame (Rahmathullah et al. (2017), equation 1 and proposition 1, with α = 2).
+    """GOSPA of one frame (Rahmathullah et al. (2017), definition 1 and proposition 1, with α = 2).
 
     A pair at c or beyond costs c^p, as much as a missed vessel and a false track, and is counted as these.
 
@@ -47,7 +47,7 @@ def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaPart
 
 
 def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
-    """OSPA of one frame (Schuhmacher et al. (2008), equation 3), at most the cutoff; 0 for two empty sets.
+    """OSPA of one frame (Schuhmacher et al. (2008)), at most the cutoff; 0 for two empty sets.
 
     The arguments are those of `gospa_frame`.
     """
