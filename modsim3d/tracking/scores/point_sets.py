@@ -38,12 +38,11 @@ def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaPart
         power: p ≥ 1.
     """
     vessels, tracks = distance.shape
-    close = _costs(distance, cutoff, power)
-    close = close[close < 1]
-    missed, false = (vessels - len(close)) / 2, (tracks - len(close)) / 2
-    localisation = float(close.sum())
-    parts = cutoff**power * localisation, cutoff**power * missed, cutoff**power * false
-    return GospaParts(cutoff * (localisation + missed + false) ** (1 / power), *parts)
+    close = _paired(distance, cutoff, power)
+    close = close[close < cutoff]
+    alone = cutoff**power / 2
+    parts = float((close**power).sum()), alone * (vessels - len(close)), alone * (tracks - len(close))
+    return GospaParts(sum(parts) ** (1 / power), *parts)
 
 
 def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
@@ -54,7 +53,8 @@ def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
     more, fewer = max(distance.shape), min(distance.shape)
     if not more:
         return 0.0
-    return float(cutoff * ((_costs(distance, cutoff, power).sum() + more - fewer) / more) ** (1 / power))
+    paired = float((_paired(distance, cutoff, power) ** power).sum())
+    return float(((paired + cutoff**power * (more - fewer)) / more) ** (1 / power))
 
 
 def mean_gospa(distances: Iterable[Array], cutoff: float, power: float = 1.0) -> GospaParts | None:
@@ -78,8 +78,8 @@ def distances(vessels: Array, tracks: Array) -> Array:
     return np.hypot(offset[..., 0], offset[..., 1])
 
 
-def _costs(distance: Array, cutoff: float, power: float) -> Array:
-    """(min(d, c) / c)^p of the pairs of the cheapest assignment, shape (min(n, m),)."""
-    cost = np.minimum(distance / cutoff, 1) ** power
-    found: Array = cost[linear_sum_assignment(cost)]
+def _paired(distance: Array, cutoff: float, power: float) -> Array:
+    """min(d, c) of the pairs of the assignment with the smallest sum of p-th powers, shape (min(n, m),)."""
+    cut = np.minimum(distance, cutoff)
+    found: Array = cut[linear_sum_assignment(cut**power)]
     return found
