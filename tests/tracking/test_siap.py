@@ -100,8 +100,8 @@ def test_of_nothing_nothing_is_said() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_shares_and_accuracy_are_those_of_stone_soup(seed: int) -> None:
-    """Tracks stay at a place for 5 frames and do not pause: Stone Soup 1.9.1 fails at an association of one frame, and at
-    a track that pauses."""
+    """Tracks stay at a place for 5 frames and do not pause: Stone Soup 1.9.1 fails at an association of one frame, and
+    at a track that pauses."""
     rng = np.random.default_rng(seed)
     blocks = FRAMES // 5
     there = np.repeat(rng.random((blocks, 3)) < 0.8, 5, axis=0)
