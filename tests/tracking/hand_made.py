@@ -1,0 +1,157 @@
+"""Hand-made truth and tracks, held against each other without a run."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.runs.files.table_columns import schema_of
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.reading import data_folder, load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracks.tracks import Tracks
+
+VESSELS = 6
+LABELS = ("sailboat", "motorboat", "ferry")
+"""Vessels 0 and 1 have the first label, 2 and 3 the second, 4 and 5 the third."""
+STATES = ("clear", "haze")
+Box = tuple[float, float, float, float]
+
+
+def box(x: float = 0, y: float = 0, width: float = 20, height: float = 20) -> Box:
+    """A box by its upper left corner."""
+    return (x, y, x + width, y + height)
+
+
+class Seen(NamedTuple):
+    """A vessel in an image; a plain (frame, vessel, box) will do for one that is all visible."""
+
+    frame: int
+    vessel: int
+    box: Box
+    visible: float = 1.0
+    in_frame: float = 1.0
+    depth_m: float = 150.0
+
+
+class Tracked(NamedTuple):
+    """A track in an image; a plain (frame, track, box) will do."""
+
+    frame: int
+    track: int
+    box: Box
+    label: int = -1
+    covariance_px2: Sequence[Sequence[float]] = ((np.nan, np.nan), (np.nan, np.nan))
+
+
+def hand_made(
+    truth: Iterable[tuple],
+    tracks: Iterable[tuple],
+    steps: int,
+    *,
+    cameras: int = 1,
+    states: Sequence[int] | None = None,
+    step_s: float = 1.0,
+    rules: Rules | None = None,
+) -> Scored:
+    """Tracks held against truth; frame = step × cameras + camera, and every camera takes a frame at each step.
+
+    Args:
+        truth: What is there, as for `Seen`.
+        tracks: What the tracker says, as for `Tracked`.
+        steps: Number of steps.
+        cameras: Number of cameras.
+        states: Index of the performance state of each frame; all clear if None.
+        step_s: Time between steps.
+        rules: By which it is scored; the defaults if None.
+    """
+    rows = rows_of(truth, steps, cameras=cameras, states=states, step_s=step_s)
+    return Scored.of(rows, tracks_of(tracks, cameras), rules or Rules())
+
+
+def rows_of(
+    truth: Iterable[tuple],
+    steps: int,
+    *,
+    cameras: int = 1,
+    states: Sequence[int] | None = None,
+    step_s: float = 1.0,
+) -> RunRows:
+    """The rows of a run with hand-made truth and without detections."""
+    scene, seen = _scene(steps, cameras, step_s), [Seen(*row) for row in truth]
+    frames = [
+        {**_place(scene, frame), "state": STATES[states[frame] if states else 0]} for frame in range(steps * cameras)
+    ]
+    tables = {"frames": frames, "truth": [_truth_row(scene, each) for each in seen], "detections": []}
+    return RunRows.of_tables(
+        scene, steps, {name: pa.Table.from_pylist(rows, schema_of(name)) for name, rows in tables.items()}
+    )
+
+
+def tracks_of(tracks: Iterable[tuple], cameras: int = 1) -> Tracks:
+    """Hand-made tracks."""
+    rows = [Tracked(*row) for row in tracks]
+    frame, track, boxes, label, covariance = zip(*rows, strict=True) if rows else ((), (), (), (), ())
+    covariances = np.array(covariance, dtype=float).reshape(len(rows), 2, 2)
+    return Tracks.of(cameras, np.array(frame), np.array(track), np.array(boxes), np.array(label), None, covariances)
+
+
+def _truth_row(scene: Scene, seen: Seen) -> dict[str, object]:
+    names = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+    pixels = (seen.box[2] - seen.box[0]) * (seen.box[3] - seen.box[1])
+    full = {f"full_{name}": float(value) for name, value in zip(names, seen.box, strict=True)}
+    visible = {f"visible_{name}": float(value) for name, value in zip(names, seen.box, strict=True)}
+    return {
+        **_place(scene, seen.frame),
+        **full,
+        **(visible if seen.visible else {}),
+        "vessel": scene.vessels[seen.vessel].name,
+        "label": scene.vessels[seen.vessel].label,
+        "silhouette_px": float(pixels),
+        "visible_px": float(seen.visible * pixels),
+        "visible_fraction": float(seen.visible),
+        "in_frame_fraction": float(seen.in_frame),
+        "depth_m": float(seen.depth_m),
+        "occluded_by": [],
+        "annotated": seen.visible > 0,
+        "detected": False,
+    }
+
+
+def _place(scene: Scene, frame: int) -> dict[str, object]:
+    step, camera = divmod(frame, len(scene.cameras))
+    return {"camera": scene.cameras[camera].name, "step": step, "timestamp": scene.poses.timestamps[step]}
+
+
+@cache
+def _scene(steps: int, cameras: int, step_s: float) -> Scene:
+    """A scene with six vessels, three labels and two performance states."""
+    camera = {
+        **{"focal_length_m": 0.01, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [400, 300]},
+        **{"image_size_px": [800, 600], "pose": {"position_m": [0, 0, 10]}},
+    }
+    size = {"length_m": 10, "beam_m": 4, "air_draft_m": 3}
+    scene = {
+        "steps": steps,
+        "time_step_s": step_s,
+        "vessels": {f"v{k}": {**size, "label": LABELS[k // 2]} for k in range(VESSELS)},
+        "poses": {"tracks": {f"v{k}": [[0, 100 + 20 * k, 0], [10_000, 100 + 20 * k, 1]] for k in range(VESSELS)}},
+        "cameras": {f"C{k}": camera for k in range(cameras)},
+        "annotation": {"mode": 0, "source": "analytic"},
+        "detector": "rich.yaml",
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copy(data_folder("scenes") / "detectors" / "rich.yaml", folder)
+        path = Path(folder) / "hand_made.yaml"
+        path.write_text(json.dumps(scene), encoding="utf-8")
+        return load_scene(path)
