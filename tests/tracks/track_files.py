@@ -42,14 +42,15 @@ def csv_text(rows, tracks, numbers=None, names="x_min_px,y_min_px,x_max_px,y_max
 
 def mot_texts(rows, tracks, numbers=None, first_frame=1) -> dict[str, str]:
     """The text of each camera's file."""
-    numbers = top_left(tracks.boxes_px) + [1, 1, 0, 0] if numbers is None else numbers
+    numbers = top_left(tracks.boxes_px) + np.array([1, 1, 0, 0]) if numbers is None else numbers
     cameras, texts = [camera.name for camera in rows.scene.cameras], {}
     for index, name in enumerate(cameras):
         taken = rows.frames[rows.frames % len(cameras) == index]
+        here = tracks.camera == index
+        frame = np.searchsorted(taken, tracks.frame[here]) + first_frame
         lines = [
-            f"{np.searchsorted(taken, frame) + first_frame},{track},{','.join(f'{each:.9g}' for each in four)},1,-1,-1,-1"
-            for frame, track, four in zip(tracks.frame, tracks.track, numbers, strict=True)
-            if frame % len(cameras) == index
+            f"{at},{track},{','.join(f'{each:.9g}' for each in four)},1,-1,-1,-1"
+            for at, track, four in zip(frame, tracks.track[here], numbers[here], strict=True)
         ]
         texts[f"{name}.txt"] = "".join(f"{line}\n" for line in lines)
     return texts
