@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -142,13 +142,11 @@ def track_run(
 
 def _name(named: NamedTracker, given: Mapping[str, object]) -> str:
     """The tracker's name, and the settings that tell it from the same one with others."""
-    settings = ", ".join(f"{key}={getattr(named.tracker, str(key))}" for key in given)
+    settings = ", ".join(f"{key}={value}" for key, value in given.items())
     return f"{named.name} ({settings})" if settings else named.name
 
 
-def _counts(
-    sequences: list[CameraSequence] | tuple[CameraSequence, ...], tracks: Tracks, run: StoredRun
-) -> TrackCounts:
+def _counts(sequences: Sequence[CameraSequence], tracks: Tracks, run: StoredRun) -> TrackCounts:
     times_s = run.scene.times_s(0, run.steps)[tracks.step]
     count = int(tracks.identity.max(initial=-1)) + 1
     first_s, last_s = np.full(count, np.inf), np.full(count, -np.inf)

@@ -70,7 +70,7 @@ class Answers:
                 self.label,
             ),
             (
-                ~(np.isnan(confidence) | (confidence >= 0) & (confidence <= 1)),
+                ~np.isnan(confidence) & ~((confidence >= 0) & (confidence <= 1)),
                 "a confidence is from 0 to 1, not",
                 confidence,
             ),
@@ -119,7 +119,8 @@ def _floats(value: Any, name: str, shape: tuple[int, ...], refuse: Callable[[str
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise refuse(f"TrackedFrame.{name} must be an array of numbers of the shape {shape}") from None
-    return _shaped(array, name, shape, refuse)
+    shaped: Array = _shaped(array, name, shape, refuse)
+    return shaped
 
 
 def _shaped(array: Any, name: str, shape: tuple[int, ...], refuse: Callable[[str], ModsimError]) -> Any:

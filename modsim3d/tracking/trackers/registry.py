@@ -102,7 +102,7 @@ def _model(name: str) -> tuple[type[Tracker], Plugin | None]:
 
 
 def _validated(model: type[Tracker], settings: dict[str, Any], name: str, plugin: Plugin | None) -> Tracker:
-    source = f"--set of the tracker '{name}'"
+    source = f"settings of the tracker '{name}'"
     try:
         return model.model_validate(settings)
     except ValidationError as error:
