@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import product
 from math import sqrt
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import trackeval
 
+from modsim3d.errors import ModsimError
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.rules import Rules
 from modsim3d.tracking.scores.scored import Scored
@@ -152,6 +154,12 @@ def test_what_is_0_divided_by_0_is_none() -> None:
 def test_trackeval_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     values(hand_made([(0, 0, A)], [(0, 1, A)], 1))
     assert capsys.readouterr() == ("", "")
+
+
+def test_without_trackeval_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "trackeval", None)
+    with pytest.raises(ModsimError, match=r'^scores of tracks need TrackEval: pip install "modsim3d\[trackers\]"$'):
+        hota(hand_made([], [], 1))
 
 
 def noisy(seed: int, cameras: int = 3, steps: int = 30) -> Scored:
