@@ -70,7 +70,9 @@ class StoneSoup(Tracker):
                     answer = tracker.step(frame)
             except Exception as error:
                 where = f"camera '{camera.name}' at {frame.time_s:g} s"
-                raise ModsimError(f"Stone Soup failed in {where}: {type(error).__name__}: {error}") from error
+                raise ModsimError(
+                    f"{type(self).__name__} failed in {where}: {type(error).__name__}: {error}"
+                ) from error
             yield answer
 
 
