@@ -177,6 +177,11 @@ def test_what_is_wrong_with_csv_is_said(name: str, run: StoredRun, tmp_path: Pat
         read_world_tracks(write_csv(tmp_path / "t.csv", columns), run)
 
 
+def test_a_file_that_is_not_there_is_said_to_be_missing(run: StoredRun, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_world_tracks(tmp_path / "nowhere.csv", run)
+
+
 def test_latitude_and_longitude_need_an_origin(tmp_path: Path) -> None:
     columns = changed("w1 w2", latitude_deg=63.4, longitude_deg=10.4)
     nowhere = sea_run(tmp_path / "run", origin=None, steps=3)
@@ -298,6 +303,12 @@ def test_what_is_wrong_with_a_bag_is_said(run: StoredRun, tmp_path: Path) -> Non
     (tmp_path / "broken" / "metadata.yaml").write_text("a: [", encoding="utf-8")
     with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
         read_world_tracks(tmp_path / "broken", run)
+    damaged = write_bag(tmp_path / "damaged", {"/t": good}) / "damaged.mcap"
+    content = damaged.read_bytes()
+    third = len(content) // 3
+    damaged.write_bytes(content[:third] + b"\xff" * 400 + content[third + 400 :])
+    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
+        read_world_tracks(damaged.parent, run)
     (tmp_path / "alone.mcap").write_bytes(b"")
     with pytest.raises(InputError, match=r"metadata\.yaml is missing beside it: give the whole folder"):
         read_world_tracks(tmp_path / "alone.mcap", run)
