@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from modsim3d.tracking.scores.association import hota
 
 from benchmarks.tracker_trials import CENTRE, IOU, SCENES, looks, tracks_of
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracking.scores.association import hota
 from modsim3d.tracking.scores.scored import Scored
 
 OUT = Path(__file__).resolve().parents[2] / "scenes" / "trackers"
@@ -45,8 +45,9 @@ SPACES: dict[str, dict[str, Range]] = {
     "sort": {
         "lost_s": (0.5, 8.0),
         "minimum_consecutive_frames": (1, 5),
-        "minimum_iou_threshold": (0.01, 0.4),
-        "iou": ("iou", "biou", "giou", "diou"),
+        "minimum_iou_threshold": (-0.6, 0.4),
+        "iou": ("iou", "giou", "diou"),
+        "state_estimator": ("xyxy", "xcycsr"),
         "boxes": ("detected", "filtered"),
         "coast_s": (0.1, 3.0),
         "track_activation_threshold": (0.2, 0.7),
