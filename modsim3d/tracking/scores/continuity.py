@@ -1,0 +1,189 @@
+"""How soon vessels are followed, how often and how long they are lost, and tracks of nothing.
+
+The list is that of Helgesen et al. (2022), as in Jessen & Mohr (2023), section 2.3.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
+from modsim3d.tracking.scores.scored import Scored
+
+_HOUR_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Continuity:
+    """Of each appearance of a vessel, over the frames in which it is scored; None where there is nothing to average.
+
+    A break is a stretch in which an established vessel is not followed before it is followed again. Frames in which
+    the vessel is hidden or not expected to be followed belong to no break and add no time. A false track never follows
+    a vessel, not even one that is not scored.
+
+    Attributes:
+        appearances: Number of appearances with a scored frame.
+        established: Number of those that are followed in at least one such frame.
+        established_share: established / appearances.
+        time_to_establish_s: Mean time from the first scored frame to the first in which it is followed, of those
+            established.
+        longest_time_to_establish_s: The longest of these times.
+        tracks_per_vessel: Mean number of different tracks that followed an established appearance.
+        track_breaks: Number of breaks.
+        track_break_s: Their total length.
+        mean_track_break_s: Their mean length.
+        longest_track_break_s: The longest.
+        track_breaks_per_hour: Breaks for each hour of established vessels.
+        lost: Number of established appearances that are not followed in their last scored frame.
+        lost_s: Their total time after the last frame in which they are followed.
+        false_tracks: Number of false tracks.
+        false_track_s: Their total length, of the frames in which they are reported.
+        mean_false_track_s: Their mean length.
+        false_tracks_per_hour: False tracks for each hour of a camera.
+    """
+
+    appearances: int
+    established: int
+    established_share: float | None
+    time_to_establish_s: float | None
+    longest_time_to_establish_s: float | None
+    tracks_per_vessel: float | None
+    track_breaks: int
+    track_break_s: float
+    mean_track_break_s: float | None
+    longest_track_break_s: float | None
+    track_breaks_per_hour: float | None
+    lost: int
+    lost_s: float
+    false_tracks: int
+    false_track_s: float
+    mean_false_track_s: float | None
+    false_tracks_per_hour: float | None
+
+
+class Establishment(NamedTuple):
+    """When each appearance was followed first: v rows.
+
+    Attributes:
+        identity: Number of the identity in the truth, shape (v,).
+        first_step: Step of the first scored frame, shape (v,).
+        followed_step: Step of the first scored frame in which it is followed, `NOBODY` if never, shape (v,).
+        time_s: From the one to the other, NaN if never, shape (v,).
+    """
+
+    identity: Indices
+    first_step: Indices
+    followed_step: Indices
+    time_s: Array
+
+
+class _Appearances(NamedTuple):
+    """Scored frames of vessels by identity and frame: n rows.
+
+    Attributes:
+        row: Row of the vessel in the matching.
+        identity: Number of the identity.
+        followed: Whether it is followed.
+        length_s: Time that the frame stands for.
+    """
+
+    row: Indices
+    identity: Indices
+    followed: Mask
+    length_s: Array
+
+
+def continuity(scored: Scored) -> Continuity:
+    """Continuity of the tracks of scored vessels, and false tracks."""
+    rows, first = _appearances(scored), establishment(scored)
+    waits_s = first.time_s[~np.isnan(first.time_s)]
+    appearances, established = len(first.identity), len(waits_s)
+    breaks_s, lost_s, established_s = _times_not_followed(rows)
+    false_s = false_track_lengths_s(scored)
+    vessels, tracks = scored.pairs
+    pairs = np.column_stack([scored.following.truth.identity[vessels], scored.following.tracks.identity[tracks]])
+    cameras_s = float(frame_lengths_s(scored, scored.frames).sum())
+    return Continuity(
+        appearances=appearances,
+        established=established,
+        established_share=established / appearances if appearances else None,
+        time_to_establish_s=_mean(waits_s),
+        longest_time_to_establish_s=_longest(waits_s),
+        tracks_per_vessel=len(np.unique(pairs, axis=0)) / established if established else None,
+        track_breaks=len(breaks_s),
+        track_break_s=float(breaks_s.sum()),
+        mean_track_break_s=_mean(breaks_s),
+        longest_track_break_s=_longest(breaks_s),
+        track_breaks_per_hour=len(breaks_s) / established_s * _HOUR_S if established_s else None,
+        lost=len(lost_s),
+        lost_s=float(lost_s.sum()),
+        false_tracks=len(false_s),
+        false_track_s=float(false_s.sum()),
+        mean_false_track_s=_mean(false_s),
+        false_tracks_per_hour=len(false_s) / cameras_s * _HOUR_S if cameras_s else None,
+    )
+
+
+def establishment(scored: Scored) -> Establishment:
+    """When each appearance was followed first."""
+    rows, by_step = _appearances(scored), scored.by_step
+    frame = scored.following.truth.frame[rows.row]
+    identity, start = np.unique(rows.identity, return_index=True)
+    established, at = np.unique(rows.identity[rows.followed], return_index=True)
+    followed_step = np.full(len(identity), NOBODY)
+    followed_step[np.searchsorted(identity, established)] = frame[rows.followed][at] // by_step
+    first_step = frame[start] // by_step
+    wait_s = scored.times_s[followed_step] - scored.times_s[first_step]
+    return Establishment(identity, first_step, followed_step, np.where(followed_step == NOBODY, np.nan, wait_s))
+
+
+def false_track_lengths_s(scored: Scored) -> Array:
+    """Time for which each track is reported that never follows a vessel, in order of camera and track, shape (f,)."""
+    following = scored.following
+    identity = following.tracks.identity
+    ever = np.unique(identity[~following.false])
+    rows = np.flatnonzero(np.isin(following.tracks.frame, scored.frames) & ~np.isin(identity, ever))
+    _, track = np.unique(identity[rows], return_inverse=True)
+    return _sums(track.reshape(-1), frame_lengths_s(scored, following.tracks.frame[rows]))
+
+
+def _appearances(scored: Scored) -> _Appearances:
+    truth, rows = scored.following.truth, scored.truth_rows
+    rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
+    length_s = frame_lengths_s(scored, truth.frame[rows])
+    return _Appearances(rows, truth.identity[rows], scored.following.found[rows], length_s)
+
+
+def _times_not_followed(rows: _Appearances) -> tuple[Array, Array, float]:
+    """Lengths of breaks, times of vessels after they were followed last where there is any, and total of all
+    established time: from the first followed frame on."""
+    _, group = np.unique(rows.identity, return_inverse=True)
+    group = group.reshape(-1)
+    place, count = np.arange(len(group)), int(group.max(initial=-1)) + 1
+    first, last = np.full(count, len(group)), np.full(count, -1)
+    np.minimum.at(first, group[rows.followed], place[rows.followed])
+    np.maximum.at(last, group[rows.followed], place[rows.followed])
+    missed = np.flatnonzero(~rows.followed & (place > first[group]) & (place < last[group]))
+    stretches, before_s = runs(group[missed], missed), np.append(0, np.cumsum(rows.length_s))
+    breaks_s = before_s[missed[stretches.last] + 1] - before_s[missed[stretches.first]]
+    after = (place > last[group]) & (last[group] >= 0)
+    lost_s = _sums(group[after], rows.length_s[after], count)
+    lost_s = lost_s[np.bincount(group[after], minlength=count) > 0]
+    return breaks_s, lost_s, float(rows.length_s[place >= first[group]].sum())
+
+
+def _sums(group: Indices, values: Array, groups: int = 0) -> Array:
+    return np.asarray(np.bincount(group, values, groups), dtype=np.float64)
+
+
+def _mean(values: Array) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def _longest(values: Array) -> float | None:
+    return float(values.max()) if len(values) else None

@@ -1,0 +1,129 @@
+"""SIAP: what a picture of all tracks is worth, where several may lie on one vessel (Votruba et al. (2001))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, ranges
+from modsim3d.boxes import centres
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
+from modsim3d.tracking.scores.scored import Scored
+
+
+@dataclass(frozen=True)
+class Siap:
+    """Attributes of the single integrated air picture, over all frames; None where there is nothing to divide by.
+
+    Attributes:
+        siap_completeness: Share of vessels, counted in each frame, with a track.
+        siap_ambiguity: Tracks for each vessel that has one.
+        siap_spuriousness: Share of tracks, counted in each frame, without a vessel.
+        siap_positional_accuracy_px: Mean distance of a track's centre from that of its vessel.
+        siap_id_changes_per_s: Changes of the track that one has to make to stay on each vessel, as few as possible, for
+            each second in which the vessel has a track.
+        siap_longest_track_share: The longest stretch that one track stays on each vessel without a break, as a share of
+            the vessel's time, sums over vessels.
+    """
+
+    siap_completeness: float | None
+    siap_ambiguity: float | None
+    siap_spuriousness: float | None
+    siap_positional_accuracy_px: float | None
+    siap_id_changes_per_s: float | None
+    siap_longest_track_share: float | None
+
+
+def siap(scored: Scored) -> Siap:
+    """Assign each track in each frame to the vessel that it is most similar to, if it is similar enough.
+
+    This is not the one matching of the other scores. A track that is assigned to a vessel that is not scored is left
+    out. Stone Soup counts a track that pauses and goes on as a change; here only another track is one.
+    """
+    following = scored.following
+    vessel, track, spurious = _assigned(scored)
+    scored_vessels = len(scored.truth_rows)
+    followed = len(np.unique(vessel))
+    error_px = centres(following.tracks.boxes_px[track]) - centres(following.truth.boxes_px[vessel])
+    place, length_s = _places(scored)
+    identity = following.truth.identity[vessel]
+    changes = _changes(identity, following.truth.frame[vessel], following.tracks.identity[track])
+    longest_s = _longest_s(identity, place[vessel], following.tracks.identity[track], length_s)
+    return Siap(
+        _ratio(followed, scored_vessels),
+        _ratio(len(vessel), followed),
+        _ratio(spurious, len(vessel) + spurious),
+        _ratio(float(np.hypot(error_px[:, 0], error_px[:, 1]).sum()), len(vessel)),
+        _ratio(changes, float(length_s[np.unique(place[vessel])].sum())),
+        _ratio(longest_s, float(length_s.sum())),
+    )
+
+
+def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
+    """Rows of the scored vessels to which tracks are assigned and of these, shapes (a,); number of tracks to none."""
+    truth, tracks, similarity = scored.following.truth, scored.following.tracks, scored.following.similarity
+    rows = np.flatnonzero(np.isin(tracks.frame, scored.frames))
+    first, stop = (np.searchsorted(truth.frame, tracks.frame[rows], side=side) for side in ("left", "right"))
+    vessel, track = ranges(first, stop - first), np.repeat(rows, stop - first)
+    alike = similarity(truth.boxes_px[vessel], tracks.boxes_px[track])
+    order = np.lexsort((vessel, ~truth.scored[vessel], -alike, track))
+    order = order[alike[order] >= similarity.least - np.finfo(float).eps]
+    _, best = np.unique(track[order], return_index=True)
+    vessel, track = vessel[order[best]], track[order[best]]
+    counted = truth.scored[vessel]
+    return vessel[counted], track[counted], len(rows) - len(track)
+
+
+def _places(scored: Scored) -> tuple[Indices, Array]:
+    """Place of each vessel's row among the scored ones by identity and frame, shape (n,), and their times, (p,)."""
+    truth, rows = scored.following.truth, scored.truth_rows
+    rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
+    place = np.full(len(truth), -1)
+    place[rows] = np.arange(len(rows))
+    return place, frame_lengths_s(scored, truth.frame[rows])
+
+
+def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
+    """The least number of changes of the track over the frames in which each identity has one; arguments (a,)."""
+    tracked, place = np.unique(np.column_stack([identity, frame]), axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    group, place = _by_track(identity, track, place)
+    stretches = runs(group, place)
+    reach = np.arange(len(tracked))  # the place up to which a track that is there at a place stays
+    lengths = stretches.last - stretches.first + 1
+    np.maximum.at(reach, place, np.repeat(place[stretches.last], lengths))
+    held, at = 0, 0
+    while at < len(reach):  # to take the track that stays longest is best; each turn is one held track, not one row
+        held, at = held + 1, int(reach[at]) + 1
+    return held - len(np.unique(identity))
+
+
+def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Array) -> float:
+    """Sum over identities of the longest time that one track stays on them.
+
+    Args:
+        identity: Of the vessel of each assignment, shape (a,).
+        place: Place of its row in the times, shape (a,).
+        track: Identity of the track, shape (a,).
+        length_s: Time that each place stands for, shape (p,).
+    """
+    vessel = np.zeros(len(length_s), dtype=np.int64)
+    vessel[place] = identity
+    group, place = _by_track(identity, track, place)
+    stretches, before_s = runs(group, place), np.append(0, np.cumsum(length_s))
+    stretch_s = before_s[place[stretches.last] + 1] - before_s[place[stretches.first]]
+    longest_s = np.zeros(int(identity.max(initial=-1)) + 1)
+    np.maximum.at(longest_s, vessel[place[stretches.first]], stretch_s)
+    return float(longest_s.sum())
+
+
+def _by_track(identity: Indices, track: Indices, place: Indices) -> tuple[Indices, Indices]:
+    """Number of each pair of a vessel and a track and the places, in order of pair and place, shapes (a,)."""
+    _, group = np.unique(np.column_stack([identity, track]), axis=0, return_inverse=True)
+    order = np.lexsort((place, group.reshape(-1)))
+    return group.reshape(-1)[order], place[order]
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None

@@ -1,0 +1,68 @@
+"""GOSPA and OSPA of tracks in the image, worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from modsim3d.tracking.scores.rules import Rules, SetDistance
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, gospa_over_cutoffs, ospa
+from tests.tracking.hand_made import box, hand_made
+
+RULES = Rules(set_distance=SetDistance(cutoff=10))
+
+
+@pytest.fixture(scope="module")
+def four_frames() -> Scored:
+    """A shift by (3, 4), a miss, a false track and an empty frame."""
+    truth = [(0, 0, box()), (1, 0, box())]
+    tracks = [(0, 7, box(3, 4)), (2, 7, box())]
+    return hand_made(truth, tracks, 4, rules=RULES)
+
+
+def test_gospa_is_the_mean_of_an_error_a_miss_a_false_track_and_an_empty_frame(four_frames: Scored) -> None:
+    assert gospa(four_frames) == Gospa(15 / 4, 5 / 4, 5 / 4, 5 / 4)  # 5, 10 / 2, 10 / 2 and 0
+
+
+def test_ospa_is_the_mean_of_an_error_a_miss_a_false_track_and_an_empty_frame(four_frames: Scored) -> None:
+    assert ospa(four_frames) == Ospa(25 / 4)  # 5, 10, 10 and 0
+
+
+def test_a_larger_power_gives_parts_as_powers() -> None:
+    scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=_rules(power=2))
+    assert gospa(scored) == Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
+
+
+def test_cutoffs_around_an_error_turn_it_into_a_miss_and_a_false_track(four_frames: Scored) -> None:
+    """With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0."""
+    low, same, high = gospa_over_cutoffs(four_frames, (0.4, 1, 2))
+    assert low == (4, Gospa(2, 0, 1, 1))
+    assert same == (10, gospa(four_frames))
+    assert high == (20, Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2))
+
+
+def test_a_track_on_a_vessel_that_is_hidden_costs_nothing() -> None:
+    scored = hand_made([(0, 0, box(), 0.0)], [(0, 7, box(1))], 1, rules=RULES)
+    assert gospa(scored) == Gospa(0, 0, 0, 0)
+    assert ospa(scored) == Ospa(0)
+
+
+def test_only_the_frames_in_question_count(four_frames: Scored) -> None:
+    assert gospa(four_frames.in_frames(np.array([0, 3]))) == Gospa(2.5, 2.5, 0, 0)
+
+
+def test_frames_of_several_cameras_are_apart() -> None:
+    """The track of camera 1 is at the place of the vessel of camera 0."""
+    scored = hand_made([(0, 0, box())], [(1, 7, box())], 1, cameras=2, rules=RULES)
+    assert gospa(scored) == Gospa(5, 0, 2.5, 2.5)
+
+
+def test_without_frames_there_is_no_distance(four_frames: Scored) -> None:
+    nothing = four_frames.in_frames(np.empty(0, dtype=np.int64))
+    assert gospa(nothing) == Gospa(None, None, None, None)
+    assert ospa(nothing) == Ospa(None)
+
+
+def _rules(power: float) -> Rules:
+    return Rules(set_distance=SetDistance(cutoff=10, power=power))
