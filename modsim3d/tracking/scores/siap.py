@@ -39,7 +39,8 @@ def siap(scored: Scored) -> Siap:
     """Assign each track in each frame to the vessel that it is most similar to, if it is similar enough.
 
     This is not the one matching of the other scores. A track that is assigned to a vessel that is not scored is left
-    out. Stone Soup counts a track that pauses and goes on as a change; here only another track is one.
+    out. A track that loses its vessel and finds it again is no change, but two stretches; in Stone Soup 1.9.1 it is a
+    change and one stretch.
     """
     following = scored.following
     vessel, track, spurious = _assigned(scored)

@@ -1,0 +1,81 @@
+"""Errors of tracks and their covariances, worked out by hand and by sampling."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from modsim3d.tracking.scores.errors import Errors, errors, identity_errors, normalised_squares
+from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracks.similarity import Similarity
+from tests.tracking.hand_made import box, hand_made
+
+RULES = Rules(similarity=Similarity("centre", 100))
+TEN_PX = ((100, 0), (0, 100))
+
+
+def test_errors_of_three_pairs_worked_by_hand() -> None:
+    """Centres off by (3, 4), 0 and (6, 8) px; widths by 0, 2 and 0, heights by 0, 0 and 4."""
+    tracks = [(0, 7, box(3, 4)), (1, 7, box(-1, 0, 22, 20)), (2, 7, box(6, 6, 20, 24))]
+    scored = hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=RULES)
+    found = errors(scored)
+    assert found.error_pairs == 3
+    assert found.rmse_px == pytest.approx((125 / 3) ** 0.5)
+    assert found.median_error_px == 5
+    assert found.rmse_width_px == pytest.approx((4 / 3) ** 0.5)
+    assert found.rmse_height_px == pytest.approx((16 / 3) ** 0.5)
+    assert (found.nees, found.anees, found.nees_pairs) == (None, None, 0)
+
+
+def test_nees_is_over_the_pairs_with_a_covariance_and_anees_is_half_of_it() -> None:
+    """e' P⁻¹ e of e = (10, 20) and P = [[4, 2], [2, 3]] is (3·100 − 4·200 + 4·400) / 8 = 137.5; of (10, 0) it is 1."""
+    tracks = [(0, 7, box(10, 20), -1, ((4, 2), (2, 3))), (1, 7, box(10), -1, TEN_PX), (2, 7, box(30))]
+    found = errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=RULES))
+    assert found.nees == pytest.approx(138.5 / 2)
+    assert found.anees == pytest.approx(138.5 / 4)
+    assert (found.error_pairs, found.nees_pairs, found.singular_covariances) == (3, 2, 0)
+
+
+@pytest.mark.parametrize("singular", [((0, 0), (0, 0)), ((4, 2), (2, 1)), ((1, 0), (0, -1))])
+def test_a_singular_covariance_leaves_no_nees_and_is_counted(singular: tuple) -> None:
+    tracks = [(0, 7, box(1), -1, singular), (1, 7, box(1), -1, TEN_PX)]
+    found = errors(hand_made([(0, 0, box()), (1, 0, box())], tracks, 2, rules=RULES))
+    assert (found.nees, found.anees, found.nees_pairs, found.singular_covariances) == (None, None, 2, 1)
+    assert found.rmse_px == 1
+
+
+def test_errors_as_large_as_their_covariance_have_anees_1() -> None:
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(4000, 2, 2))
+    covariance = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    error = (np.linalg.cholesky(covariance) @ rng.normal(size=(4000, 2, 1)))[..., 0]
+    squares = normalised_squares(error, covariance)
+    assert squares.mean() == pytest.approx(2, abs=4 * 2 / 4000**0.5)  # chi-square with 2 degrees: variance 4
+    slow = [e @ np.linalg.inv(p) @ e for e, p in zip(error, covariance, strict=True)]
+    np.testing.assert_allclose(squares, slow)
+
+
+def test_hidden_vessels_and_false_tracks_add_no_error() -> None:
+    truth, tracks = [(0, 0, box()), (1, 0, box(), 0.0)], [(0, 7, box(1)), (1, 7, box(40)), (1, 8, box(400))]
+    found = errors(hand_made(truth, tracks, 2, rules=RULES))
+    assert (found.error_pairs, found.rmse_px) == (1, 1)
+
+
+def test_without_pairs_there_is_no_error() -> None:
+    scored = hand_made([(0, 0, box())], [], 1)
+    assert astuple(errors(scored)) == (0, None, None, None, None, None, None, 0, 0)
+    assert errors(scored) == Errors(0, None, None, None, None, None, None, 0, 0)
+    assert len(identity_errors(scored).identity) == 0
+
+
+def test_errors_of_each_vessel_are_means_over_its_frames() -> None:
+    """Vessel 0 off by 3 and 4 px, vessel 1 by 10 px, vessel 2 without a covariance, vessel 3 never followed."""
+    truth = [(0, 0, box()), (1, 0, box()), *((0, v, box(200 * v)) for v in (1, 2, 3))]
+    tracks = [(0, 7, box(3), -1, TEN_PX), (1, 7, box(4), -1, TEN_PX), (0, 8, box(210), -1, ((0, 0), (0, 0)))]
+    found = identity_errors(hand_made(truth, [*tracks, (0, 9, box(400))], 2, rules=RULES))
+    assert found.identity.tolist() == [0, 1, 2]
+    assert found.pairs.tolist() == [2, 1, 1]
+    np.testing.assert_allclose(found.mean_square_px2, [12.5, 100, 0])
+    np.testing.assert_allclose(found.nees, [0.125, np.inf, np.nan])
