@@ -53,9 +53,7 @@ def score_command(
     gospa_p: Annotated[float, typer.Option(metavar="P", help="Power of GOSPA.")] = 1.0,
     gate: Annotated[
         float | None,
-        typer.Option(
-            metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"
-        ),
+        typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
     ] = None,
     seeds: Annotated[
         int | None,
@@ -69,7 +67,7 @@ def score_command(
     verbose: VerboseOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Score tracks against what was true: a line for each tracker, and beside it the same detections associated perfectly.
+    """Score tracks against what was true, and beside them the same detections with perfect association.
 
     Example: modsim3d score runs/first runs/tracks
     """
@@ -87,7 +85,7 @@ def score_command(
     read = [*read_of_run(run), *tracks]
     tell_files(read)
     with claimed(paths, overwrite=overwrite, inputs=read):
-        with timed("scores"), (progress("seeds", seeds) if seeds else nullcontext(lambda done: None)) as advance:
+        with timed("scores"), progress("seeds", seeds) if seeds else nullcontext(lambda done: None) as advance:
             scores = score_run(
                 opened,
                 tracks,

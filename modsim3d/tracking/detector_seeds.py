@@ -19,6 +19,7 @@ from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps,
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
+from modsim3d.tracking.report.numbers import Keys
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.track_set import TrackSet
@@ -79,7 +80,6 @@ class SeedSpread:
     spreads: dict[str, dict[str, Spread]]
 
 
-Keys = dict[str, float | int | None]
 Score = Callable[[RunRows, Tracks], Keys]
 """Scores tracks of a run of the same truth."""
 

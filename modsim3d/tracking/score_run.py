@@ -16,7 +16,8 @@ from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.files.replacing import read_of_run
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
-from modsim3d.tracking.oracle.oracle_tracks import oracle_tracks
+from modsim3d.tracking.oracle.association import oracle_tracks
+from modsim3d.tracking.report.numbers import keys_of
 from modsim3d.tracking.scores.rules import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import Scores, score_tracks
 from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, WorldScores, score_world
@@ -126,8 +127,8 @@ class RunScores:
         from modsim3d.tracking.report.score_page import FILES, write_scores
 
         paths = tuple(as_path(folder, "folder") / name for name in FILES)
-        read = [each.path for each in (*self.trackers, *self.world) if each.path is not None]
-        with claimed(paths, overwrite=overwrite, inputs=[*read_of_run(self.run.folder), *read]):
+        given = [each.path for each in self.trackers] + [each.path for each in self.world]
+        with claimed(paths, overwrite=overwrite, inputs=[*read_of_run(self.run.folder), *filter(None, given)]):
             write_scores(self, folder)
         return paths
 
@@ -182,19 +183,17 @@ def score_run(
         from modsim3d.tracking.detector_seeds import check_seeds
 
         check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
+    gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
     in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p)
     world = tuple(
-        WorldTrackScores(each.name, path, score_world(rows, each, DEFAULT_GATE_M if gate_m is None else gate_m, in_metres))
-        for path, each in in_world
+        WorldTrackScores(each.name, path, score_world(rows, each, gate_m, in_metres)) for path, each in in_world
     )
-    scored = [
-        TrackScores(each.name, path, each, score_tracks(rows, each.tracks, rules)) for path, each in in_images
-    ]
+    scored = [TrackScores(each.name, path, each, score_tracks(rows, each.tracks, rules)) for path, each in in_images]
     references = reference_tracks(rows, rules) if in_images else {}
     return RunScores(
         run,
         rules,
-        tuple(sorted(scored, key=lambda each: -(each.scores.flat()["hota"] or 0.0))),
+        tuple(sorted(scored, key=lambda each: -(keys_of(each.scores)["hota"] or 0.0))),
         {name: score_tracks(rows, each, rules) for name, each in references.items()},
         _over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
         world,
@@ -217,7 +216,7 @@ def _read(
     """
     given = [tracks] if isinstance(tracks, TrackSet | str | os.PathLike) else list(tracks)
     if not given:
-        raise ModsimError("there are no tracks to score: give a folder that `modsim3d track` wrote, or files of your own")
+        raise ModsimError("there are no tracks to score: give folders that `modsim3d track` wrote, or your own files")
     in_images: list[tuple[Path | None, TrackSet]] = []
     in_world: list[tuple[Path, WorldTracks]] = []
     seen: set[Path] = set()
@@ -254,7 +253,7 @@ def _over_seeds(
         run,
         track_sets,
         count,
-        lambda rows, tracks: score_tracks(rows, tracks, rules).flat(),
+        lambda rows, tracks: keys_of(score_tracks(rows, tracks, rules)),
         lambda rows: reference_tracks(rows, rules),
         progress,
     )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scoring import Scores
+
+Keys = dict[str, float | int | None]
 
 UNKNOWN = "–"
 COLUMNS: tuple[tuple[str, str, int], ...] = (
@@ -15,6 +18,11 @@ COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("GOSPA, px", "gospa", 1),
 )
 """Header, key and decimals of the scores in a line of the table."""
+
+
+def keys_of(scores: Scores) -> Keys:
+    """The scores that are one number each, by their keys."""
+    return {key: value for key, value in scores.flat().items() if not isinstance(value, tuple)}
 
 
 def number(value: float | None, decimals: int = 3) -> str:
@@ -45,7 +53,10 @@ def rules_in_words(rules: Rules) -> list[tuple[str, str]]:
     return [
         ("similarity", f"{similarity}; a track follows a vessel from {similarity.least:g} on"),
         ("truth", f"{rules.truth}: {truth[rules.truth]}"),
-        ("gap", f"after more than {rules.gap_s:g} s outside the image a vessel is a new one; hidden ones stay the same"),
+        (
+            "gap",
+            f"after more than {rules.gap_s:g} s outside the image a vessel is a new one; a hidden one is not",
+        ),
         ("GOSPA", f"c = {distance.cutoff:g} px, p = {distance.power:g}, α = 2, distance of the centres"),
         ("class", f"{classes}; each class by itself too" if rules.by_class else classes),
     ]
@@ -55,7 +66,7 @@ MEANINGS = {
     "HOTA": "√(detection accuracy · association accuracy), the mean over 19 thresholds of similarity; 0 to 1",
     "DetA": "detection accuracy: matches over matches, misses and false positives together",
     "AssA": "association accuracy: how much of a vessel's and of its track's boxes belong together",
-    "MOTA": "1 − (misses + false positives + ID switches) over boxes to follow; below 0 where errors are more than boxes",
+    "MOTA": "1 − (misses + false positives + ID switches) over boxes to follow; below 0 with more errors than boxes",
     "IDF1": "share of boxes with the right identity, where each vessel may have one track only",
     "ID switches": "how often a vessel is followed by another track than before",
     "GOSPA": "error of position in a frame, with a price for each missed vessel and each false track; 0 is best",

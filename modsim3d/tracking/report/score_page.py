@@ -31,7 +31,7 @@ from modsim3d.tracking.report.score_tables import (
     survival,
 )
 from modsim3d.tracking.report.world_tables import world_sections
-from modsim3d.tracking.score_run import RunScores, TrackScores
+from modsim3d.tracking.score_run import RAW, REFERENCES, RunScores, TrackScores
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
@@ -50,10 +50,10 @@ def write_scores(scores: RunScores, folder: StrPath) -> None:
 def score_page(scores: RunScores) -> str:
     """The whole page."""
     run = scores.run
+    of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     body = [page.paragraph(scores.conclusion, "lead")]
     if scores.trackers:
         body += [
-            page.paragraph(f"{counted(run.steps, 'step')}, {counted(len(run.scene.cameras), 'camera')}. {ONE_RUN}", "soft"),
             page.table(score_rows(scores), HEADER),
             page.paragraph(
                 "The last two lines are the same detections with perfect association: each detection is given to the "
@@ -61,6 +61,8 @@ def score_page(scores: RunScores) -> str:
                 "that smooths better may exceed them.",
                 "soft",
             ),
+            page.paragraph(f"{of_run} {ONE_RUN}", "soft"),
+            _closed("What the scores mean", page.table(list(MEANINGS.items()))),
             _alpha_chart(scores),
             page.heading("Rules"),
             page.table(rules_in_words(scores.rules)),
@@ -79,16 +81,17 @@ def score_page(scores: RunScores) -> str:
             page.heading("Occlusions"),
             *(part for each in scores.trackers for part in _occlusions(each)),
             page.heading("All scores"),
-            page.table(key_rows(scores), ("score", *(name for name, _ in named_scores(scores)))),
-            page.heading("What they mean"),
-            page.table(list(MEANINGS.items())),
+            _closed(
+                "By their keys", page.table(key_rows(scores), ("score", *(name for name, _ in named_scores(scores))))
+            ),
         ]
     return page.page(f"{run.scene.name}: how well is it tracked?", [*body, *world_sections(scores)])
 
 
 def _alpha_chart(scores: RunScores) -> str:
     """HOTA at each threshold of similarity."""
-    axes, content, names = charts.Axes((0, 1), (0, 1.02), width=560), "", []
+    axes, content = charts.Axes((0, 1), (0, 1.02), width=560), ""
+    names: list[str] = []
     for name, found in named_scores(scores):
         values = found.flat()["hota_by_alpha"]
         if not isinstance(values, tuple):
@@ -98,18 +101,13 @@ def _alpha_chart(scores: RunScores) -> str:
         names.append(name)
     if not names:
         return ""
-    content += _key_above(names, axes)
+    content += charts.key(names, axes.height - 38)
     drawing = axes.drawing(content, "HOTA by threshold", "least similarity of a match", "HOTA")
     return charts.figure(
         [drawing],
-        "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then compare "
-        "centres instead of IoU.",
+        "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
+        "compare centres instead of IoU.",
     )
-
-
-def _key_above(names: list[str], axes: charts.Axes) -> str:
-    """The key in the upper right corner, where HOTA is low."""
-    return f'<g transform="translate({axes.width - 240:g} 0)">{charts.key(names, 20 + 14.0 * len(names))}</g>'
 
 
 def _seeds(scores: RunScores) -> list[str]:
@@ -121,7 +119,7 @@ def _seeds(scores: RunScores) -> list[str]:
 
 def _breakdowns(scores: RunScores) -> list[str]:
     """A table for each property, with the trackers and the smoothed reference side by side."""
-    shown = named_scores(scores)
+    shown = [each for each in named_scores(scores) if each[0] != REFERENCES[RAW]]
     parts = []
     for index, group in enumerate(shown[0][1].breakdown):
         bins = {name: {each.bin: each for each in found.breakdown[index].rows} for name, found in shown}
@@ -144,8 +142,8 @@ def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> st
         cells.append(f'<td class="number">{row.vessel_frames:,}</td>')
         for each in bins.values():
             cells += [_bar(getattr(each[name], key)) for key in per]
-        lines.append(f"<tr><th>{html.escape(name)}</th>{''.join(cells)}</tr>")
-    return "<table>\n" + "\n".join(lines) + "\n</table>"
+        lines.append(f'<tr><th style="white-space: nowrap">{html.escape(name)}</th>{"".join(cells)}</tr>')
+    return '<div style="overflow-x: auto"><table>\n' + "\n".join(lines) + "\n</table></div>"
 
 
 def _bar(share: float | None) -> str:
@@ -173,5 +171,9 @@ def _occlusions(tracker: TrackScores) -> list[str]:
     said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found.occlusions), 'occlusion')} in all"
     failed = {index for index, each in enumerate(found.occlusions) if each.survived is False}
     table = page.table(occlusion_rows(found.occlusions), OCCLUSION_HEADER, failed)
-    opened = " open" if len(found.occlusions) <= 15 else ""
-    return [f"<details{opened}><summary>{html.escape(said)}</summary>{table}</details>"]
+    return [_closed(said, table, opened=len(found.occlusions) <= 15)]
+
+
+def _closed(title: str, content: str, opened: bool = False) -> str:
+    """Content that is shown when its title is clicked."""
+    return f"<details{' open' if opened else ''}><summary>{html.escape(title)}</summary>{content}</details>"

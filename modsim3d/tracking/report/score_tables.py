@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from modsim3d.display import counted
-from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN, number, percent
+from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN, keys_of, number, percent
 from modsim3d.tracking.report.sentence import LengthBin, Told, conclusion
 from modsim3d.tracking.report.world_tables import world_conclusion
 from modsim3d.tracking.score_run import REFERENCES, SMOOTHED, RunScores
-from modsim3d.tracking.scores.breakdown import Breakdown
+from modsim3d.tracking.scores.breakdown import Bin, Breakdown
 from modsim3d.tracking.scores.occlusions import Occlusion
-from modsim3d.tracking.scores.scoring import Scores, SubsetScores, Value
+from modsim3d.tracking.scores.scoring import Scores, SubsetScores
 
 LENGTH_EDGES_S = (0.0, 1.0, 3.0, 10.0, float("inf"))
 """Lengths of occlusions between which they are told apart."""
@@ -54,7 +55,7 @@ def named_scores(scores: RunScores) -> list[tuple[str, Scores]]:
 
 def score_cells(scores: Scores) -> tuple[str, ...]:
     """The scores of one line."""
-    keys, (survived, judged) = scores.flat(), survival(scores.occlusions)
+    keys, (survived, judged) = keys_of(scores), survival(scores.occlusions)
     cells = tuple(number(keys[key], decimals) for _, key, decimals in COLUMNS)
     return (*cells, f"{survived} of {judged}" if judged else UNKNOWN)
 
@@ -68,7 +69,7 @@ def survival(occlusions: Sequence[Occlusion]) -> tuple[int, int]:
 def length_bins(occlusions: Sequence[Occlusion]) -> tuple[LengthBin, ...]:
     """Occlusions by length, those that a track could survive."""
     bins = []
-    for low, high in zip(LENGTH_EDGES_S[:-1], LENGTH_EDGES_S[1:], strict=True):
+    for low, high in pairwise(LENGTH_EDGES_S):
         survived, judged = survival([each for each in occlusions if low <= each.length_s < high])
         name = f"longer than {low:g} s" if high == float("inf") else f"of {low:g} to {high:g} s"
         bins.append(LengthBin(name, judged, survived))
@@ -79,8 +80,8 @@ def conclusion_of(scores: RunScores) -> str:
     """The outcome: of the best tracker in the images, and of each in the world."""
     said = []
     if scores.trackers:
-        told = [Told(each.name, each.scores.flat(), length_bins(each.scores.occlusions)) for each in scores.trackers]
-        said.append(conclusion(told, scores.references[SMOOTHED].flat()))
+        told = [Told(each.name, keys_of(each.scores), length_bins(each.scores.occlusions)) for each in scores.trackers]
+        said.append(conclusion(told, keys_of(scores.references[SMOOTHED])))
     if scores.world:
         said.append(world_conclusion(scores))
     return " ".join(said)
@@ -90,7 +91,7 @@ def seed_rows(scores: RunScores) -> list[tuple[str, ...]]:
     """A line for each tracker and score over detector seeds, under `SEED_HEADER`."""
     if scores.seeds is None:
         return []
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, spreads in scores.seeds.spreads.items():
         for title, key, decimals in COLUMNS:
             spread = spreads[key]
@@ -107,7 +108,8 @@ def seeds_in_words(scores: RunScores) -> str:
     if scores.seeds is None:
         return ""
     seeds = scores.seeds.seeds
-    return f"{counted(len(seeds), 'seed')} of the detector, {seeds[0]} to {seeds[-1]}, that of the run first: {OF_SEEDS}."
+    which = f"{counted(len(seeds), 'seed')} of the detector, {seeds[0]} to {seeds[-1]}, that of the run first"
+    return f"{which}: {OF_SEEDS}."
 
 
 def occlusion_rows(occlusions: Sequence[Occlusion]) -> list[tuple[str, ...]]:
@@ -127,15 +129,14 @@ def occlusion_rows(occlusions: Sequence[Occlusion]) -> list[tuple[str, ...]]:
     ]
 
 
-
 def hidden_rows(scores: RunScores) -> list[tuple[str, ...]]:
     """What tracks do on wholly hidden vessels, a line for each tracker and reference."""
     return [
         (
             name,
-            number(found.flat()["hidden_vessel_frames"], 0),
-            percent(found.flat()["hidden_followed"]),
-            percent(found.flat()["hidden_same_track"]),
+            number(keys_of(found)["hidden_vessel_frames"], 0),
+            percent(keys_of(found)["hidden_followed"]),
+            percent(keys_of(found)["hidden_same_track"]),
         )
         for name, found in named_scores(scores)
     ]
@@ -150,16 +151,23 @@ def bin_rows(groups: Breakdown) -> list[tuple[str, ...]]:
             f"{each.vessel_frames:,}",
             number(each.recall, 2),
             number(each.association, 2),
-            "" if each.occlusions is None else f"{percent(each.survived)} of {each.occlusions}",
+            survived_of(each),
         )
         for group in groups
         for place, each in enumerate(group.rows)
     ]
 
 
+def survived_of(each: Bin) -> str:
+    """How many occlusions of a bin are survived, of those that could be; empty outside the group of occlusions."""
+    if each.occlusions is None:
+        return ""
+    return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
+
+
 def key_rows(scores: RunScores) -> list[tuple[str, ...]]:
     """All scores by their keys, a column for each tracker and reference."""
-    every = [found.flat() for _, found in named_scores(scores)]
+    every = [keys_of(found) for _, found in named_scores(scores)]
     return [(key, *(_any_number(keys[key]) for keys in every)) for key in every[0]]
 
 
@@ -192,8 +200,6 @@ def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> 
     ]
 
 
-def _any_number(value: Value) -> str:
+def _any_number(value: float | int | None) -> str:
     """A count as it is, anything else with three decimals."""
-    if isinstance(value, tuple):
-        return ", ".join(f"{each:.2f}" for each in value)
     return number(value, 0 if isinstance(value, int) else 3)

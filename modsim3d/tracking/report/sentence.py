@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from modsim3d.display import counted
-from modsim3d.tracking.report.numbers import percent
+from modsim3d.tracking.report.numbers import Keys, percent
 
-Keys = Mapping[str, float | int | None]
 LEAST_OCCLUSIONS = 3
 """Fewer occlusions of a length say nothing about it."""
 
@@ -111,7 +110,13 @@ def _nothing_followed(trackers: Sequence[Told]) -> str:
     if len(trackers) > 1:
         return f"None of the {len(trackers)} trackers follows a vessel; {missed}."
     false = _false(trackers[0].keys)
-    has = f"all of its {_boxes(false)} are false" if false > 1 else "its only box is false" if false else "no track counts"
+    has = (
+        f"all of its {_boxes(false)} are false"
+        if false > 1
+        else "its only box is false"
+        if false
+        else "no track counts"
+    )
     return f"{trackers[0].name} follows no vessel: {has}, and {missed}."
 
 
