@@ -8,18 +8,20 @@ state of occlusion, so nothing here counts them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.boxes import areas
 from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.occlusions import Spans
+from modsim3d.tracking.scores.occlusions import Spans, Survival, within
 from modsim3d.tracking.scores.scored import Scored
 
 NEAR_S = 2.0
 """So long before and after an occlusion is a phase of its own."""
+PHASES = ("before", "during", "after", "elsewhere")
+"""Of an occlusion."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ class Bin:
         recall: Share of them that a track follows; None if there are none.
         association: Mean association of those that are followed, as in `association_of_pairs`; None if none is.
         occlusions: Number of occlusions that they belong to; None outside the group of occlusions.
-        survived: Share of these that a track survived, of those that one could; None if none could.
+        judged: Number of these that a track could survive, as in `Survival`.
+        survived: Share of the judged ones that a track survived; None if there are none.
     """
 
     bin: str
@@ -40,6 +43,7 @@ class Bin:
     recall: float | None
     association: float | None
     occlusions: int | None = None
+    judged: int | None = None
     survived: float | None = None
 
 
@@ -73,7 +77,7 @@ class _Followed:
     found: Mask
     association: Array
 
-    def bin(self, name: str, chosen: Mask, occlusions: int | None = None, survived: float | None = None) -> Bin:
+    def bin(self, name: str, chosen: Mask, survival: Survival | None = None) -> Bin:
         """The chosen rows."""
         found = self.found[chosen]
         association = self.association[chosen][found]
@@ -82,8 +86,7 @@ class _Followed:
             len(found),
             float(np.mean(found)) if len(found) else None,
             float(np.mean(association)) if len(association) else None,
-            occlusions,
-            survived,
+            *(astuple(survival) if survival else ()),
         )
 
     def bins(self, names: Sequence[str], index: Indices) -> tuple[Bin, ...]:
@@ -155,43 +158,31 @@ def _intervals(values: Array, edges: Sequence[int]) -> tuple[list[str], Indices]
 
 def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
     """The vessel-frames by phase of an occlusion, and those during one by its length."""
-    spans, edges = Spans.of(scored), (1, 3, 10)
-    during, before, after = _phases(scored, spans)
-    phase = np.select([during != NOBODY, after, before], [1, 2, 0], 3)
-    phases = followed.bins(("before", "during", "after", "elsewhere"), phase)
-    names, length = _intervals(spans.length_s, edges)
+    spans = Spans.of(scored)
+    during, phase = _phases(scored, spans)
+    names, length = _intervals(spans.length_s, (1, 3, 10))
     of_row = np.append(length, NOBODY)[during]  # the last is that of NOBODY
-    bins = []
-    for index, name in enumerate(names):
-        here = length == index
-        if here.any():
-            judged = here & spans.judged
-            survived = float(np.mean(spans.survived[judged])) if judged.any() else None
-            bins.append(followed.bin(name, of_row == index, int(np.count_nonzero(here)), survived))
-    text = f"less than half of the vessel is visible; before and after are {NEAR_S:g} s each, and after goes first"
-    return (
-        Group("phase", text, phases),
-        Group(
-            "occlusion",
-            "length of the occlusion, s; the vessel-frames during it that are not wholly hidden",
-            tuple(bins),
-        ),
+    bins = (
+        followed.bin(name, of_row == index, spans.survival(length == index))
+        for index, name in enumerate(names)
+        if (length == index).any()
     )
+    phases = f"less than half of the vessel is visible, or it is in the {NEAR_S:g} s before or after; after goes first"
+    lengths = "length of the occlusion, s; vessel-frames in which the vessel is occluded, but not wholly"
+    return Group("phase", phases, followed.bins(PHASES, phase)), Group("occlusion", lengths, tuple(bins))
 
 
-def _phases(scored: Scored, spans: Spans) -> tuple[Indices, Mask, Mask]:
-    """The occlusion during which each of n scored rows is, `NOBODY` for none; which are before one, which after one."""
-    histories, count = spans.histories, len(spans.histories.row)
-    during, before, after = np.full(count, NOBODY), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-    first_of, stop_of = (
-        np.searchsorted(histories.identity, histories.identity[spans.first], s) for s in ("left", "right")
-    )
-    spots = zip(spans.first.tolist(), spans.last.tolist(), first_of.tolist(), stop_of.tolist(), strict=True)
-    for index, (first, last, own, stop) in enumerate(spots):
-        during[first : last + 1] = index
-        before[own:first] |= histories.time_s[own:first] >= spans.start_s[index] - NEAR_S
-        after[last + 1 : stop] |= histories.time_s[last + 1 : stop] < spans.end_s[index] + NEAR_S
-    place = np.empty(count, dtype=np.int64)
-    place[histories.row] = np.arange(count)
-    scored_place = place[scored.truth_rows]
-    return during[scored_place], before[scored_place], after[scored_place]
+def _phases(scored: Scored, spans: Spans) -> tuple[Indices, Indices]:
+    """The occlusion during which each of n rows is, `NOBODY` for none, and its phase, shapes (n,)."""
+    each, count = spans.histories, spans.last - spans.first + 1
+    during = np.full(len(each.row), NOBODY)
+    during[ranges(spans.first, count)] = np.repeat(np.arange(len(count)), count)
+    occluded = during != NOBODY
+    start_s, end_s = (np.append(times_s, np.nan) for times_s in (spans.start_s, spans.end_s))
+    next_one, last_one = (np.append(during, NOBODY)[place(occluded)] for place in (each.first_after, each.last_before))
+    before, after = within(start_s[next_one] - each.time_s, NEAR_S), within(each.time_s - end_s[last_one], NEAR_S)
+    phase = np.select([occluded, after, before], [1, 2, 0], 3)  # places in PHASES
+    place = np.empty(len(each.row), dtype=np.int64)
+    place[each.row] = np.arange(len(each.row))
+    chosen = place[scored.truth_rows]
+    return during[chosen], phase[chosen]

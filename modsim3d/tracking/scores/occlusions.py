@@ -9,6 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.runs.files.columns import NOBODY
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
 from modsim3d.tracking.scores.histories import Histories
 from modsim3d.tracking.scores.scored import Scored
 
@@ -19,6 +20,25 @@ BEFORE_S = 1.0
 AFTER_S = 2.0
 """The track after is the first that follows the vessel within this time after its occlusion."""
 
+_TIME_DECIMALS = 9
+"""Differences of times are rounded to so many decimals before they are compared."""
+
+
+@dataclass(frozen=True)
+class Survival:
+    """How many occlusions there are, and how many of them tracks survive.
+
+    Attributes:
+        occlusions: Their number.
+        occlusions_judged: Number of those that a track could survive: one followed the vessel in the last second
+            before, and the vessel is in the image in the two seconds after.
+        occlusions_survived: Share of these after which the same track is the first to follow the vessel.
+    """
+
+    occlusions: int
+    occlusions_judged: int
+    occlusions_survived: float | None
+
 
 @dataclass(frozen=True)
 class Occlusion:
@@ -28,7 +48,7 @@ class Occlusion:
         camera: Name of the camera.
         vessel: Name of the vessel.
         start_s: Time of the first of these frames.
-        end_s: Time of the camera's next frame after the last of them; of the last one if there is no other.
+        end_s: Time of the camera's next frame after the last of them.
         length_s: From start to end.
         least_visible_fraction: The least share of the silhouette that is visible.
         followed_before: Whether a track followed the vessel in the last second before.
@@ -78,10 +98,12 @@ class Spans:
     def of(cls, scored: Scored) -> Spans:
         """All occlusions that begin in a frame that counts."""
         each = Histories.of(scored)
-        first, last = _runs(each.visible_fraction < OCCLUDED_BELOW, each.identity)
-        counted = each.counted[first]
-        first, last = first[counted], last[counted]
-        start_s, end_s = each.time_s[first], _next_frame_s(scored, each.frame[last])
+        occluded = np.flatnonzero(each.visible_fraction < OCCLUDED_BELOW)
+        found = runs(each.identity[occluded], occluded)
+        first, last = occluded[found.first], occluded[found.last]
+        first, last = first[each.counted[first]], last[each.counted[first]]
+        start_s = each.time_s[first]
+        end_s = each.time_s[last] + frame_lengths_s(scored, each.frame[last])
         before, after = each.last_before(each.followed)[first], each.first_after(each.followed)[last]
         next_one = each.first_after(np.ones(len(each.row), dtype=bool))[last]
         times_s = np.append(each.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
@@ -91,15 +113,15 @@ class Spans:
             last,
             start_s,
             end_s,
-            np.where(times_s[before] >= start_s - BEFORE_S, before, NOBODY),
-            np.where(times_s[after] <= end_s + AFTER_S, after, NOBODY),
-            times_s[next_one] <= end_s + AFTER_S,
+            np.where(within(start_s - times_s[before], BEFORE_S), before, NOBODY),
+            np.where(within(times_s[after] - end_s, AFTER_S), after, NOBODY),
+            within(times_s[next_one] - end_s, AFTER_S),
         )
 
     @property
     def length_s(self) -> Array:
         """From start to end, shape (m,)."""
-        length: Array = self.end_s - self.start_s
+        length: Array = np.round(self.end_s - self.start_s, _TIME_DECIMALS)
         return length
 
     @property
@@ -114,6 +136,24 @@ class Spans:
         track = np.append(self.histories.track, NOBODY)
         survived: Mask = self.judged & (track[self.before] == track[self.after])
         return survived
+
+    def survival(self, chosen: Mask) -> Survival:
+        """How many of the chosen ones there are, and how many of them tracks survive."""
+        judged = chosen & self.judged
+        count = int(np.count_nonzero(judged))
+        survived = float(np.mean(self.survived[judged])) if count else None
+        return Survival(int(np.count_nonzero(chosen)), count, survived)
+
+
+def within(times_s: Array, limit_s: float) -> Mask:
+    """Which spans of time are no longer than a limit, whatever their last bits are; NaN is longer, same shape."""
+    return np.less_equal(np.round(times_s, _TIME_DECIMALS), limit_s)
+
+
+def survival(scored: Scored) -> Survival:
+    """How many occlusions there are, and how many of them tracks survive."""
+    spans = Spans.of(scored)
+    return spans.survival(np.ones(len(spans.first), dtype=bool))
 
 
 def occlusions(scored: Scored) -> tuple[Occlusion, ...]:
@@ -152,22 +192,3 @@ def _track_numbers(scored: Scored, spans: Spans, places: Indices) -> Sequence[in
     track_row = following.track_row[spans.histories.row[places[places != NOBODY]]]
     found = iter(numbers[track_row].tolist())
     return [None if place == NOBODY else next(found) for place in places.tolist()]
-
-
-def _runs(chosen: Mask, identity: Indices) -> tuple[Indices, Indices]:
-    """First and last place of each run of chosen places that belong to one identity."""
-    new = np.append(True, np.diff(identity) != 0)
-    first = chosen & (new[: len(chosen)] | ~np.append(False, chosen[:-1]))
-    last = chosen & (np.append(new[1:], True)[: len(chosen)] | ~np.append(chosen[1:], False))
-    return np.flatnonzero(first), np.flatnonzero(last)
-
-
-def _next_frame_s(scored: Scored, frames: Indices) -> Array:
-    """Time of the camera's next frame after each of some frames, or of itself if it is the last, shape (k,)."""
-    cameras, found = scored.by_step, frames.copy()
-    for camera in range(cameras):
-        here, taken = frames % cameras == camera, scored.rows.frames[scored.rows.frames % cameras == camera]
-        if here.any():
-            found[here] = taken[np.minimum(np.searchsorted(taken, frames[here]) + 1, len(taken) - 1)]
-    times: Array = scored.times_s[found // cameras]
-    return times
