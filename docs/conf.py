@@ -31,7 +31,16 @@ MENU = {
     ],
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
-    "Test a tracker": ["docs/score", "docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"],
+    "Test a tracker": [
+        "docs/score",
+        "docs/scores",
+        "docs/export",
+        "docs/stream",
+        "docs/positions",
+        "docs/ros",
+        "docs/ais_out",
+        "docs/other_truth",
+    ],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [

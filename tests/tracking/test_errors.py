@@ -17,12 +17,12 @@ TEN_PX = ((100, 0), (0, 100))
 
 
 def test_errors_of_three_pairs_worked_by_hand() -> None:
-    """Centres off by (3, 4), 0 and (6, 8) px; widths by 0, 2 and 0, heights by 0, 0 and 4."""
-    tracks = [(0, 7, box(3, 4)), (1, 7, box(-1, 0, 22, 20)), (2, 7, box(6, 6, 20, 24))]
+    """Centres off by (3, 4), 0 and (9, 12) px; widths by 0, 2 and 0, heights by 0, 0 and 4."""
+    tracks = [(0, 7, box(3, 4)), (1, 7, box(-1, 0, 22, 20)), (2, 7, box(9, 10, 20, 24))]
     scored = hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=RULES)
     found = errors(scored)
     assert found.error_pairs == 3
-    assert found.rmse_px == pytest.approx((125 / 3) ** 0.5)
+    assert found.rmse_px == pytest.approx((250 / 3) ** 0.5)
     assert found.median_error_px == 5
     assert found.rmse_width_px == pytest.approx((4 / 3) ** 0.5)
     assert found.rmse_height_px == pytest.approx((16 / 3) ** 0.5)

@@ -86,6 +86,12 @@ def test_cameras_are_apart() -> None:
     )
 
 
+def test_only_the_frames_in_question_count() -> None:
+    truth, tracks = [(k, 0, box()) for k in range(4)], [(0, 7, box()), (1, 7, box(4)), (2, 8, box()), (3, 9, box(300))]
+    scored = hand_made(truth, tracks, 4, rules=RULES)
+    assert siap(scored.in_frames(np.array([0, 1]))) == Siap(1, 1, 0, 2, 0, 1)
+
+
 def test_of_nothing_nothing_is_said() -> None:
     assert siap(hand_made([], [], 2)) == Siap(None, None, None, None, None, None)
     assert siap(hand_made([(0, 0, box())], [], 2)) == Siap(0, None, None, None, None, 0)
@@ -94,7 +100,7 @@ def test_of_nothing_nothing_is_said() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_shares_and_accuracy_are_those_of_stone_soup(seed: int) -> None:
-    """Tracks stay at a place for 5 frames and do not pause: Stone Soup 1.9.1 holds no association of one frame, and fails
+    """Tracks stay at a place for 5 frames and do not pause: Stone Soup 1.9.1 fails at an association of one frame, and
     at a track that pauses."""
     rng = np.random.default_rng(seed)
     blocks = FRAMES // 5
