@@ -34,6 +34,7 @@ MENU = {
     "Test a tracker": [
         "docs/score",
         "docs/scores",
+        "docs/track_files",
         "docs/export",
         "docs/stream",
         "docs/positions",
