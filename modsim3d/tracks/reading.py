@@ -30,6 +30,12 @@ def read_tracks(path: Path, run: StoredRun, rows: RunRows) -> TrackSet:
     Raises:
         InputError: There are no such tracks, or they are wrong; each problem names its line.
     """
+    try:
+        path.stat()
+    except (OSError, ValueError) as error:  # a ValueError is a null character
+        missing = isinstance(error, FileNotFoundError)
+        problem = "no such file or folder" if missing else getattr(error, "strerror", None) or "is no valid name"
+        raise InputError(source_of(path), [f"{problem}; tracks are {_FORMS}"]) from None
     if path.is_dir() and any((path / name).exists() for name in TRACK_FILES):
         return read_stored_tracks(path, run, rows)
     files = _files(path, rows)
@@ -45,8 +51,6 @@ def _files(path: Path, rows: RunRows) -> list[FileRows]:
         return read_mot_tracks(path, rows)
     if suffix == ".csv":
         return [read_csv_tracks(path, rows)]
-    if not path.exists():
-        raise InputError(source_of(path), [f"no such file or folder; tracks are {_FORMS}"])
     if path.name in TRACK_FILES:
         raise InputError(source_of(path), [f"this is one of the files {' and '.join(TRACK_FILES)}: give their folder"])
     raise InputError(source_of(path), [f"is none of what tracks may be: {_FORMS}"])

@@ -64,8 +64,10 @@ def test_the_order_of_the_lines_means_nothing(read, small_rows, small_tracks):
 
 
 def test_a_byte_order_mark_white_space_and_other_line_ends_are_passed_over(read):
-    found = read("\ufeffcamera, step,track ,x_min_px,y_min_px,x_max_px,y_max_px\r\n\r\nbow, 1 ,7, 10,20,+30.5,4e1\r\n")
-    np.testing.assert_array_equal(found.tracks.boxes_px, [[10, 20, 30.5, 40]])
+    text = '\ufeff"camera", step,track ,x_min_px,y_min_px,x_max_px,y_max_px\n\n"bow", 1 ,7, 10,20,+30.5,4e1\n \n'
+    for end in ("\n", "\r\n", "\r"):
+        found = read(text.replace("\n", end))
+        np.testing.assert_array_equal(found.tracks.boxes_px, [[10, 20, 30.5, 40]])
 
 
 def test_optional_columns_may_be_empty(read, small_rows):
@@ -138,6 +140,7 @@ def test_sequences_have_the_names_of_the_export(small_run):
         ("bow,0,1,1,2,3,2", "the box has width 2 and height 0, must be above 0"),
         ("bow,0,1,9000,2,9010,4", "lies more than an image away from the image, which has 1920 x 1080 px"),
         ("bow,0,1,1,2,3", "has 6 cells, must have 7"),
+        ("bow", "has 1 cell, must have 7"),
         ("bow,0,1,1,2,3,4,5", "has 8 cells, must have 7"),
     ],
 )
@@ -180,6 +183,7 @@ def test_only_some_of_many_wrong_lines_are_shown(read):
     [
         ("a,b", "line 1 must name the columns"),
         ("", "line 1 must name the columns"),
+        ("a" * 200_000, "line 1 must name the columns"),
         (
             "step,track,x_min_px,y_min_px,x_max_px,y_max_px",
             "'camera' is missing: the run has several cameras",
@@ -250,7 +254,9 @@ def test_a_path_that_is_no_tracks_is_refused(small_run, small_rows, tmp_path):
         "bow.txt": "the run has 2 cameras: give the folder with bow.txt, quay.txt",
         "tracks.xml": "is none of what tracks may be",
         "none.parquet": "no such file or folder",
-        "none.csv": "no such file",
+        "none.csv": "no such file or folder",
+        "x" * 300: "File name too long",
+        "a\0b": "is no valid name",
     }.items():
         with pytest.raises(ModsimError, match=what):
             read_tracks(tmp_path / name, small_run, small_rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -31,8 +30,9 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
         InputError: The file cannot be read, a column is wrong, or a line has something that the run has not.
     """
     source = source_of(path)
-    head, _, body = read_text(path, "tracks").removeprefix("\ufeff").partition("\n")
-    names = [name.strip() for name in next(csv.reader([head.rstrip("\r")]), [])]
+    text = read_text(path, "tracks").removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    head, _, body = text.partition("\n")
+    names = [name.strip().strip('"') for name in head.split(",")]
     form = _form(names, rows, source)
     table = TextTable.of(body, names, source, first_line=2)
     many, cameras = len(table), [camera.name for camera in rows.scene.cameras]

@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from pyarrow import csv
 
 from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.display import counted
 from modsim3d.errors import InputError
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.files.columns import NOBODY
@@ -61,10 +62,8 @@ class TextTable:
         line = np.delete(np.arange(count), [number - 1 for number, _, _ in other]) + first_line
         if wrong := [(number, cells, line_text) for number, cells, line_text in other if line_text.strip()]:
             number, cells, line_text = wrong[0]
-            lines = [
-                f"line {number - 1 + first_line}: has {cells} cells, must have {len(names)}: {', '.join(names)} "
-                f"(got {shown(line_text)})"
-            ]
+            found = f"line {number - 1 + first_line}: has {counted(cells, 'cell')}, must have {len(names)}"
+            lines = [f"{found}: {', '.join(names)} (got {shown(line_text)})"]
             if len(wrong) > 1:
                 lines.append(f"… and {len(wrong) - 1:,} more lines")
             raise InputError(source, lines)
