@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.tracking.scores.rules import Rules, SetDistance
+from modsim3d.errors import ModsimError
+from modsim3d.tracking.scores.rules import LARGEST_CUTOFF, Rules, SetDistance
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, gospa_over_cutoffs, ospa
 from tests.tracking.hand_made import box, hand_made
@@ -62,6 +63,23 @@ def test_without_frames_there_is_no_distance(four_frames: Scored) -> None:
     nothing = four_frames.in_frames(np.empty(0, dtype=np.int64))
     assert gospa(nothing) == Gospa(None, None, None, None)
     assert ospa(nothing) == Ospa(None)
+
+
+@pytest.mark.parametrize("cutoff", [0, -1, 1e200, np.inf, np.nan])
+def test_a_cutoff_out_of_range_is_refused(cutoff: float) -> None:
+    with pytest.raises(ModsimError, match="--gospa-c must be above 0 and at most 1,000,000"):
+        SetDistance(cutoff=cutoff, power=10)
+
+
+@pytest.mark.parametrize("power", [0.9, 11, np.nan])
+def test_a_power_out_of_range_is_refused(power: float) -> None:
+    with pytest.raises(ModsimError, match="--gospa-p must be from 1 to 10"):
+        SetDistance(power=power)
+
+
+def test_the_largest_cutoff_and_power_have_a_distance() -> None:
+    rules = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
+    assert ospa(hand_made([(0, 0, box())], [], 1, rules=rules)).ospa == pytest.approx(1e6)
 
 
 def _rules(power: float) -> Rules:

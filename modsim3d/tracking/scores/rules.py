@@ -10,6 +10,9 @@ from modsim3d.errors import ModsimError
 from modsim3d.tracks.similarity import Similarity
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 
+LARGEST_CUTOFF = 1e6
+"""More than any distance in an image, and its tenth power is still a number."""
+
 
 @dataclass(frozen=True)
 class SetDistance:
@@ -29,8 +32,8 @@ class SetDistance:
         Raises:
             ModsimError: One is out of range.
         """
-        if not 0 < self.cutoff < np.inf:
-            raise ModsimError(f"--gospa-c must be above 0 (got {self.cutoff:g})")
+        if not 0 < self.cutoff <= LARGEST_CUTOFF:
+            raise ModsimError(f"--gospa-c must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
         if not 1 <= self.power <= 10:
             raise ModsimError(f"--gospa-p must be from 1 to 10 (got {self.power:g})")
 

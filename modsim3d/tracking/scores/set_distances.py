@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -50,9 +50,7 @@ def gospa(scored: Scored) -> Gospa:
 
     The formula is that of `gospa_frame`. Parts are means of p-th powers: with p = 1 they add up to GOSPA.
     """
-    rule = scored.rules.set_distance
-    parts = mean_gospa(_frames(scored), rule.cutoff, rule.power)
-    return Gospa(*parts) if parts else Gospa(None, None, None, None)
+    return _gospa(scored, scored.rules.set_distance.cutoff)
 
 
 def gospa_over_cutoffs(scored: Scored, factors: Sequence[float] = (0.5, 1, 2)) -> tuple[AtCutoff, ...]:
@@ -61,12 +59,8 @@ def gospa_over_cutoffs(scored: Scored, factors: Sequence[float] = (0.5, 1, 2)) -
     A larger cutoff charges more for a missed vessel and a false track, and takes errors for errors that a smaller one
     takes for a miss and a false track.
     """
-    rule = scored.rules.set_distance
-    cutoffs = [rule.cutoff * factor for factor in factors]
-    varied = (replace(scored.rules, set_distance=replace(rule, cutoff=cutoff)) for cutoff in cutoffs)
-    return tuple(
-        AtCutoff(cutoff, gospa(replace(scored, rules=rules))) for cutoff, rules in zip(cutoffs, varied, strict=True)
-    )
+    cutoffs = [scored.rules.set_distance.cutoff * factor for factor in factors]
+    return tuple(AtCutoff(cutoff, _gospa(scored, cutoff)) for cutoff in cutoffs)
 
 
 def ospa(scored: Scored) -> Ospa:
@@ -76,6 +70,11 @@ def ospa(scored: Scored) -> Ospa:
     """
     rule = scored.rules.set_distance
     return Ospa(mean_ospa(_frames(scored), rule.cutoff, rule.power))
+
+
+def _gospa(scored: Scored, cutoff_px: float) -> Gospa:
+    parts = mean_gospa(_frames(scored), cutoff_px, scored.rules.set_distance.power)
+    return Gospa(*parts) if parts else Gospa(None, None, None, None)
 
 
 def _frames(scored: Scored) -> Iterator[Array]:
