@@ -89,10 +89,10 @@ def _losses(lengths: Sequence[LengthBin]) -> list[str]:
     if not every:
         return ["No vessel that it followed was occluded."]
     if survived == every:
-        return [f"It keeps its vessel in {'the only occlusion' if every == 1 else f'all {every} occlusions'}."]
+        return [f"It keeps its vessel through {'the only occlusion' if every == 1 else f'all {every} occlusions'}."]
     many = [each for each in lengths if each.occlusions >= LEAST_OCCLUSIONS]
     if len(many) < 2:
-        return [f"It keeps its vessel in {survived} of {counted(every, 'occlusion')}."]
+        return [f"It keeps its vessel through {survived} of {counted(every, 'occlusion')}."]
     worst = min(many, key=lambda each: each.survived / each.occlusions)
     return [f"It loses most in occlusions {worst.name}: {worst.survived} of {worst.occlusions} are survived."]
 
@@ -110,13 +110,9 @@ def _nothing_followed(trackers: Sequence[Told]) -> str:
     if len(trackers) > 1:
         return f"None of the {len(trackers)} trackers follows a vessel; {missed}."
     false = _false(trackers[0].keys)
-    has = (
-        f"all of its {_boxes(false)} are false"
-        if false > 1
-        else "its only box is false"
-        if false
-        else "no track counts"
-    )
+    has = "no track counts"
+    if false:
+        has = f"all of its {_boxes(false)} are false" if false > 1 else "its only box is false"
     return f"{trackers[0].name} follows no vessel: {has}, and {missed}."
 
 
