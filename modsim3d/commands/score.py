@@ -57,7 +57,7 @@ def score_command(
     ] = None,
     seeds: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Also run detector, tracker and scores with N seeds of the detector."),
+        typer.Option(metavar="N", help="Run detector, tracker and scores again with N seeds of the detector."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for score.json and score.html.", show_default="none")

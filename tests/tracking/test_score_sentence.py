@@ -74,20 +74,19 @@ def test_without_vessels_nothing_could_be_followed() -> None:
     assert "can only be false" in conclusion([Told("sort", empty, ()), Told("b", empty, ())], empty)
 
 
+def lengths(*counts: tuple[int, int]) -> tuple[LengthBin, ...]:
+    return tuple(LengthBin(f"of {k} s", all_of_them, survived) for k, (all_of_them, survived) in enumerate(counts))
+
+
 @pytest.mark.parametrize(
     ("lengths", "said"),
     [
-        ((), "No vessel that it followed was occluded."),
-        ((LengthBin("of 0 to 1 s", 0, 0),), "No vessel that it followed was occluded."),
-        ((LengthBin("of 0 to 1 s", 1, 1),), "It keeps its vessel through the only occlusion."),
-        (
-            (LengthBin("of 0 to 1 s", 2, 2), LengthBin("of 1 to 3 s", 3, 3)),
-            "It keeps its vessel through all 5 occlusions.",
-        ),
-        (
-            (LengthBin("of 0 to 1 s", 2, 1), LengthBin("of 1 to 3 s", 9, 3)),
-            "It keeps its vessel through 4 of 11 occlusions.",
-        ),
+        ((), "No vessel that it followed came out of an occlusion."),
+        (lengths((0, 0)), "No vessel that it followed came out of an occlusion."),
+        (lengths((1, 1)), "It keeps its vessel through the only occlusion."),
+        (lengths((1, 0)), "It keeps its vessel through 0 of 1 occlusion."),
+        (lengths((2, 2), (3, 3)), "It keeps its vessel through all 5 occlusions."),
+        (lengths((2, 1), (9, 3)), "It keeps its vessel through 4 of 11 occlusions."),
     ],
 )
 def test_occlusions_are_told_as_far_as_there_are_enough(lengths: tuple[LengthBin, ...], said: str) -> None:
