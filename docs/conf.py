@@ -42,6 +42,7 @@ MENU = {
         "docs/ros",
         "docs/ais_out",
         "docs/other_truth",
+        "docs/trackers",
     ],
     "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
