@@ -118,12 +118,12 @@ def track_run(
         check_free(path, overwrite, [*read_of_run(run.folder), run.folder])
     given = {} if settings is None else settings
     named = named_tracker(tracker, given, run.scene.name)
-    cameras = tuple(range(len(run.scene.cameras)))
+    origin, cameras = named.origin, tuple(range(len(run.scene.cameras)))
     sequences = camera_sequences(run, cameras)
     started = perf_counter()
     tracks = tracked(named, sequences, cameras, run.scene, progress)
     seconds = perf_counter() - started
-    track_set = TrackSet(_name(named, given), tracks, named.origin)
+    track_set = TrackSet(_name(named, given), tracks, origin)
     write_tracks(folder, run, track_set, overwrite)
     parts = {
         sequence.camera.name: (sequence, tracks.take(tracks.camera == camera))
@@ -133,7 +133,7 @@ def track_run(
         folder,
         track_set.name,
         tracks,
-        named.origin,
+        origin,
         {name: _counts([sequence], part, run) for name, (sequence, part) in parts.items()},
         _counts(sequences, tracks, run),
         seconds,

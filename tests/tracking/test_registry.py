@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,3 +123,14 @@ def test_a_plugin_that_is_no_tracker_is_refused(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(registry, "load_plugin", lambda *_: (found, plugin))
     with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0 must be a class made from modsim3d\.Tracker"):
         named_tracker("mine", {}, "strait")
+
+
+class Strange(Toy):
+    thing: Any = object()
+
+
+def test_settings_that_no_file_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    plugin = Plugin(TRACKERS, "mine", "mine 1.0")
+    monkeypatch.setattr(registry, "load_plugin", lambda *_: (Strange, plugin))
+    with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0: its settings cannot be written as JSON"):
+        _ = named_tracker("mine", {}, "strait").origin

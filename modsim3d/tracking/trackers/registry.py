@@ -9,8 +9,9 @@ from importlib.metadata import version
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import PydanticSerializationError
 
-from modsim3d.errors import InputError
+from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.plugins import TRACKERS, Plugin, failed, load_plugin
 from modsim3d.inputs.validation import describe
 from modsim3d.scene.settings import plain
@@ -45,10 +46,11 @@ class NamedTracker:
     @property
     def origin(self) -> Origin:
         """How its tracks are made."""
+        settings = _as_json(self.tracker, str(self))
         packages = _ALWAYS + (() if self.plugin else BUILT_IN[self.name].packages)
         return Origin(
             tracker=self.name,
-            settings=self.tracker.model_dump(mode="json"),
+            settings=settings,
             chosen=self.chosen,
             package=self.plugin.package if self.plugin else f"modsim3d {version('modsim3d')}",
             versions={package: version(package) for package in packages},
@@ -77,6 +79,14 @@ def named_tracker(name: str, settings: Mapping[str, object], scene: str) -> Name
     given = {str(key): plain(value) for key, value in settings.items()}
     tracker = _validated(model, {**found.settings, **given}, name, plugin)
     return NamedTracker(name, tracker, plugin, _chosen(found.chosen, given))
+
+
+def _as_json(tracker: Tracker, name: str) -> dict[str, Any]:
+    """Settings of a tracker as a JSON file holds them."""
+    try:
+        return tracker.model_dump(mode="json")
+    except PydanticSerializationError as error:
+        raise ModsimError(f"{name}: its settings cannot be written as JSON: {error}") from None
 
 
 def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
