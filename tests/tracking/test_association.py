@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import product
 from math import sqrt
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import trackeval
 
+from modsim3d.errors import ModsimError
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.rules import Rules
 from modsim3d.tracking.scores.scored import Scored
@@ -154,6 +156,12 @@ def test_trackeval_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr() == ("", "")
 
 
+def test_without_trackeval_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "trackeval", None)
+    with pytest.raises(ModsimError, match=r'^scores of tracks need TrackEval: pip install "modsim3d\[trackers\]"$'):
+        hota(hand_made([], [], 1))
+
+
 def noisy(seed: int, cameras: int = 3, steps: int = 30) -> Scored:
     """Vessels that move and tracks near them, with misses, switches and false boxes."""
     rng = np.random.default_rng(seed)
@@ -182,16 +190,19 @@ def test_all_cameras_as_one_sequence_score_what_trackeval_combines_from_one_each
             np.testing.assert_allclose(found[name], value, atol=1e-12, err_msg=name)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_one_matching_is_that_of_clear_where_every_vessel_is_scored(seed: int) -> None:
-    scored = noisy(seed)
+def check_the_one_matching_is_that_of_clear(scored: Scored) -> None:
     rows, track_rows = scored.pairs
-    identity_, track = scored.following.truth.identity[rows], scored.following.tracks.identity[track_rows]
-    order = np.lexsort((scored.following.truth.frame[rows], identity_))
-    switches = (np.diff(identity_[order]) == 0) & (np.diff(track[order]) != 0)
+    identities, track = scored.following.truth.identity[rows], scored.following.tracks.identity[track_rows]
+    order = np.lexsort((scored.following.truth.frame[rows], identities))
+    switches = (np.diff(identities[order]) == 0) & (np.diff(track[order]) != 0)
     found = clear(scored)
     assert found.id_switches > 0 and found.misses > 0 and found.false_positives > 0
     assert (found.true_positives, found.id_switches) == (len(rows), np.count_nonzero(switches))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_one_matching_is_that_of_clear_where_every_vessel_is_scored(seed: int) -> None:
+    check_the_one_matching_is_that_of_clear(noisy(seed))
 
 
 def test_the_order_of_rows_changes_nothing() -> None:

@@ -62,6 +62,17 @@ def test_the_groups_are_these(groups) -> None:
     assert [*groups] == [*EXPECTED]
 
 
+def test_an_occlusion_is_survived_or_not_among_those_of_its_length() -> None:
+    # Occluded from 1 to 2 s, with the same track before and after, and from 4 to 8 s, with another one after.
+    truth = [Seen(k, 0, box(), 0.2 if k == 1 or 4 <= k < 8 else 1) for k in range(10)]
+    tracks = [(k, 1 + k // 8, box()) for k in range(10)]
+    found = {group.name: group.rows for group in breakdown(hand_made(truth, tracks, 10))}["occlusion"]
+    assert [(row.bin, row.occlusions, row.judged, row.survived) for row in found] == [
+        ("1 to 3", 1, 1, 1),
+        ("3 to 10", 1, 1, 0),
+    ]
+
+
 def random(seed: int) -> Scored:
     """Vessels with random visibility, range and place in the image, and tracks that switch and miss."""
     rng = np.random.default_rng(seed)

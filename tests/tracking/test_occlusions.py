@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modsim3d.tracking.scores.hidden import Hidden, hidden
-from modsim3d.tracking.scores.occlusions import Occlusion, Survival, occlusions, survival
+from modsim3d.tracking.scores.occlusions import Occlusion, Survival, occlusions, survival, within
 from modsim3d.tracking.scores.scored import Scored
 from tests.tracking.hand_made import Seen, box, hand_made
 
@@ -24,12 +24,12 @@ def seen(tracks: Sequence[tuple[int, int]], visible: Sequence[float] = VISIBLE) 
 
 
 def test_a_hidden_vessel_is_followed_by_the_track_from_before_or_by_another_or_by_none() -> None:
-    truth = [Seen(k, 0, A, float(k not in (2, 3, 4))) for k in range(6)]
-    tracks = [(0, 9, A), (1, 1, A), (2, 1, A), (3, 2, A)]  # 9, then 1 before; while hidden 1, 2, none
-    assert hidden(hand_made(truth, tracks, 6)) == Hidden(3, 2 / 3, 1 / 3)
-    assert hidden(hand_made(truth, tracks[2:], 6)) == Hidden(3, 2 / 3, 0)  # nothing followed it before
-    assert hidden(hand_made(truth, tracks, 6).in_frames(np.array([2, 5]))) == Hidden(1, 1, 1)
-    assert hidden(hand_made(truth[:2], tracks, 6)) == Hidden(0, None, None)
+    truth = [Seen(k, 0, A, float(k not in (2, 3, 4, 5))) for k in range(7)]
+    tracks = [(0, 9, A), (1, 1, A), (2, 1, A), (3, 2, A), (4, 2, A)]  # 9, 1 before; while hidden 1, 2, 2, none
+    assert hidden(hand_made(truth, tracks, 7)) == Hidden(4, 3 / 4, 1 / 4)
+    assert hidden(hand_made(truth, tracks[2:], 7)) == Hidden(4, 3 / 4, 0)  # nothing followed it before
+    assert hidden(hand_made(truth, tracks, 7).in_frames(np.array([2, 6]))) == Hidden(1, 1, 1)
+    assert hidden(hand_made(truth[:2], tracks, 7)) == Hidden(0, None, None)
 
 
 def test_a_track_from_before_an_absence_or_of_another_vessel_is_not_the_same_track() -> None:
@@ -89,3 +89,9 @@ def test_two_occlusions_of_a_vessel_are_two_and_one_at_the_end_lasts_as_long_as_
     assert [(each.start_s, each.end_s, each.survived) for each in found] == [(0.5, 1, True), (6.5, 7, None)]
     assert occlusions(seen([], (1,) * 14)) == ()
     assert survival(hand_made([], [], 2)) == Survival(0, 0, None)
+
+
+def test_the_last_bits_of_times_decide_nothing() -> None:
+    spans_s = np.array([4.4 - 2.4, 2.0, 2.001, np.nan])
+    assert spans_s[0] > 2
+    assert within(spans_s, 2).tolist() == [True, True, False, False]

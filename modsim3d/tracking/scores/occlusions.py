@@ -132,9 +132,9 @@ class Spans:
 
     @property
     def survived(self) -> Mask:
-        """Which ones a track survived, shape (m,)."""
+        """Which of the judged ones a track survived, shape (m,); it means nothing for the others."""
         track = np.append(self.histories.track, NOBODY)
-        survived: Mask = self.judged & (track[self.before] == track[self.after])
+        survived: Mask = track[self.before] == track[self.after]
         return survived
 
     def survival(self, chosen: Mask) -> Survival:

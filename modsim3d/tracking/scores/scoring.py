@@ -129,35 +129,30 @@ def check_labels(tracks: Tracks) -> None:
 
 
 def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores:
-    data, least = sequence(scored), scored.rules.similarity.least
-    by_trackeval = hota_of(data), clear_of(data, least), identity_of(data, least)
+    whole = _by_trackeval(scored)
     states, cameras = scored.rows.scene.detector.states, scored.rows.scene.cameras
+    camera_frames = (scored.frames[scored.frames % scored.by_step == index] for index in range(len(cameras)))
+    state_frames = (scored.state_frames(index) for index in range(len(states)))
     return Scores(
-        (*by_trackeval, *(part(scored) for part in OWN_PARTS)),
+        (*whole, *(part(scored) for part in OWN_PARTS)),
         occlusions(scored),
         breakdown(scored),
-        {state.name: _subset(scored, scored.state_frames(index)) for index, state in enumerate(states)},
-        {
-            camera.name: _subset(scored, scored.frames[scored.frames % scored.by_step == index])
-            for index, camera in enumerate(cameras)
-        },
+        {state.name: _subset(scored, frames, whole) for state, frames in zip(states, state_frames, strict=True)},
+        {camera.name: _subset(scored, frames, whole) for camera, frames in zip(cameras, camera_frames, strict=True)},
         by_class or {},
     )
 
 
-def _subset(scored: Scored, frames: Indices) -> SubsetScores:
-    chosen, least = scored.in_frames(frames), scored.rules.similarity.least
-    data = sequence(chosen)
-    hota = hota_of(data)
-    return SubsetScores(
-        len(frames),
-        len(chosen.truth),
-        hota.hota,
-        hota.deta,
-        hota.assa,
-        clear_of(data, least).mota,
-        identity_of(data, least).idf1,
-    )
+def _by_trackeval(scored: Scored) -> tuple[Hota, Clear, Identity]:
+    data, least = sequence(scored), scored.rules.similarity.least
+    return hota_of(data), clear_of(data, least), identity_of(data, least)
+
+
+def _subset(scored: Scored, frames: Indices, whole: tuple[Hota, Clear, Identity]) -> SubsetScores:
+    """The scores of some frames; those of all frames are known."""
+    chosen = scored.in_frames(frames)
+    hota, clear, identity = whole if len(frames) == len(scored.frames) else _by_trackeval(chosen)
+    return SubsetScores(len(frames), len(chosen.truth), hota.hota, hota.deta, hota.assa, clear.mota, identity.idf1)
 
 
 def _by_class(scored: Scored) -> Iterator[Scored]:
