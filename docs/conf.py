@@ -36,6 +36,7 @@ MENU = {
         "docs/score",
         "docs/scores",
         "docs/track_files",
+        "docs/world_tracks",
         "docs/export",
         "docs/stream",
         "docs/positions",

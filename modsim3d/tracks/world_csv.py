@@ -69,7 +69,7 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
     source = f"tracks {path}"
     columns = header(path)
     groups = _groups(source, columns)
-    table = _table(path, source, [name for name in columns if name in COLUMNS])
+    table = _table(path, source, columns)
 
     def column(name: str) -> Array:
         return numbers(table, name)
@@ -125,14 +125,16 @@ def _groups(source: str, columns: Sequence[str]) -> set[tuple[str, ...]]:
     return found | ({("time_s",)} if "time_s" in columns else {("step",)})
 
 
-def _table(path: Path, source: str, names: list[str]) -> pa.Table:
+def _table(path: Path, source: str, columns: Sequence[str]) -> pa.Table:
+    names = [name for name in columns if name in COLUMNS]
     types = {name: pa.string() if name == "track" else pa.float64() for name in names}
     convert = csv.ConvertOptions(
         include_columns=names, column_types=types, strings_can_be_null=False, null_values=["", "nan", "NaN", "null"]
     )
     try:
         with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
-            return csv.read_csv(file, csv.ReadOptions(use_threads=False), convert_options=convert)
+            read = csv.ReadOptions(use_threads=False, column_names=list(columns), skip_rows=1)
+            return csv.read_csv(file, read, convert_options=convert)
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         raise InputError(source, [f"cannot be read as CSV: {str(error).splitlines()[0]}"]) from None
 

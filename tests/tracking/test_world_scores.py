@@ -15,7 +15,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.scores.rules import SetDistance
 from modsim3d.tracking.world.encounters import Quartiles, quartiles
 from modsim3d.tracking.world.errors import OverVessels, nees
-from modsim3d.tracking.world.following import estimates_at
+from modsim3d.tracking.world.following import Estimates
 from modsim3d.tracking.world.scoring import WorldScores, score_world
 from modsim3d.tracking.world.truth import WorldTruth
 from modsim3d.tracks.world_tracks import WorldTracks
@@ -208,8 +208,8 @@ def test_a_tracker_slower_than_the_steps_is_there_at_each(rows: RunRows, scored:
 
 def test_the_nearest_estimate_in_time_stands_for_a_step() -> None:
     tracks = WorldTracks.of("t", np.zeros(3, dtype=np.int64), ("a", "b"), np.array([0.0, 0.9, 2.1]), np.zeros((3, 2)))
-    found = estimates_at(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
-    np.testing.assert_array_equal(found, [[0, -1], [1, -1], [2, -1], [-1, -1]])
+    found = Estimates.of(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
+    np.testing.assert_array_equal([found.step, found.row], [[0, 1, 2], [0, 1, 2]])
 
 
 def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, scored: Any) -> None:

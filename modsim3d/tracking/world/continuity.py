@@ -40,8 +40,8 @@ def world_continuity(following: WorldFollowing) -> WorldContinuity:
     scored, found = following.truth.scored, following.found
     steps, followed = scored.sum(axis=0), found.sum(axis=0)
     share = np.where(steps > 0, followed / np.maximum(steps, 1), np.nan)
-    there = following.estimate != NOBODY
-    false = there.any(axis=0) & (following.vessel == NOBODY).all(axis=0)
+    tracks = following.tracks.track[following.estimates.row]
+    false = ~np.isin(tracks, tracks[following.vessel != NOBODY])
     length_s = step_lengths_s(following.truth.times_s)
     pairs = [_switches_and_breaks(following, vessel) for vessel in np.flatnonzero(followed).tolist()]
     return WorldContinuity(
@@ -50,16 +50,16 @@ def world_continuity(following: WorldFollowing) -> WorldContinuity:
         followed_share=OverVessels.of(share),
         id_switches=sum(switches for switches, _ in pairs),
         track_breaks=sum(breaks for _, breaks in pairs),
-        false_tracks=int(false.sum()),
-        false_track_s=float((there[:, false] * length_s[:, None]).sum()),
+        false_tracks=len(np.unique(tracks[false])),
+        false_track_s=float(length_s[following.estimates.step[false]].sum()),
     )
 
 
 def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, int]:
     """Of a vessel that is followed at some step."""
-    track = following.track[following.truth.scored[:, vessel], vessel]
-    on = track != NOBODY
-    switches = int((np.diff(track[on]) != 0).sum())
+    row = following.followed_by[following.truth.scored[:, vessel], vessel]
+    on = row != NOBODY
+    switches = int((np.diff(following.tracks.track[row[on]]) != 0).sum())
     begins = int((np.diff(on.astype(np.int64)) == 1).sum())  # each but one that ends the wait before the first
     return switches, begins - int(not on[0])
 

@@ -102,7 +102,7 @@ def _established_s(following: WorldFollowing, vessel: int) -> float | None:
     if not len(steps):
         return None
     step = int(steps[0])
-    row = following.estimate[step, following.track[step, vessel]]
+    row = following.followed_by[step, vessel]
     return float(max(following.truth.times_s[step], following.tracks.time_s[row]))
 
 

@@ -68,7 +68,7 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
     """The errors of all pairs."""
     truth, tracks = following.truth, following.tracks
     step, vessel = np.nonzero(following.found)
-    row = following.estimate[step, following.track[step, vessel]]
+    row = following.followed_by[step, vessel]
     times_s = tracks.time_s[row]
     position = tracks.position_m[row] - truth.positions_at(times_s, vessel)
     velocity = tracks.velocity_m_s[row] - truth.velocities_at(times_s, vessel)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
@@ -16,7 +15,7 @@ from modsim3d.tracking.scores.rules import SetDistance
 from modsim3d.tracking.world.continuity import WorldContinuity, world_continuity
 from modsim3d.tracking.world.encounters import ENCOUNTER_M, MetVessel, met_vessels, quartiles
 from modsim3d.tracking.world.errors import OverVessels, WorldErrors, world_errors
-from modsim3d.tracking.world.following import WorldFollowing, distances_at, follow_in_world
+from modsim3d.tracking.world.following import follow_in_world
 from modsim3d.tracking.world.truth import WorldTruth
 from modsim3d.tracks.world_tracks import WorldTracks
 
@@ -120,18 +119,10 @@ def score_world(
         gate_m=gate_m,
         set_distance=set_distance,
         errors=world_errors(following),
-        gospa=mean_gospa(_distances(following), set_distance.cutoff, set_distance.power),
+        gospa=mean_gospa(following.scored_distances(), set_distance.cutoff, set_distance.power),
         continuity=world_continuity(following),
         encounters=met_vessels(following, encounter_m),
     )
-
-
-def _distances(following: WorldFollowing) -> Iterator[Array]:
-    """Of scored vessels to counted tracks at each step, shape (a, b)."""
-    truth, counted = following.truth, following.counted
-    for step in range(len(truth.times_s)):
-        vessels, tracks, apart = distances_at(truth, following.tracks, following.estimate, step)
-        yield apart[np.ix_(truth.scored[step, vessels], counted[step, tracks])]
 
 
 def _mean_keys(name: str, value: OverVessels) -> Mapping[str, float | None]:
