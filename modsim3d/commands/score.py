@@ -111,7 +111,7 @@ def score_command(
 
 def _print_scores(scores: RunScores) -> None:
     from modsim3d.tracking.report.numbers import rules_in_words
-    from modsim3d.tracking.report.score_tables import HEADER, ONE_RUN, score_rows
+    from modsim3d.tracking.report.score_tables import HEADER, remarks_of, score_rows
 
     console = open_console()
     if scores.trackers:
@@ -126,7 +126,7 @@ def _print_scores(scores: RunScores) -> None:
     print_line(console, "")
     print_prose(console, scores.conclusion, "bold")
     if scores.trackers:
-        print_prose(console, ONE_RUN, "dim")
+        print_prose(console, remarks_of(scores), "dim")
 
 
 def _print_parts(scores: RunScores) -> None:

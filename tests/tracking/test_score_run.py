@@ -20,6 +20,7 @@ from modsim3d.tracking.detector_seeds import Spread, detector_runs
 from modsim3d.tracking.report.numbers import keys_of
 from modsim3d.tracking.report.score_json import score_data
 from modsim3d.tracking.report.score_page import score_page
+from modsim3d.tracking.report.score_tables import remarks_of
 from modsim3d.tracking.score_run import RunScores, score_run
 from modsim3d.tracking.track_run import track_run
 from modsim3d.tracks.track_set import TrackSet
@@ -113,6 +114,14 @@ def test_a_tracker_without_tracks_and_a_rule_that_matches_nothing_are_scored(run
     scores = score_run(run, nothing)
     assert scores.conclusion.startswith("nothing follows no vessel: no track counts")
     assert "nothing" in scores._repr_html_() and score_page(scores)
+
+
+def test_noisy_boxes_are_told_where_iou_scores_them(run: StoredRun, tracks: Path, scores: RunScores) -> None:
+    raw = keys_of(scores.references["raw"])["hota"]
+    assert raw is not None and raw < 0.3
+    assert f"have HOTA {raw:.2f} only" in remarks_of(scores)
+    by_centre = score_run(run, tracks, similarity="centre", scale_px=150)
+    assert "only" not in remarks_of(by_centre)
 
 
 def test_tracks_in_the_world_have_a_table_of_their_own(run: StoredRun, tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ REFERENCE = keys(0.78)
 def test_one_tracker_is_told_with_the_reference_and_what_it_loses_most() -> None:
     assert conclusion([told("sort", (SHORT, LONG))], REFERENCE) == (
         "sort follows vessels for 71 % of the time that it should (HOTA 0.52; the same detections with perfect "
-        "association reach 0.78). It loses most in occlusions longer than 10 s: 2 of 9 are survived."
+        "association reach 0.78). Among occlusions it does worst in those longer than 10 s: 2 of 9 are survived."
     )
 
 

@@ -18,17 +18,18 @@ from modsim3d.tracking.report.score_tables import (
     HEADER,
     HIDDEN_HEADER,
     OCCLUSION_HEADER,
-    ONE_RUN,
     SEED_HEADER,
     hidden_rows,
     key_rows,
     named_scores,
     occlusion_rows,
     part_tables,
+    remarks_of,
     score_rows,
     seed_rows,
     seeds_in_words,
     survival,
+    survived_of,
 )
 from modsim3d.tracking.report.world_tables import world_sections
 from modsim3d.tracking.score_run import RAW, REFERENCES, RunScores, TrackScores
@@ -37,6 +38,7 @@ from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
 
 FILES = ("score.json", "score.html")
+GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
 
 
 def write_scores(scores: RunScores, folder: StrPath) -> None:
@@ -61,7 +63,7 @@ def score_page(scores: RunScores) -> str:
                 "that smooths better may exceed them.",
                 "soft",
             ),
-            page.paragraph(f"{of_run} {ONE_RUN}", "soft"),
+            page.paragraph(f"{of_run} {remarks_of(scores)}", "soft"),
             _closed("What the scores mean", page.table(list(MEANINGS.items()))),
             _alpha_chart(scores),
             page.heading("Rules"),
@@ -123,7 +125,7 @@ def _breakdowns(scores: RunScores) -> list[str]:
     parts = []
     for index, group in enumerate(shown[0][1].breakdown):
         bins = {name: {each.bin: each for each in found.breakdown[index].rows} for name, found in shown}
-        title = f"By {GROUP_NAMES.get(group.name, group.name)}"
+        title = GROUP_TITLES.get(group.name, f"By {GROUP_NAMES.get(group.name, group.name)}")
         parts += [f"<h3>{html.escape(title)}</h3>", page.paragraph(group.explanation, "soft")]
         parts.append(_bin_table(bins, group.name == "occlusion") if group.rows else page.paragraph("There are none."))
     return parts
@@ -132,7 +134,7 @@ def _breakdowns(scores: RunScores) -> list[str]:
 def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> str:
     """Recall and association of the bins of one property, as bars."""
     first = next(iter(bins.values()))
-    per = ("survived", "recall", "association") if of_occlusions else ("recall", "association")
+    per = ("survived", "recall") if of_occlusions else ("recall", "association")
     spans = "".join(f'<th colspan="{len(per)}">{html.escape(name)}</th>' for name in bins)
     counts = ("occlusions", "vessel-frames") if of_occlusions else ("vessel-frames",)
     head = "".join(f'<th class="number">{name}</th>' for name in (*counts, *(per * len(bins))))
@@ -141,17 +143,21 @@ def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> st
         cells = [f'<td class="number">{row.occlusions}</td>'] if of_occlusions else []
         cells.append(f'<td class="number">{row.vessel_frames:,}</td>')
         for each in bins.values():
-            cells += [_bar(getattr(each[name], key)) for key in per]
+            cells += [_bar(getattr(each[name], key), _text(each[name], key)) for key in per]
         lines.append(f'<tr><th style="white-space: nowrap">{html.escape(name)}</th>{"".join(cells)}</tr>')
     return '<div style="overflow-x: auto"><table>\n' + "\n".join(lines) + "\n</table></div>"
 
 
-def _bar(share: float | None) -> str:
-    """A share with a bar behind it."""
+def _text(row: Bin, key: str) -> str:
+    return survived_of(row) if key == "survived" else number(getattr(row, key), 2)
+
+
+def _bar(share: float | None, text: str) -> str:
+    """A share as text with a bar behind it."""
     width = 100 * min(max(share or 0.0, 0.0), 1.0)
     shade = f"color-mix(in srgb, {charts.COLOURS[0]} 35%, transparent)"
     fill = f"linear-gradient(to right, {shade} {width:.0f}%, transparent {width:.0f}%)"
-    return f'<td class="number" style="background: {fill}; min-width: 5rem">{number(share, 2)}</td>'
+    return f'<td class="number" style="background: {fill}; min-width: 5rem">{text}</td>'
 
 
 def _parts(scores: RunScores) -> list[str]:

@@ -10,7 +10,7 @@ from modsim3d.display import counted
 from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN, keys_of, number, percent
 from modsim3d.tracking.report.sentence import LengthBin, Told, conclusion
 from modsim3d.tracking.report.world_tables import world_conclusion
-from modsim3d.tracking.score_run import REFERENCES, SMOOTHED, RunScores
+from modsim3d.tracking.score_run import RAW, REFERENCES, SMOOTHED, RunScores
 from modsim3d.tracking.scores.breakdown import Bin, Breakdown
 from modsim3d.tracking.scores.occlusions import Occlusion
 from modsim3d.tracking.scores.scoring import Scores, SubsetScores
@@ -36,9 +36,11 @@ GROUP_NAMES = {
 }
 """What tables call the groups of a breakdown."""
 ONE_RUN = (
-    "One run is one sample: over seeds the HOTA of a tracker varies by 0.05 to 0.07, so compare trackers over many "
-    "traffic seeds."
+    "One run is one sample: over seeds the HOTA of a tracker has a standard deviation of 0.05 to 0.07, so compare "
+    "trackers over many traffic seeds."
 )
+NOISY_BOXES = 0.3
+"""Below this HOTA of the raw boxes with perfect association, IoU is the wrong similarity."""
 OF_SEEDS = "over detector seeds of this traffic; it says nothing about other traffic"
 
 
@@ -74,6 +76,17 @@ def length_bins(occlusions: Sequence[Occlusion]) -> tuple[LengthBin, ...]:
         name = f"longer than {low:g} s" if high == float("inf") else f"of {low:g} to {high:g} s"
         bins.append(LengthBin(name, judged, survived))
     return tuple(bins)
+
+
+def remarks_of(scores: RunScores) -> str:
+    """What a reader should know before using the scores in the images."""
+    raw = keys_of(scores.references[RAW])["hota"]
+    if scores.rules.similarity.name != "iou" or raw is None or raw >= NOISY_BOXES:
+        return ONE_RUN
+    return (
+        f"{ONE_RUN} The raw boxes with perfect association have HOTA {raw:.2f} only: here IoU scores the noise of the "
+        "boxes more than the trackers. Compare centres (--similarity centre)."
+    )
 
 
 def conclusion_of(scores: RunScores) -> str:

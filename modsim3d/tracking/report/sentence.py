@@ -94,7 +94,9 @@ def _losses(lengths: Sequence[LengthBin]) -> list[str]:
     if len(many) < 2:
         return [f"It keeps its vessel through {survived} of {counted(every, 'occlusion')}."]
     worst = min(many, key=lambda each: each.survived / each.occlusions)
-    return [f"It loses most in occlusions {worst.name}: {worst.survived} of {worst.occlusions} are survived."]
+    return [
+        f"Among occlusions it does worst in those {worst.name}: {worst.survived} of {worst.occlusions} are survived."
+    ]
 
 
 def _nothing_expected(trackers: Sequence[Told]) -> str:
