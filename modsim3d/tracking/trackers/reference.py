@@ -65,7 +65,7 @@ class ReferenceTracker(Tracker):
     height are random walks. Detections within the gate (Mahalanobis distance of the centres) are assigned to tracks so
     that most tracks get one, and then the likelihood is largest (global nearest neighbour; Blackman & Popoli (1999),
     section 6.4). Classes are not looked at: a track has the class with the most confidence behind it. The defaults are
-    a compromise over the shipped scenes: noise and motion in pixels should be those of the scene.
+    a compromise over five shipped scenes: noise and motion in pixels should be those of the scene.
 
     Attributes:
         noise_share: Standard deviation of a detected centre, as a share of the box's width and height.
