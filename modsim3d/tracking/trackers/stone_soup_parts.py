@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
-from stonesoup.dataassociator.probability import JPDAwithEHM2
+from stonesoup.dataassociator.probability import JPDAwithLBP
 from stonesoup.deleter.time import UpdateTimeDeleter
 from stonesoup.hypothesiser.distance import DistanceHypothesiser
 from stonesoup.hypothesiser.probability import PDAHypothesiser
@@ -43,8 +43,6 @@ _MEASURED = (0, 2, 4, 5)
 _LARGEST_CLUTTER_SHARE = 0.25
 """Of the image's width and height, up to which the sizes of false detections are taken to go."""
 _LEAST_SIDE_PX = 1.0
-_LEAST_PERIODS_KEPT = 1.5
-"""Frames a second are a mean: one step may be somewhat longer."""
 
 
 class Ordered(MutableSet[Any]):
@@ -114,8 +112,8 @@ class ImageTracker:
         updater = KalmanUpdater(None)
         gate = sqrt(float(chi2.ppf(settings.gate_probability, len(_MEASURED))))
         nearest = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=gate))
-        confirming = self._confirming(nearest, updater, camera)
-        lost = _deleter(settings.lost_s, camera)
+        confirming = self._confirming(nearest, updater)
+        lost = UpdateTimeDeleter(timedelta(seconds=settings.lost_s))
         self._tracker: Any
         if isinstance(settings, StoneSoupJpda):
             joint = _joint(settings, camera, predictor, updater)
@@ -124,14 +122,14 @@ class ImageTracker:
             self._tracker = MultiTargetTracker(confirming, lost, None, nearest, updater)
         self._tracker._tracks = Ordered()
 
-    def _confirming(self, associator: Any, updater: Any, camera: CameraFacts) -> Any:
+    def _confirming(self, associator: Any, updater: Any) -> Any:
         settings = self._settings
         spread = np.zeros(_STATE)
         spread[[1, 3]] = settings.speed_sigma_px_s**2
         prior = GaussianState(np.zeros((_STATE, 1)), np.diag(spread))
         confirming = _Confirming(
             prior_state=prior,
-            deleter=_deleter(settings.tentative_s, camera),
+            deleter=UpdateTimeDeleter(timedelta(seconds=settings.tentative_s)),
             data_associator=associator,
             updater=updater,
             min_points=settings.minimum_detections,
@@ -184,7 +182,10 @@ class ImageTracker:
 
 
 def _joint(settings: StoneSoupJpda, camera: CameraFacts, predictor: Any, updater: Any) -> Any:
-    """Joint association; the exact method of Horridge & Maskell (2006) does not list all joint hypotheses."""
+    """Joint association by loopy belief propagation (Williams & Lau (2014)).
+
+    Exact methods take seconds a frame where a dozen detections lie in the gates of a dozen tracks.
+    """
     width, height = camera.image_size_px
     places = width * height * (width * _LARGEST_CLUTTER_SHARE) * (height * _LARGEST_CLUTTER_SHARE)
     hypotheses = PDAHypothesiser(
@@ -194,12 +195,7 @@ def _joint(settings: StoneSoupJpda, camera: CameraFacts, predictor: Any, updater
         prob_detect=settings.detection_probability,
         prob_gate=settings.gate_probability,
     )
-    return JPDAwithEHM2(hypotheses)
-
-
-def _deleter(kept_s: float, camera: CameraFacts) -> Any:
-    """Deletes tracks that were without a detection for too long, but none before it could have a second one."""
-    return UpdateTimeDeleter(timedelta(seconds=max(kept_s, _LEAST_PERIODS_KEPT / camera.rate_hz)))
+    return JPDAwithLBP(hypotheses)
 
 
 def _last_update(track: Any) -> datetime:
