@@ -23,7 +23,10 @@ def is_world(path: StrPath) -> bool:
         return (path / BAG_FILE).is_file()
     if path.suffix.lower() in BAG_ENDINGS:
         return True
-    columns = header(path)
+    try:
+        columns = header(path)
+    except InputError:  # whoever reads it says so
+        return False
     return IN_IMAGE not in columns and any(name in columns for name in IN_SCENE + ON_EARTH)
 
 

@@ -104,7 +104,7 @@ def _velocities(found: list[_Estimate]) -> tuple[Array, Array]:
 
 def _estimates(path: Path, source: str, topic: str | None) -> Iterator[_Estimate]:
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise ModsimError('tracks in a ROS 2 bag need rosbags: pip install "modsim3d[ros]"') from None
@@ -122,7 +122,9 @@ def _estimates(path: Path, source: str, topic: str | None) -> Iterator[_Estimate
                     problem = f"{place}: frame_id must be '{MAP}', the scene's axes (got {shown(frame)})"
                     raise InputError(source, [problem])
                 yield from (_of_array if connection.msgtype == ARRAYS else _of_odometry)(place, message)
-    except (AnyReaderError, FileNotFoundError) as error:
+    except ModsimError:
+        raise
+    except Exception as error:  # of a damaged bag the readers raise whatever they meet, not only their own errors
         raise InputError(source, [f"cannot be read as a ROS 2 bag: {error}"]) from None
 
 

@@ -50,12 +50,13 @@ _ALIKE = 0.85
 
 
 def header(path: Path) -> tuple[str, ...]:
-    """The cells of the first line, none if it cannot be read."""
-    try:
-        with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
-            line = file.readline(budgets.MAX_LINE_CHARACTERS)
-    except InputError:
-        return ()
+    """The cells of the first line.
+
+    Raises:
+        InputError: The file cannot be read.
+    """
+    with open_input(path, "tracks", budgets.MAX_TEXT_BYTES) as file:
+        line = file.readline(budgets.MAX_LINE_CHARACTERS)
     text = line.decode("utf-8", "replace").removeprefix("\ufeff")
     return tuple(cell.strip().strip('"') for cell in text.split(","))
 

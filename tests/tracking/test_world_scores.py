@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -176,8 +177,8 @@ def test_a_track_beyond_the_gate_follows_nothing(rows: RunRows) -> None:
 
 
 def test_switches_and_breaks_are_counted_as_a_vessel_goes_from_track_to_track(rows: RunRows) -> None:
-    # Followed by one track, by the next, by nobody for five steps, by the next again, by the first.
-    parts = [(0, 10), (10, 20), (25, 30)]
+    # Followed from 1 s on by one track, by the next, by nobody for five steps, and by the third.
+    parts = [(2, 10), (10, 20), (25, 30)]
     tracks = tracks_of([(ANCHORED, TIMES_S[slice(*part)]) for part in parts])
     last = replace(tracks, track=np.array([0, 1, 1])[tracks.track], track_names=("a", "b"))
     assert values(score_world(rows, last), "id_switches", "track_breaks", "false_tracks") == [1, 1, 0]
@@ -189,6 +190,27 @@ def test_the_track_of_the_step_before_is_kept_though_another_comes_nearer(rows: 
     tracks.position_m[tracks.track == 0] += (3, 4)
     scores = score_world(rows, tracks)
     assert values(scores, "id_switches", "rmse_m", "false_tracks") == [0, pytest.approx(5), 1]
+
+
+def test_a_track_that_lost_its_vessel_for_a_step_is_not_preferred(rows: RunRows) -> None:
+    # While the crosser's track keeps the step from being empty, the anchored vessel has none at step 30.
+    far = np.delete(TIMES_S[:40], 30)
+    tracks = tracks_of([(ANCHORED, far), (ANCHORED, TIMES_S[31:40]), (CROSSER, TIMES_S[:40])])
+    tracks.position_m[tracks.track == 0] += (3, 4)
+    assert values(score_world(rows, tracks), "id_switches") == [1]
+
+
+def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored: Any, tmp_path: Path) -> None:
+    bow = rows.scene.cameras[0]
+    lens = {"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [640, 360]}
+    cameras = {
+        vessel: {**lens, "image_size_px": [1280, 720], "mount": {"vessel": vessel, "position_m": [5, 0, 6]}}
+        for vessel in ("own", "crosser")
+    }
+    both = WorldTruth.of(RunRows.of(sea_run(tmp_path / "run", cameras=cameras, steps=4)))
+    assert bow.mount.vessel == "own" and scored[:4, CROSSER].all()
+    assert both.own_ships == (OWN, CROSSER) and not both.scored[:, [OWN, CROSSER]].any()
+    assert both.scored[:, ANCHORED].all()
 
 
 def test_estimates_between_steps_are_held_against_the_place_at_their_own_time(rows: RunRows, scored: Any) -> None:
