@@ -179,6 +179,8 @@ def score_run(
     run.finished_tables.check_checksums()
     rows = RunRows.of(run)
     in_images, in_world = _read(run, rows, tracks)
+    if gate_m is not None and not in_world:
+        raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
         from modsim3d.tracking.detector_seeds import check_seeds
 

@@ -62,7 +62,9 @@ def test_perfect_tracks_score_1_and_come_first(scores: RunScores) -> None:
 def test_references_do_not_depend_on_the_trackers_beside_them(run: StoredRun, scores: RunScores, tracks: Path) -> None:
     alone = score_run(run, tracks)
     assert alone.references["raw"].flat() == scores.references["raw"].flat()
-    assert keys_of(alone.references["raw"])["id_switches"] == 0
+    raw, smoothed = (keys_of(alone.references[name]) for name in ("raw", "smoothed"))
+    assert raw["id_switches"] == 0
+    assert (smoothed["hota"] or 0) > (raw["hota"] or 0)  # the boxes of this scene are noisy
 
 
 def test_the_first_detector_seed_is_the_run_itself_and_the_others_are_not(run: StoredRun) -> None:
