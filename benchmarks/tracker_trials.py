@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from modsim3d.tracking.oracle.oracle import oracle_tracks
 from scipy.stats import t as student_t
 
 from modsim3d.runs.camera_sequences import sequences_of
@@ -19,6 +18,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.detector_seeds import detector_runs
+from modsim3d.tracking.oracle import oracle_tracks
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.occlusions import Occlusion, occlusions
