@@ -44,13 +44,14 @@ MENU = {
         "benchmarks/DRAWING",
         "benchmarks/FILMS",
         "benchmarks/LATENCY",
+        "benchmarks/TRACKING",
     ],
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
 CAMPAIGNS = [
-    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "traffic", "verify_changes"),
-    "verify_seeds",
+    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "trackers", "traffic"),
+    *("verify_changes", "verify_seeds"),
 ]
 
 project = "modsim3d"

@@ -120,7 +120,10 @@ def main() -> int:
     for tracker in SPACES:
         own = {scene: settings for scene, name, settings in found if name == tracker}
         seeds = ", ".join(str(seed) for seed in SEEDS["fairway"])
-        how = f"the best mean of HOTA by IoU and by centre (150 px) of {asked.draws} settings of a random search, on traffic seeds {seeds} of fairway and on seed {OTHER_SEED} of the other scenes"
+        how = (
+            f"the best mean of HOTA by IoU and by centre (150 px) of {asked.draws} settings of a random search, on "
+            f"traffic seeds {seeds} of fairway and on seed {OTHER_SEED} of the other scenes"
+        )
         text = yaml.safe_dump({"chosen": how, "scenes": own}, sort_keys=False, width=120)
         head = "# Written by script/campaign tune_trackers; do not edit.\n"
         (asked.out / f"{tracker}.yaml").write_text(head + text, encoding="utf-8")
