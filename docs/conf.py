@@ -50,7 +50,7 @@ MENU = {
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
 CAMPAIGNS = [
-    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "trackers", "traffic"),
+    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "tracker_scores", "traffic"),
     *("verify_changes", "verify_seeds"),
 ]
 

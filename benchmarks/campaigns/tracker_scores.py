@@ -1,4 +1,4 @@
-"""trackers: real trackers behind the shipped scenes, with intervals over traffic seeds and the reference beside them.
+"""tracker_scores: real trackers behind the shipped scenes, with intervals over traffic seeds and the reference beside them.
 
 The fairway draws its traffic, so its table is over traffic seeds, with detector seeds nested in them: the mean over the
 detector seeds of each traffic, then the interval over these means. The other scenes replay one traffic, and their
@@ -207,7 +207,7 @@ def page(data: dict[str, Any]) -> str:
     lines = [
         "# Trackers behind the shipped scenes",
         "",
-        "Written by `script/campaign trackers`; the same figures are in `trackers.json`. "
+        "Written by `script/campaign tracker_scores`; the same figures are in `tracker_scores.json`. "
         "[Scores](../scores.md) says what each means, [Trackers](../trackers.md) what they are and how their "
         "settings were chosen.",
         "",
@@ -267,14 +267,14 @@ def page(data: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="script/campaign trackers", description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(prog="script/campaign tracker_scores", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=SEEDS, help="traffic seeds of the drawn scene")
     parser.add_argument("--looks", type=int, default=LOOKS, help="detector seeds of each of them")
     parser.add_argument("--other-looks", type=int, default=OTHER_LOOKS, help="detector seeds of the other scenes")
     parser.add_argument("--miss-seeds", type=int, default=MISS_SEEDS, help="traffic seeds of the miss rates")
     parser.add_argument("--steps", type=int, help="steps of each scene, in place of its own: a trial of the campaign")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for trackers.md and trackers.json")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for trackers.md and tracker_scores.json")
     asked = parser.parse_args()
     drawn = [(DRAWN, seed, asked.looks, asked.steps) for seed in range(1, asked.seeds + 1)]
     others = [(name, 0, asked.other_looks, asked.steps) for name in SCENES if name != DRAWN]
@@ -300,8 +300,8 @@ def main() -> int:
         "miss_rates": falls(missed),
     }
     asked.out.mkdir(parents=True, exist_ok=True)
-    (asked.out / "trackers.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    (asked.out / "trackers.md").write_text(page(data), encoding="utf-8")
+    (asked.out / "tracker_scores.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    (asked.out / "tracker_scores.md").write_text(page(data), encoding="utf-8")
     for problem in problems(data):
         print(problem, file=sys.stderr)
     return int(bool(problems(data)))
