@@ -1,4 +1,4 @@
-"""tracker_scores: real trackers behind the shipped scenes, with intervals over traffic seeds and the reference beside them.
+"""tracker_scores: trackers behind the shipped scenes, with intervals over traffic seeds, and the references beside them.
 
 The fairway draws its traffic, so its table is over traffic seeds, with detector seeds nested in them: the mean over the
 detector seeds of each traffic, then the interval over these means. The other scenes replay one traffic, and their
@@ -274,7 +274,7 @@ def main() -> int:
     parser.add_argument("--miss-seeds", type=int, default=MISS_SEEDS, help="traffic seeds of the miss rates")
     parser.add_argument("--steps", type=int, help="steps of each scene, in place of its own: a trial of the campaign")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for trackers.md and tracker_scores.json")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for tracker_scores.md and tracker_scores.json")
     asked = parser.parse_args()
     drawn = [(DRAWN, seed, asked.looks, asked.steps) for seed in range(1, asked.seeds + 1)]
     others = [(name, 0, asked.other_looks, asked.steps) for name in SCENES if name != DRAWN]
