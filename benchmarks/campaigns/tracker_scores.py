@@ -1,4 +1,4 @@
-"""tracker_scores: trackers behind the shipped scenes, with intervals over traffic seeds, and the references beside them.
+"""tracker_scores: trackers behind the shipped scenes, over traffic seeds, with the references beside them.
 
 The fairway draws its traffic, so its table is over traffic seeds, with detector seeds nested in them: the mean over the
 detector seeds of each traffic, then the interval over these means. The other scenes replay one traffic, and their
