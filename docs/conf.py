@@ -35,6 +35,7 @@ MENU = {
         "docs/scores",
         "docs/export",
         "docs/stream",
+        "docs/track_files",
         "docs/positions",
         "docs/ros",
         "docs/ais_out",

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.outputs.placing import write_files
 from modsim3d.runs.camera_sequences import CameraSequence, TrueBoxes
 from modsim3d.runs.told import Told
+from modsim3d.tracks.sequence_names import SEQUENCE_HEADING, free_name
 from modsim3d.vessels.vessel import Vessel
 
 ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
@@ -35,9 +35,6 @@ SCORED, DISTRACTOR = 1, 8
 UNKNOWN = -1
 _LEAST_IOU = 0.5
 """From here on evaluators match a track to a distractor."""
-_HEADING = "name"
-"""The first line of a sequence map; some programs skip every line like it."""
-_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
@@ -57,7 +54,7 @@ def write(request: ExportRequest, folder: Path) -> None:
     contents = {f"{each.folder}/{file}": text(each) for each in sequences for file, text in _SEQUENCE_FILES.items()}
     for set_ in (ALL_SET, CLASS_SET):
         names = [each.name for each in sequences if each.set == set_]
-        contents[f"seqmaps/{set_}.txt"] = "".join(f"{name}\n" for name in (_HEADING, *names))
+        contents[f"seqmaps/{set_}.txt"] = "".join(f"{name}\n" for name in (SEQUENCE_HEADING, *names))
     contents["frames.csv"] = _frame_table(request.sequences)
     contents["vessels.csv"] = _vessel_table(request.run.scene.vessels)
     write_files({folder / path: text for path, text in contents.items()})
@@ -104,13 +101,7 @@ def _sequences(request: ExportRequest) -> list[_Sequence]:
 
 def _free_name(wanted: str, set_: str, given: Iterable[_Sequence]) -> str:
     """A name for a folder like the one that is wanted, which no sequence of the set has."""
-    plain = _NOT_IN_NAMES.sub("_", wanted)
-    taken = {_HEADING, *(each.name.lower() for each in given if each.set == set_)}
-    name, number = plain, 1
-    while name.lower() in taken:
-        number += 1
-        name = f"{plain}-{number}"
-    return name
+    return free_name(wanted, [each.name for each in given if each.set == set_])
 
 
 def _info(sequence: _Sequence) -> str:

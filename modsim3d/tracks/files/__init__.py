@@ -1,0 +1,1 @@
+"""Files of tracks: what each may hold, and what is wrong with one."""

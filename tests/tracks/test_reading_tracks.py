@@ -1,0 +1,321 @@
+"""Tracks from somebody's own files, and what is said of wrong ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.formats.writing.mot import files as mot_files
+from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracks.reading import read_tracks
+from modsim3d.tracks.sequence_names import camera_sequence_names
+from tests.tracks.track_files import IMAGE_PX, centred, csv_text, detected_tracks, mot_texts, top_left, write_mot
+
+CENTRES = "centre_x_px,centre_y_px,width_px,height_px"
+HEADER = "camera,step,track,x_min_px,y_min_px,x_max_px,y_max_px"
+
+
+@pytest.fixture
+def read(small_run, small_rows, tmp_path):
+    """Reads the text of a CSV file."""
+
+    def read_text(text):
+        path = tmp_path / "mine.csv"
+        path.write_text(text, encoding="utf-8")
+        return read_tracks(path, small_run, small_rows)
+
+    return read_text
+
+
+@pytest.fixture
+def read_mot(small_run, small_rows, tmp_path):
+    """Reads the texts of the files of a folder."""
+    return lambda texts: read_tracks(write_mot(tmp_path / "mine", texts), small_run, small_rows)
+
+
+def assert_close(one, other):
+    np.testing.assert_array_equal(one.frame, other.frame)
+    np.testing.assert_array_equal(one.track, other.track)
+    np.testing.assert_allclose(one.boxes_px, other.boxes_px, atol=2e-5)
+
+
+def said(call, *arguments):
+    with pytest.raises(InputError) as error:
+        call(*arguments)
+    return str(error.value)
+
+
+def test_boxes_by_corners_and_by_centres_are_the_same_tracks(read, small_rows, small_tracks):
+    found = read(csv_text(small_rows, small_tracks))
+    assert (found.name, found.origin) == ("mine", None)
+    assert_close(found.tracks, small_tracks)
+    assert_close(read(csv_text(small_rows, small_tracks, centred(small_tracks.boxes_px), CENTRES)).tracks, small_tracks)
+
+
+def test_a_frame_is_named_by_its_step_or_by_its_time(read, small_rows, small_tracks):
+    assert_close(read(csv_text(small_rows, small_tracks, when="time_s")).tracks, small_tracks)
+
+
+def test_the_order_of_the_lines_means_nothing(read, small_rows, small_tracks):
+    head, *lines = csv_text(small_rows, small_tracks).splitlines()
+    assert_close(read("\n".join([head, *reversed(lines), "", ""])).tracks, small_tracks)
+
+
+def test_a_byte_order_mark_white_space_and_other_line_ends_are_passed_over(read):
+    text = '\ufeff"camera", step,track ,x_min_px,y_min_px,x_max_px,y_max_px\n\n"bow", 1 ,7, 10,20,+30.5,4e1\n \n'
+    for end in ("\n", "\r\n", "\r"):
+        found = read(text.replace("\n", end))
+        np.testing.assert_array_equal(found.tracks.boxes_px, [[10, 20, 30.5, 40]])
+
+
+def test_optional_columns_may_be_empty(read, small_rows):
+    labels = small_rows.scene.detector.labels
+    text = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2\n"
+    found = read(f"{text}bow,0,1,10,20,30,40,{labels[1]},0.5,4,1,9\nbow,0,2,10,20,30,40,,,,,\n").tracks
+    np.testing.assert_array_equal(found.label, [1, -1])
+    np.testing.assert_array_equal(found.confidence, [0.5, np.nan])
+    np.testing.assert_array_equal(found.covariance_px2, [[[4, 1], [1, 9]], np.full((2, 2), np.nan)])
+
+
+@pytest.mark.parametrize("text", [f"{HEADER}\n", HEADER, f"{HEADER}\n\n"])
+def test_a_tracker_may_have_found_nothing(read, text):
+    assert len(read(text).tracks) == 0
+
+
+def test_a_mot_folder_has_a_file_for_each_camera(read_mot, small_rows, small_tracks):
+    found = read_mot(mot_texts(small_rows, small_tracks))
+    assert found.name == "mine"
+    assert_close(found.tracks, small_tracks)
+    assert np.isin(small_tracks.step[small_tracks.camera == 1], [1, 3, 5, 7]).all()  # frames are not steps
+
+
+def test_the_folders_of_evaluators_are_read(small_run, small_rows, small_tracks, tmp_path):
+    folder = tmp_path / "tracks" / "modsim3d-all" / "mine"
+    write_mot(folder / "data", mot_texts(small_rows, small_tracks))
+    for path in (folder, folder / "data"):
+        found = read_tracks(path, small_run, small_rows)
+        assert found.name == "mine"
+        assert_close(found.tracks, small_tracks)
+
+
+def test_the_only_camera_needs_no_name(one_camera_run, tmp_path):
+    rows = RunRows.of(one_camera_run)
+    tracks = detected_tracks(rows)
+    (text,) = mot_texts(rows, tracks).values()
+    (tmp_path / "any.txt").write_text(text)
+    assert_close(read_tracks(tmp_path / "any.txt", one_camera_run, rows).tracks, tracks)
+    lines = [line.split(",", 1)[1] for line in csv_text(rows, tracks).splitlines()]
+    (tmp_path / "any.csv").write_text("\n".join(lines))
+    assert_close(read_tracks(tmp_path / "any.csv", one_camera_run, rows).tracks, tracks)
+
+
+def test_empty_mot_files_are_a_tracker_that_found_nothing(read_mot):
+    assert len(read_mot({"bow.txt": "", "quay.txt": "\n"}).tracks) == 0
+
+
+def test_sequences_have_the_names_of_the_export(small_run):
+    names = camera_sequence_names([camera.name for camera in small_run.scene.cameras])
+    request = ExportRequest(small_run, (0, 1), False, "measured")
+    assert {f"modsim3d-all/{name}/det/det.txt" for name in names} <= set(mot_files(request))
+    assert camera_sequence_names(["a b", "A_B", "name"]) == ("a_b", "A_B-2", "name-2")
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("bov,0,1,1,2,3,4", "there is no camera 'bov' (did you mean 'bow'?)"),
+        ("bow,8,1,1,2,3,4", "there is no step 8: the run has steps 0 to 7"),
+        ("quay,4,1,1,2,3,4", "camera 'quay' takes no frame at step 4; the nearest is 3"),
+        ("bow,-1,1,1,2,3,4", "step must be a whole number, at least 0 (got '-1')"),
+        ("bow,0.5,1,1,2,3,4", "step must be a whole number, at least 0 (got '0.5')"),
+        ("bow,0,boat,1,2,3,4", "track must be a number (got 'boat')"),
+        ("bow,0,1.5,1,2,3,4", "track must be a whole number, at least 0 (got '1.5')"),
+        ("bow,0,1e16,1,2,3,4", "track must be at most 1e15 (got '1e16')"),
+        ("bow,0,1,nan,2,3,4", "x_min_px must be a number (got 'nan')"),
+        ("bow,0,1,1,2,,4", "x_max_px must be a number (got '')"),
+        ("bow,0,1,1,2,inf,4", "x_max_px must be a number (got 'inf')"),
+        ("bow,0,1,5,2,3,4", "the box has width -2 and height 2, must be above 0"),
+        ("bow,0,1,1,2,3,2", "the box has width 2 and height 0, must be above 0"),
+        ("bow,0,1,9000,2,9010,4", "lies more than an image away from the image, which has 1920 x 1080 px"),
+        ("bow,0,1,1,2,3", "has 6 cells, must have 7"),
+        ("bow", "has 1 cell, must have 7"),
+        ("bow,0,1,1,2,3,4,5", "has 8 cells, must have 7"),
+    ],
+)
+def test_a_wrong_line_is_named(read, line, what):
+    message = said(read, f"{HEADER}\nbow,0,7,10,20,30,40\n\n{line}\n")
+    assert message.splitlines()[1].startswith("  line 4: ")
+    assert what in message
+
+
+@pytest.mark.parametrize(
+    ("cells", "what"),
+    [
+        ("submarine,0.5,4,1,9", "there is no label 'submarine'"),
+        (",1.5,4,1,9", "confidence must be from 0 to 1 (got 1.5)"),
+        (",,4,,9", "the covariance needs all three numbers, or none"),
+        (",,4,6,9", "are no covariance"),
+        (",,-4,1,-9", "are no covariance"),
+    ],
+)
+def test_a_wrong_attribute_is_named(read, cells, what):
+    header = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2"
+    message = said(read, f"{header}\nbow,0,1,10,20,30,40,{cells}\n")
+    assert "line 2: " in message
+    assert what in message
+
+
+def test_a_track_has_one_box_in_a_frame(read):
+    message = said(read, f"{HEADER}\nquay,1,3,1,2,3,4\nbow,0,3,1,2,3,4\nbow,2,3,1,2,3,4\nbow,0,3,1,2,3,5\n")
+    assert "line 5: track 3 is at step 0 of camera 'bow' already (line 3)" in message
+
+
+def test_only_some_of_many_wrong_lines_are_shown(read):
+    message = said(read, "\n".join([HEADER, *["bow,x,1,1,2,3,4"] * 500]))
+    assert len(message.splitlines()) == 12
+    assert message.endswith("… and 490 more lines")
+
+
+@pytest.mark.parametrize(
+    ("header", "what"),
+    [
+        ("a,b", "line 1 must name the columns"),
+        ("", "line 1 must name the columns"),
+        ("a" * 200_000, "line 1 must name the columns"),
+        (
+            "step,track,x_min_px,y_min_px,x_max_px,y_max_px",
+            "'camera' is missing: the run has several cameras",
+        ),
+        ("camera,track,x_min_px,y_min_px,x_max_px,y_max_px", "'step' or 'time_s' is needed"),
+        ("camera,step,x_min_px,y_min_px,x_max_px,y_max_px", "the column 'track' is missing"),
+        ("camera,step,track,x_min_px,y_min_px,width_px,height_px", "columns of the box must be either"),
+        ("camera,step,track", "columns of the box must be either"),
+        (f"{HEADER},confidance", "unknown column 'confidance' (did you mean 'confidence'?)"),
+        (f"{HEADER},step", "the column 'step' is there twice"),
+        (f"{HEADER},var_x_px2", "belong together"),
+    ],
+)
+def test_wrong_columns_are_named(read, header, what):
+    assert what in said(read, f"{header}\n")
+
+
+def test_a_time_must_be_that_of_a_frame(read, small_rows):
+    header = HEADER.replace("step", "time_s")
+    time_s = small_rows.scene.times_s(0, 8)[2]
+    assert read(f"{header}\nbow,{time_s + 0.0004},1,1,2,3,4\n").tracks.step.tolist() == [2]
+    message = said(read, f"{header}\nbow,{time_s + 0.0006},1,1,2,3,4\n")
+    assert f"line 2: camera 'bow' takes no frame at time_s 0.4006; the nearest is {time_s:g}" in message
+
+
+def test_step_and_time_must_agree(read):
+    header = HEADER.replace("step", "step,time_s")
+    assert read(f"{header}\nbow,1,0.2,1,1,2,3,4\n").tracks.step.tolist() == [1]
+    assert "time_s 0.2 is that of step 1, but step is 2" in said(read, f"{header}\nbow,2,0.2,1,1,2,3,4\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("0,1,10,20,30,40,1", "frame is 0: frames count from 1"),
+        ("9,1,10,20,30,40,1", "there is no frame 9: camera 'bow' has frames 1 to 8"),
+        ("1,-1,10,20,30,40,1", "identity is -1, as in a file of detections"),
+        ("1,1,10,20,-3,40,1", "the box has width -3 and height 40"),
+        ("1,1,10,20,3,x,1", "height must be a number (got 'x')"),
+        ("1,1,10,20,3,4,7", "confidence must be from 0 to 1 (got 7)"),
+        ("1,1,10,20,3,4", "has 6 cells, must have 7"),
+    ],
+)
+def test_a_wrong_mot_line_is_named(read_mot, line, what):
+    message = said(read_mot, {"bow.txt": f"1,7,10,20,30,40,-1\n{line}\n", "quay.txt": ""})
+    assert "bow.txt" in message.splitlines()[0]
+    assert f"line 2: {what}" in message
+
+
+@pytest.mark.parametrize(
+    ("texts", "what"),
+    [
+        ({"bow.txt": ""}, "quay.txt is missing: a tracker that found nothing leaves an empty file"),
+        ({"bow.txt": "", "quay.txt": "", "key.txt": ""}, "key.txt is of no camera of the run"),
+        ({"bow-ship.txt": ""}, "bow-ship.txt is of one class"),
+        ({}, "holds no tracks: neither tracks.json nor bow.txt, quay.txt"),
+        ({"bow.txt": "1 2 3 4 5 6\n", "quay.txt": ""}, "at least 6 numbers with commas between them"),
+    ],
+)
+def test_wrong_mot_files_are_named(read_mot, texts, what):
+    assert what in said(read_mot, texts)
+
+
+def test_a_path_that_is_no_tracks_is_refused(small_run, small_rows, tmp_path):
+    (tmp_path / "bow.txt").write_text("")
+    (tmp_path / "tracks.xml").write_text("")
+    for name, what in {
+        "bow.txt": "the run has 2 cameras: give the folder with bow.txt, quay.txt",
+        "tracks.xml": "is none of what tracks may be",
+        "none.parquet": "no such file or folder",
+        "none.csv": "no such file or folder",
+        "x" * 300: "File name too long",
+        "a\0b": "is no valid name",
+    }.items():
+        with pytest.raises(ModsimError, match=what):
+            read_tracks(tmp_path / name, small_run, small_rows)
+
+
+def shares(boxes_px):
+    return boxes_px / np.tile(IMAGE_PX, 2)
+
+
+@pytest.mark.parametrize(
+    ("names", "numbers", "what"),
+    [
+        (
+            None,
+            centred,
+            "are read as the corners x_min, y_min, x_max, y_max, but are centre x",
+        ),
+        (None, top_left, "but are the corner x, y and width, height"),
+        (CENTRES, lambda boxes: boxes, "are read as centre x, centre y, width, height, but are the corners"),
+        (CENTRES, top_left, "but are the corner x, y and width, height"),
+        (None, shares, "the boxes are shares of the image (the corners"),
+        (CENTRES, lambda boxes: shares(centred(boxes)), "the boxes are shares of the image (centre x"),
+        (None, lambda boxes: boxes / 1.5, "are those of an image of 1280 x 720 px"),
+        (None, lambda boxes: boxes * 2, "are those of an image of 3840 x 2160 px"),
+        (None, lambda boxes: shares(boxes) * 640, "are those of an image of 640 x 640 px"),
+    ],
+)
+def test_boxes_in_another_form_are_recognised(read, small_rows, small_tracks, names, numbers, what):
+    names = {} if names is None else {"names": names}
+    message = said(read, csv_text(small_rows, small_tracks, numbers(small_tracks.boxes_px), **names))
+    assert what in message
+
+
+@pytest.mark.parametrize(
+    ("numbers", "what"),
+    [
+        (lambda boxes: boxes, "are read as x, y, width, height with pixels from 1, but are the corners"),
+        (centred, "but are centre x"),
+        (lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
+        (lambda boxes: top_left(boxes) / 2, "are those of an image of 960 x 540 px"),
+    ],
+)
+def test_mot_boxes_in_another_form_are_recognised(read_mot, small_rows, small_tracks, numbers, what):
+    assert what in said(read_mot, mot_texts(small_rows, small_tracks, numbers(small_tracks.boxes_px)))
+
+
+def test_frames_that_count_from_zero_are_recognised(one_camera_run, tmp_path):
+    """Also where no line has frame 0, as with trackers that report a track from its second detection on."""
+    rows = RunRows.of(one_camera_run)
+    tracks = detected_tracks(rows)
+    late = tracks.take(tracks.step > 0)
+    (text,) = mot_texts(rows, late, first_frame=0).values()
+    (tmp_path / "any.txt").write_text(text)
+    message = said(read_tracks, tmp_path / "any.txt", one_camera_run, rows)
+    assert "frames count from 0, must count from 1" in message
+
+
+def test_tracks_that_fit_no_detection_are_read_as_they_are(read, small_rows, small_tracks):
+    rng = np.random.default_rng(5)
+    corner = rng.uniform(0, [1800, 1000], (len(small_tracks), 2))
+    found = read(csv_text(small_rows, small_tracks, np.column_stack([corner, corner + 40])))
+    assert len(found.tracks) == len(small_tracks)

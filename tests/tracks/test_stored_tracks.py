@@ -1,0 +1,161 @@
+"""The folder of tracks that modsim3d writes."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import hypothesis.strategies as st
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+
+import modsim3d
+from modsim3d.errors import ModsimError, OutputError
+from modsim3d.runs.files.file_list import file_list
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracks.reading import read_tracks
+from modsim3d.tracks.stored_tracks import write_tracks
+from modsim3d.tracks.track_set import Origin, TrackSet
+from modsim3d.tracks.tracks import Tracks
+
+ORIGIN = Origin("toy", {"gate": 3.5, "names": ["a"]}, "By hand.", "toys 1.2", {"numpy": "2.0"})
+COLUMNS = ("frame", "track", "boxes_px", "label", "confidence", "covariance_px2")
+
+
+def assert_equal(one, other):
+    assert one.cameras == other.cameras
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.fixture
+def written(small_run, small_tracks, tmp_path):
+    write_tracks(tmp_path / "toy", small_run, TrackSet("toy", small_tracks, ORIGIN), overwrite=False)
+    return tmp_path / "toy"
+
+
+def change_facts(folder, change):
+    facts = json.loads((folder / "tracks.json").read_text())
+    change(facts)
+    (folder / "tracks.json").write_text(json.dumps(facts))
+
+
+def replace_table(folder, table):
+    pq.write_table(table, folder / "tracks.parquet")
+    listed = file_list(folder, ["tracks.parquet"])
+    change_facts(folder, lambda facts: facts.update(files=listed))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data())
+def test_tracks_are_read_back_as_they_were_written(small_run, small_rows, data):
+    frames, labels = small_rows.frames, small_rows.scene.detector.labels
+    row = st.tuples(st.sampled_from(frames.tolist()), st.integers(0, 2**62))
+    keys = data.draw(st.lists(row, unique=True, max_size=12))
+    count = len(keys)
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    corner = rng.uniform(-50, 900, (count, 2))
+    unknown = rng.random(count) < 0.5
+    spread = np.linalg.inv(np.eye(2) + 0.1 * np.ones((count, 2, 2)))
+    tracks = Tracks.of(
+        len(small_rows.scene.cameras),
+        np.array([frame for frame, _ in keys], dtype=np.int64),
+        np.array([track for _, track in keys], dtype=np.int64),
+        np.column_stack([corner, corner + rng.uniform(1, 80, (count, 2))]),
+        rng.integers(-1, len(labels), count),
+        np.where(unknown, np.nan, rng.random(count)),
+        np.where(unknown[:, None, None], np.nan, spread),
+    )
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "tracks"
+        write_tracks(folder, small_run, TrackSet("a name", tracks, ORIGIN), overwrite=False)
+        found = read_tracks(folder, small_run, small_rows)
+    assert (found.name, found.origin) == ("a name", ORIGIN)
+    assert_equal(found.tracks, tracks)
+
+
+def test_the_same_tracks_give_the_same_bytes(written, small_run, small_rows, tmp_path):
+    write_tracks(tmp_path / "again", small_run, read_tracks(written, small_run, small_rows), overwrite=False)
+    for path in sorted(written.iterdir()):
+        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_every_column_says_what_it_is(written):
+    for field in pq.read_schema(written / "tracks.parquet"):
+        assert set(field.metadata) == {b"unit", b"description"}
+        assert field.metadata[b"description"]
+        assert field.metadata[b"unit"].decode() == {"px": "px", "px2": "px²"}.get(field.name.split("_")[-1], "")
+
+
+def test_tracks_are_not_written_over_unasked(written, small_run, small_tracks):
+    with pytest.raises(OutputError, match="--overwrite"):
+        write_tracks(written, small_run, TrackSet("toy", small_tracks, ORIGIN), overwrite=False)
+    write_tracks(written, small_run, TrackSet("toy", small_tracks.take(np.arange(3)), ORIGIN), overwrite=True)
+    assert pq.read_metadata(written / "tracks.parquet").num_rows == 3
+
+
+def test_tracks_of_unknown_origin_are_not_written(small_run, small_tracks, tmp_path):
+    with pytest.raises(ModsimError, match="no origin"):
+        write_tracks(tmp_path / "x", small_run, TrackSet("mine", small_tracks, None), overwrite=False)
+
+
+def test_tracks_of_another_seed_are_refused(written, tmp_path):
+    modsim3d.run_scene(modsim3d.load_scene("strait", steps=8, source="analytic", seed=4), tmp_path / "run")
+    other = modsim3d.open_run(tmp_path / "run")
+    with pytest.raises(ModsimError, match=r"another run: seed was 3, and is 4"):
+        read_tracks(written, other, RunRows.of(other))
+
+
+def test_tracks_of_other_detections_are_refused(written, small_run, small_rows):
+    change_facts(written, lambda facts: facts["run"].update(detections_sha256="0" * 64))
+    with pytest.raises(ModsimError, match="are of other detections"):
+        read_tracks(written, small_run, small_rows)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda facts: facts.pop("chosen"), "chosen: missing"),
+        (lambda facts: facts.update(format=2), "format"),
+        (lambda facts: facts.update(more=1), "more: unknown key"),
+    ],
+)
+def test_a_wrong_key_is_named(written, small_run, small_rows, change, said):
+    change_facts(written, change)
+    with pytest.raises(ModsimError, match=said):
+        read_tracks(written, small_run, small_rows)
+
+
+def test_a_damaged_table_is_refused(written, small_run, small_rows):
+    path = written / "tracks.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(ModsimError, match="was changed or damaged"):
+        read_tracks(written, small_run, small_rows)
+
+
+@pytest.mark.parametrize("name", ["tracks.json", "tracks.parquet"])
+def test_a_missing_file_is_named(written, small_run, small_rows, name):
+    (written / name).unlink()
+    with pytest.raises(ModsimError, match=rf"{name}:\s+no such file"):
+        read_tracks(written, small_run, small_rows)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda table: table.drop_columns("label"), "column 'label' is missing"),
+        (lambda table: table.append_column("more", table["step"]), "column 'more' is unknown"),
+        (lambda table: table.set_column(3, "track", table["step"].cast("int32")), "type int32, must have int64"),
+        (lambda table: table.set_column(1, "step", table["track"]), "takes no frame|there is no step"),
+        (lambda table: table.set_column(7, "x_max_px", table["x_min_px"]), "row 0: the box has width 0"),
+        (lambda table: table.take([0, 1, 1]), r"row 2: track \d+ is at step 0 of camera 'bow' already \(row 1\)"),
+    ],
+)
+def test_a_wrong_table_is_refused(written, small_run, small_rows, change, said):
+    table = pq.read_table(written / "tracks.parquet")
+    replace_table(written, change(table))
+    with pytest.raises(ModsimError, match=said):
+        read_tracks(written, small_run, small_rows)

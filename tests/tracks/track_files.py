@@ -1,0 +1,63 @@
+"""Files of tracks of a small run: its detections, numbered as if each vessel were a track."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modsim3d.boxes import centre_form
+from modsim3d.tracks.tracks import Tracks
+
+IMAGE_PX = (1920, 1080)
+
+
+def detected_tracks(rows) -> Tracks:
+    """The detections that came from a vessel, with the vessel as the track."""
+    cameras = len(rows.scene.cameras)
+    known = rows.detection_vessel >= 0
+    frame, vessel = rows.detection_frame[known], rows.detection_vessel[known]
+    first = np.unique(np.column_stack([frame, vessel]), axis=0, return_index=True)[1]
+    boxes = np.round(rows.detection_boxes_px()[known], 3)
+    return Tracks.of(cameras, frame[first], vessel[first], boxes[first])
+
+
+def top_left(boxes_px):
+    return np.concatenate([boxes_px[:, :2], boxes_px[:, 2:] - boxes_px[:, :2]], axis=1)
+
+
+def centred(boxes_px):
+    return centre_form(boxes_px)
+
+
+def csv_text(rows, tracks, numbers=None, names="x_min_px,y_min_px,x_max_px,y_max_px", when="step") -> str:
+    numbers = tracks.boxes_px if numbers is None else numbers
+    cameras = [camera.name for camera in rows.scene.cameras]
+    times = tracks.step if when == "step" else rows.scene.times_s(0, rows.steps)[tracks.step]
+    lines = [f"camera,{when},track,{names}"]
+    lines += [
+        ",".join([cameras[camera], f"{time:.9g}", str(track), *(f"{number:.9g}" for number in four)])
+        for camera, time, track, four in zip(tracks.camera, times, tracks.track, numbers, strict=True)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def mot_texts(rows, tracks, numbers=None, first_frame=1) -> dict[str, str]:
+    """The text of each camera's file."""
+    numbers = top_left(tracks.boxes_px) + np.array([1, 1, 0, 0]) if numbers is None else numbers
+    cameras, texts = [camera.name for camera in rows.scene.cameras], {}
+    for index, name in enumerate(cameras):
+        taken = rows.frames[rows.frames % len(cameras) == index]
+        here = tracks.camera == index
+        frame = np.searchsorted(taken, tracks.frame[here]) + first_frame
+        lines = [
+            f"{at},{track},{','.join(f'{each:.9g}' for each in four)},1,-1,-1,-1"
+            for at, track, four in zip(frame, tracks.track[here], numbers[here], strict=True)
+        ]
+        texts[f"{name}.txt"] = "".join(f"{line}\n" for line in lines)
+    return texts
+
+
+def write_mot(folder, texts):
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
