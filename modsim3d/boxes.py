@@ -54,8 +54,11 @@ def errors_between(found_px: Array, truth_px: Array) -> Array:
     return np.concatenate([(low + high) / 2, high - low], axis=1)
 
 
-def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int]) -> Array:
-    """Boxes (..., 4) with each side below one pixel replaced by the pixel that contains its middle, same shape."""
+def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Array:
+    """Boxes (..., 4) with each side below one pixel replaced by the pixel that contains its middle, same shape.
+
+    The image is that of all, or each box has its own of a size (..., 2).
+    """
     low, high = boxes_px[..., :2], boxes_px[..., 2:]
     pixel = np.clip(np.floor((low + high) / 2), 0, np.array(image_size_px) - 1)
     thin = high - low < 1

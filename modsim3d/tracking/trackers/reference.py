@@ -1,0 +1,166 @@
+"""The reference tracker: a Kalman filter in the image and one best assignment a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy.optimize import linear_sum_assignment
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import centre_form, clip, corner_form, inside_image
+from modsim3d.inputs.validation import NotNegative, Positive, Probability
+from modsim3d.tracking.kalman import Motion
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+
+_SIZE_NOISE = 1.5
+"""Noise of width and height over that of the centre: between 1.2 and 1.8 in the shipped detectors."""
+_SIZE_WALK = 0.2
+"""Share by which a box's size changes in a second."""
+_FORBIDDEN = 1e6
+_TIME_S = 1e-9
+"""Times are differences of rounded ones: one that is as long as allowed is not longer."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """The tracks that are alive: k rows.
+
+    Attributes:
+        motion: Centre x, centre y, width and height, shape (k, 4). A size has no rate: it would shrink behind others.
+        number: Of the track, shape (k,).
+        hits: Detections so far, shape (k,).
+        misses: Frames without detection before the track was confirmed, shape (k,).
+        seen_s: Time of the last detection, shape (k,).
+        votes: Confidence of its detections, summed by label, shape (k, labels).
+        confidence: Of the last detection, shape (k,).
+    """
+
+    motion: Motion
+    number: Indices
+    hits: Indices
+    misses: Indices
+    seen_s: Array
+    votes: Array
+    confidence: Array
+
+    def take(self, chosen: Mask) -> _Known:
+        """The chosen rows."""
+        _, *columns = vars(self).values()
+        return _Known(self.motion.take(chosen), *(column[chosen] for column in columns))
+
+    def joined(self, more: _Known) -> _Known:
+        """These rows and more after them."""
+        _, *columns = zip(vars(self).values(), vars(more).values(), strict=True)
+        return _Known(self.motion.joined(more.motion), *(np.concatenate(pair) for pair in columns))
+
+
+class ReferenceTracker(Tracker):
+    """A yardstick and an example, not a product: what a textbook's tracker reaches in a hundred lines.
+
+    A Kalman filter with constant velocity follows the centre of each box, with the true times of the frames; width and
+    height are random walks. Detections within the gate (Mahalanobis distance of the centres) are assigned to tracks so
+    that most tracks get one, and then the likelihood is largest (global nearest neighbour; Blackman & Popoli (1999),
+    section 6.4). Classes are not looked at: a track has the class with the most confidence behind it.
+
+    Attributes:
+        noise_share: Standard deviation of a detected centre, as a share of the box's width and height.
+        noise_x_px: What is added to that across, in pixels.
+        noise_y_px: What is added to it down the image, in pixels.
+        velocity_change_px_s: Standard deviation of the change of the velocity in one second, in pixels per second.
+        first_speed_px_s: Standard deviation of the velocity of a new track, in each direction.
+        gate_probability: Probability that a track's own detection lies in its gate.
+        start_confidence: The least confidence of a detection that starts a track. Those below continue tracks only.
+        confirm_hits: Detections until a track is reported, in at most one frame more than that.
+        lost_s: A track without detection for longer than this ends.
+        coast_s: A track without detection is reported at its predicted place for at most this time.
+    """
+
+    noise_share: NotNegative = 0.05
+    noise_x_px: Positive = 8.0
+    noise_y_px: Positive = 5.0
+    velocity_change_px_s: Positive = 5.0
+    first_speed_px_s: Positive = 30.0
+    gate_probability: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.995
+    start_confidence: Probability = 0.45
+    confirm_hits: Annotated[int, Field(strict=True, ge=1, le=100)] = 3
+    lost_s: NotNegative = 4.0
+    coast_s: NotNegative = 1.5
+
+    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        """Track the detections of one camera; see `Tracker`."""
+        known, begun, before_s = None, 0, 0.0
+        for frame in frames:
+            free = np.ones(len(frame.boxes_px), dtype=bool)
+            if known is not None:
+                known = self._alive(known, frame.time_s)
+                known = replace(known, motion=self._predicted(known.motion, frame.time_s - before_s))
+                track, found = self._assigned(known.motion, frame)
+                known = self._corrected(known, frame, track, found)
+                free[found] = False
+            fresh = np.flatnonzero(free & (frame.confidence >= self.start_confidence))
+            new = self._new(frame, fresh, begun, len(camera.labels))
+            known = new if known is None else known.joined(new) if len(fresh) else known
+            begun, before_s = begun + len(fresh), frame.time_s
+            yield self._reported(known, frame.time_s, camera)
+
+    def _new(self, frame: SensedFrame, rows: Indices, begun: int, labels: int) -> _Known:
+        """Tracks of some of a frame's detections, numbered from `begun` on."""
+        boxes, votes = centre_form(frame.boxes_px[rows]), np.zeros((len(rows), labels))
+        votes[np.arange(len(rows)), frame.label[rows]] = frame.confidence[rows]
+        motion = Motion.at(boxes, self._noise_px2(boxes), np.repeat([self.first_speed_px_s**2, 0.0], 2))
+        number = np.arange(begun, begun + len(rows))
+        ones, seen_s = np.ones_like(number), np.full(len(rows), frame.time_s)
+        return _Known(motion, number, ones, ones - 1, seen_s, votes, frame.confidence[rows])
+
+    def _noise_px2(self, boxes: Array) -> Array:
+        """Variance of detected centres, widths and heights, for boxes of about these sizes, shape (k, 4)."""
+        noise_px = self.noise_share * np.maximum(boxes[:, 2:], 1) + np.array([self.noise_x_px, self.noise_y_px])
+        return np.concatenate([noise_px, _SIZE_NOISE * noise_px], axis=1) ** 2
+
+    def _predicted(self, motion: Motion, time_s: float) -> Motion:
+        walk = np.zeros_like(motion.place)
+        walk[:, 2:] = _SIZE_WALK * np.maximum(motion.place[:, 2:], 1)
+        return motion.predicted(time_s, np.repeat([self.velocity_change_px_s, 0.0], 2), walk)
+
+    def _assigned(self, motion: Motion, frame: SensedFrame) -> tuple[Indices, Indices]:
+        """Rows of the tracks that have a detection, and of their detections."""
+        variance = (motion.place_variance + self._noise_px2(motion.place))[:, None, :2]
+        away = centre_form(frame.boxes_px)[:, :2] - motion.place[:, None, :2]
+        distance = np.sum(away**2 / variance, axis=-1)
+        near = distance <= -2 * np.log1p(-self.gate_probability)  # a quantile of chi-square with two degrees of freedom
+        track, found = linear_sum_assignment(np.where(near, distance + np.log(variance).sum(axis=-1), _FORBIDDEN))
+        good = near[track, found]
+        return track[good], found[good]
+
+    def _corrected(self, known: _Known, frame: SensedFrame, track: Indices, found: Indices) -> _Known:
+        motion = known.motion.take(track)
+        better = motion.corrected(centre_form(frame.boxes_px[found]), self._noise_px2(motion.place))
+        hits, seen_s, confidence = known.hits.copy(), known.seen_s.copy(), known.confidence.copy()
+        votes, missed = known.votes.copy(), np.ones(len(hits), dtype=bool)
+        missed[track] = False
+        misses = known.misses + (missed & (hits < self.confirm_hits))
+        hits[track] += 1
+        seen_s[track], confidence[track] = frame.time_s, frame.confidence[found]
+        votes[track, frame.label[found]] += frame.confidence[found]
+        return _Known(known.motion.with_rows(track, better), known.number, hits, misses, seen_s, votes, confidence)
+
+    def _alive(self, known: _Known, time_s: float) -> _Known:
+        """Without the tracks that were lost, or not confirmed in time."""
+        unconfirmed = (known.hits < self.confirm_hits) & (known.misses > 1)
+        alive = (time_s - known.seen_s <= self.lost_s + _TIME_S) & ~unconfirmed
+        return known if alive.all() else known.take(alive)
+
+    def _reported(self, known: _Known, time_s: float, camera: CameraFacts) -> TrackedFrame:
+        boxes = corner_form(
+            np.concatenate([known.motion.place[:, :2], np.maximum(known.motion.place[:, 2:], 1)], axis=1)
+        )
+        shown = (known.hits >= self.confirm_hits) & (time_s - known.seen_s <= self.coast_s + _TIME_S)
+        shown &= inside_image(boxes, camera.image_size_px)
+        covariance = known.motion.place_variance[shown, :2, None] * np.eye(2)
+        label = known.votes[shown].argmax(axis=1) if known.votes.shape[1] else None
+        boxes = clip(boxes[shown], camera.image_size_px)
+        return TrackedFrame(known.number[shown], boxes, label, known.confidence[shown], covariance)

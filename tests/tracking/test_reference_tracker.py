@@ -1,0 +1,181 @@
+"""The reference tracker."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.boxes import centres, corner_form
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame
+from modsim3d.tracking.trackers.reference import ReferenceTracker
+
+CAMERA = CameraFacts("C0", (4000, 3000), 10.0, ("boat", "ship"))
+TRACKER = ReferenceTracker(
+    noise_share=0.0,
+    noise_x_px=2.0,
+    noise_y_px=2.0,
+    velocity_change_px_s=1.0,
+    first_speed_px_s=30.0,
+    gate_probability=0.9999,
+    start_confidence=0.4,
+    confirm_hits=2,
+    lost_s=1.0,
+    coast_s=0.5,
+)
+
+
+def sensed(time_s, places, *, size=(40.0, 20.0), confidence=0.8, label=0):
+    """A frame with boxes of one size around places."""
+    count = len(places)
+    boxes = np.column_stack([np.reshape(places, (count, 2)), np.tile(size, (count, 1))])
+    return SensedFrame(time_s, corner_form(boxes), np.full(count, label), np.full(count, confidence))
+
+
+def straight(times_s, starts, velocities):
+    starts, velocities = np.array(starts, dtype=float), np.array(velocities, dtype=float)
+    return [sensed(float(time_s), starts + velocities * time_s) for time_s in times_s]
+
+
+def followed(frames, tracker=TRACKER):
+    return list(tracker.follow(frames, CAMERA))
+
+
+def numbers(answers):
+    return [sorted(answer.track.tolist()) for answer in answers]
+
+
+def without(frames, *missing):
+    return [sensed(frame.time_s, []) if index in missing else frame for index, frame in enumerate(frames)]
+
+
+def test_two_frames_are_those_of_the_hand():
+    # A centre at 100, 104 one second later: predicted 100 with variance 4 + 30 ** 2 + 1 / 3, measured with variance 4.
+    answer = followed(straight([0.0, 1.0], [[100, 200]], [[4, 0]]))[1]
+    before = 4 + 900 + 1 / 3
+    gain = before / (before + 4)
+    np.testing.assert_allclose(centres(answer.boxes_px), [[100 + gain * 4, 200]])
+    np.testing.assert_allclose(answer.covariance_px2, [np.eye(2) * before * 4 / (before + 4)])
+    assert answer.track.tolist() == [0]
+
+
+def test_a_track_is_reported_from_its_last_confirming_detection_on():
+    answers = followed(straight(np.arange(5) / 10, [[100, 200]], [[30, 0]]), replaced(confirm_hits=3))
+    assert numbers(answers) == [[], [], [0], [0], [0]]
+
+
+def replaced(**settings):
+    return TRACKER.model_copy(update=settings)
+
+
+def test_a_new_track_may_miss_one_frame_and_not_two():
+    frames = straight(np.arange(6) / 10, [[100, 200]], [[30, 0]])
+    three = replaced(confirm_hits=3)
+    assert numbers(followed(without(frames, 1), three)) == [[], [], [], [0], [0], [0]]
+    assert numbers(followed(without(frames, 1, 2), three)) == [[], [], [], [], [], [1]]
+
+
+def test_crossing_vessels_keep_their_tracks():
+    times_s = np.arange(40) / 10
+    frames = straight(times_s, [[100, 200], [500, 220]], [[100, 0], [-100, 0]])
+    answers = followed(frames)[1:]
+    for track in range(2):
+        first, last = (answers[index].boxes_px[answers[index].track == track] for index in (0, -1))
+        assert len(first) == len(last) == 1
+        moved = float(centres(last)[0, 0] - centres(first)[0, 0])
+        assert abs(abs(moved) - 380) < 5
+    assert numbers(answers) == [[0, 1]] * 39
+
+
+def test_a_miss_does_not_end_a_track_which_is_reported_where_it_should_be():
+    frames = straight(np.arange(20) / 10, [[100, 200]], [[30, 0]])
+    answers = followed(without(frames, 10))
+    assert numbers(answers)[1:] == [[0]] * 19
+    np.testing.assert_allclose(centres(answers[10].boxes_px), [[130, 200]], atol=1)
+
+
+def test_a_track_coasts_for_its_time_and_ends_after_its_own():
+    frames = straight(np.arange(40) / 10, [[100, 200]], [[30, 0]])
+    short, long = followed(without(frames, *range(10, 19))), followed(without(frames, *range(10, 20)))
+    assert numbers(short) == [[]] + [[0]] * 14 + [[]] * 4 + [[0]] * 21  # seen at 0.9 s, and at 1.9 s again
+    assert numbers(long)[19:22] == [[], [], [1]]  # seen at 2.0 s again
+
+
+def test_times_need_not_be_regular():
+    times_s = np.cumsum(np.random.default_rng(1).uniform(0.02, 0.5, 60))
+    answers = followed(straight(times_s, [[100, 200], [100, 300]], [[60, 5], [40, -5]]))
+    assert numbers(answers)[1:] == [[0, 1]] * 59
+    np.testing.assert_allclose(
+        np.sort(centres(answers[-1].boxes_px)[:, 0]), 100 + np.array([40, 60]) * times_s[-1], atol=1
+    )
+
+
+def test_frames_without_detections_have_no_tracks():
+    assert numbers(followed([sensed(time_s, []) for time_s in (0.0, 0.1, 0.2)])) == [[], [], []]
+    frames = straight(np.arange(30) / 10, [[100, 200]], [[30, 0]])
+    answers = followed(without(frames, *range(5), *range(20, 30)))
+    assert numbers(answers) == [[]] * 6 + [[0]] * 19 + [[]] * 5
+    assert followed([]) == []
+
+
+def test_unsure_detections_continue_a_track_and_start_none():
+    frames = straight(np.arange(10) / 10, [[100, 200]], [[30, 0]])
+    unsure = [replace(frame, confidence=np.full(1, 0.3)) for frame in frames]
+    assert numbers(followed(unsure)) == [[]] * 10
+    assert numbers(followed(frames[:3] + unsure[3:])) == [[]] + [[0]] * 9
+
+
+def test_the_order_of_detections_changes_nothing():
+    rng = np.random.default_rng(2)
+    frames = []
+    for step in range(40):
+        places = np.array([[100, 200], [300, 220], [500, 240], [700, 800]]) + step * np.array([8, 1])
+        frames.append(sensed(step / 10, places + rng.normal(0, 2, (4, 2))))
+    shuffled = []
+    for frame in frames:
+        order = rng.permutation(4)
+        shuffled.append(replace(frame, boxes_px=frame.boxes_px[order]))
+    same = {}
+    for one, other in zip(followed(frames), followed(shuffled), strict=True):
+        a, b = (np.lexsort(answer.boxes_px.T) for answer in (one, other))
+        np.testing.assert_allclose(one.boxes_px[a], other.boxes_px[b], rtol=0, atol=1e-9)
+        pairs = zip(one.track[a].tolist(), other.track[b].tolist(), strict=True)
+        assert all(same.setdefault(first, second) == second for first, second in pairs)
+    assert len(same) == 4
+
+
+def test_a_track_has_the_label_with_the_most_confidence():
+    frames = straight(np.arange(5) / 10, [[100, 200]], [[30, 0]])
+    labels = [0, 1, 1, 1, 0]
+    mixed = [replace(frame, label=np.array([label])) for frame, label in zip(frames, labels, strict=True)]
+    assert [answer.label.tolist() for answer in followed(mixed)] == [[], [0], [1], [1], [1]]
+
+
+def test_boxes_end_at_the_edge_of_the_image():
+    seen = straight(np.arange(4) / 10, [[3960, 200]], [[100, 0]])
+    answers = followed([*seen, sensed(0.5, []), sensed(0.8, [])])
+    assert max(answer.boxes_px[:, 2].max(initial=0) for answer in answers) == 4000
+    assert numbers(answers)[-1] == []
+
+
+def test_the_filter_is_as_uncertain_as_it_is_wrong():
+    rng, vessels, steps, tracker = np.random.default_rng(3), 400, 15, replaced(lost_s=9.0, gate_probability=1 - 1e-12)
+    place = np.stack(np.meshgrid(np.arange(20), np.arange(20)), -1).reshape(-1, 2) * 2000.0 + 1000
+    camera = replace(CAMERA, image_size_px=(40000, 40000))
+    velocity = rng.normal(0, 30, (vessels, 2))
+    frames, places, time_s = [], [], 0.0
+    for _ in range(steps):
+        frames.append(sensed(time_s, place + rng.normal(0, 2, (vessels, 2))))
+        places.append(place)
+        step_s = float(rng.uniform(0.2, 1.5))
+        # Exact samples of white-noise acceleration over the step.
+        first, second = rng.normal(0, 1, (2, vessels, 2))
+        place = place + velocity * step_s + step_s**1.5 * (first / 2 + second / np.sqrt(12))
+        velocity, time_s = velocity + first * np.sqrt(step_s), time_s + step_s
+    answers = list(tracker.follow(frames, camera))
+    for answer, true in zip(answers[1:], places[1:], strict=True):
+        assert answer.track.tolist() == list(range(vessels))
+        error = centres(answer.boxes_px) - true
+        nees = np.einsum("ki,kij,kj->k", error, np.linalg.inv(answer.covariance_px2), error)
+        assert abs(nees.mean() - 2) < 4 * 2 / np.sqrt(vessels)  # chi-square of 2 has a standard deviation of 2
+    last = answers[-1].covariance_px2[0, 0, 0]
+    assert last == pytest.approx(answers[-1].covariance_px2[-1, 1, 1])
