@@ -32,6 +32,7 @@ MENU = {
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/conditions"],
     "Test a tracker": [
+        "docs/track",
         "docs/scores",
         "docs/export",
         "docs/stream",

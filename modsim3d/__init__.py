@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from modsim3d.runs.stored_run import open_run
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.scene import Scene
+    from modsim3d.tracking.track_run import track_run
+    from modsim3d.tracking.trackers.interface import TrackedFrame, Tracker
     from modsim3d.verify.verification import verify_run
 
     __version__: str
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 __all__ = [
     "ModsimError",
     "Scene",
+    "TrackedFrame",
+    "Tracker",
     "detect_run",
     "detect_truth",
     "learn_detector",
@@ -42,12 +46,15 @@ __all__ = [
     "open_run",
     "run_scene",
     "simulate_frames",
+    "track_run",
     "verify_run",
 ]
 
 _HOMES = {
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene.scene",
+    "TrackedFrame": "modsim3d.tracking.trackers.interface",
+    "Tracker": "modsim3d.tracking.trackers.interface",
     "detect_run": "modsim3d.runs.detect_run",
     "detect_truth": "modsim3d.other_truth.detect_truth",
     "learn_detector": "modsim3d.learn.learning",
@@ -57,6 +64,7 @@ _HOMES = {
     "open_run": "modsim3d.runs.stored_run",
     "run_scene": "modsim3d.runs.run",
     "simulate_frames": "modsim3d.runs.pipeline",
+    "track_run": "modsim3d.tracking.track_run",
     "verify_run": "modsim3d.verify.verification",
 }
 

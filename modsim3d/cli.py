@@ -24,6 +24,7 @@ from modsim3d.commands.shared import INTERRUPTED
 from modsim3d.commands.stream import stream_command
 from modsim3d.commands.streams import lost_output, prepare_output
 from modsim3d.commands.terminal import check_arguments, say, say_error, start_afresh
+from modsim3d.commands.track import track_command
 from modsim3d.commands.verify import verify_command
 from modsim3d.commands.view import view_command
 from modsim3d.errors import ModsimError
@@ -42,7 +43,7 @@ modsim3d view runs/first --film all    a film of it
 modsim3d verify runs/first             does it obey its detector file?
 modsim3d run -h                        all options of a command
 """
-RUN, LOOK, CHECK, MAKE = "Run", "Look", "Check", "Make"
+RUN, LOOK, TEST, CHECK, MAKE = "Run", "Look", "Test a tracker", "Check", "Make"
 COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (RUN, "run", run_command, "Simulate a scene: truth, detections and a contact sheet."),
     (RUN, "detect", detect_command, "Run another detector or seed over the truth of a run."),
@@ -51,6 +52,7 @@ COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (LOOK, "report", report_command, "A page that plays a run in the browser."),
     (LOOK, "view", view_command, "Films, pictures and maps of a run."),
     (LOOK, "rerun", rerun_command, "A recording for the Rerun viewer."),
+    (TEST, "track", track_command, "Run a tracker over the detections of a run."),
     (CHECK, "check", check_command, "Everything that is wrong with a scene, at once."),
     (CHECK, "verify", verify_command, "Does a run obey its detector file?"),
     (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),

@@ -19,3 +19,10 @@ def complete_scene(incomplete: str) -> list[str]:
         return []
     files = (path.name for path in sorted(Path().iterdir()) if path.suffix in _SCENE_FILES and path.is_file())
     return shipped + [name for name in files if name.startswith(incomplete)]
+
+
+def complete_tracker(incomplete: str) -> list[str]:
+    """Names of trackers that begin so."""
+    from modsim3d.tracking.trackers.names import tracker_names
+
+    return [name for name in tracker_names() if name.startswith(incomplete)]

@@ -14,6 +14,7 @@ from modsim3d.inputs.validation import nearest
 POSE_SOURCES = "modsim3d.pose_sources"
 WAVE_LEVELS = "modsim3d.wave_levels"
 SHAPES = "modsim3d.shapes"
+TRACKERS = "modsim3d.trackers"
 
 
 @dataclass(frozen=True)

@@ -158,8 +158,8 @@ def plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
-def read_settings(texts: Sequence[str]) -> dict[str, object]:
-    """Keys and values from texts such as `waves.level=large`; values are YAML, and the last one of a key counts.
+def read_settings(texts: Sequence[str], example: str = "waves.level=large") -> dict[str, object]:
+    """Keys and values from texts such as the example; values are YAML, and the last one of a key counts.
 
     Raises:
         InputError: A text has no key or no `=`, or its value is not YAML.
@@ -168,7 +168,7 @@ def read_settings(texts: Sequence[str]) -> dict[str, object]:
     for text in texts:
         key, equals, value = text.partition("=")
         if not (key and equals):
-            raise InputError(f"--set {text}", ["a key and a value are needed, as in waves.level=large"])
+            raise InputError(f"--set {text}", [f"a key and a value are needed, as in {example}"])
         values[key.strip()] = parse_yaml(value, f"--set {key}")
     return values
 

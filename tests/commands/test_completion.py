@@ -63,6 +63,11 @@ def test_commands_options_and_values_are_completed(folder: Path) -> None:
     assert "strait" in complete(folder, "fish", "modsim3d", "run", "st")
 
 
+def test_names_of_trackers_are_completed(folder: Path) -> None:
+    offered = complete(folder, "bash", "modsim3d", "track", "run", "--tracker", "s")
+    assert [word for word in offered if word] == ["sort", "stonesoup_gnn", "stonesoup_jpda"]
+
+
 SHELL_IS_NAMED = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
 """Options that show and install completion take the shell's name, in place of the shell that they were started from."""
 

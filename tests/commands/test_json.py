@@ -18,7 +18,7 @@ from modsim3d.runs.counts import Counts
 from modsim3d.runs.run import RunResult
 from tests.commands.conftest import Modsim3d, Said
 
-COMMANDS = ("run", "detect", "check", "scenes", "verify", "repeat", "compare", "learn")
+COMMANDS = ("run", "detect", "check", "scenes", "verify", "repeat", "compare", "learn", "track")
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
 
 
@@ -33,6 +33,7 @@ def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...
         "verify": ("verify", run, "--out", tmp_path / "verify"),
         "repeat": ("repeat", run),
         "compare": ("compare", scene, "--steps", 2, "--out", tmp_path / "compare"),
+        "track": ("track", run, "--out", tmp_path / "tracks"),
         "learn": ("learn", "--run", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
     }
 
@@ -82,7 +83,7 @@ def test_standard_output_is_one_object_with_the_documented_keys(
 @pytest.mark.parametrize("command", [command for command in COMMANDS if command != "scenes"])
 def test_an_error_is_text_on_standard_error(modsim3d: Modsim3d, tmp_path: Path, command: str) -> None:
     nowhere = tmp_path / "nowhere"
-    out = {"run": nowhere, "detect": nowhere, "learn": nowhere}
+    out = {"run": nowhere, "detect": nowhere, "learn": nowhere, "track": tmp_path / "out"}
     said = modsim3d(
         command,
         *(("--run", nowhere) if command == "learn" else (nowhere,)),

@@ -21,13 +21,14 @@ def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...
         "repeat": ("repeat", run),
         "compare": ("compare", scene, "--steps", 2),
         "learn": ("learn", "--run", run, "--replicates", 20, "--overwrite", "--out", tmp_path / "learned.yaml"),
+        "track": ("track", run, "--overwrite", "--out", tmp_path / "tracks"),
         "export": ("export", run, "--format", "coco", "--overwrite", "--out", tmp_path / "coco"),
         "report": ("report", run, "--overwrite", "--out", tmp_path / "page.html"),
         "view": ("view", run, "--frame", 3, "--width", 160, "--overwrite", "--out", tmp_path / "picture.png"),
     }
 
 
-COMMANDS_TRIED = ("run", "detect", "check", "verify", "repeat", "compare", "learn", "export", "report", "view")
+COMMANDS_TRIED = ("run", "detect", "check", "verify", "repeat", "compare", "learn", "export", "report", "view", "track")
 
 
 def test_every_command_with_something_to_tell_has_both_options() -> None:

@@ -26,7 +26,8 @@ from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "tests" / "plugin_example"
-DOCUMENT = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
+DOCUMENT = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n## A tracker\n")[0]
+"""The sections before that of trackers, whose package tests/tracking/test_plugged_in.py tests."""
 
 
 def blocks(language):

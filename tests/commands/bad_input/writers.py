@@ -30,6 +30,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
             *("--out", out.parent),
         ),
     ),
+    "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",

@@ -1,0 +1,123 @@
+"""Trackers by their names: built-in ones and plug-ins, with their settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import PydanticSerializationError
+
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.inputs.plugins import TRACKERS, Plugin, failed, load_plugin
+from modsim3d.inputs.validation import describe
+from modsim3d.scene.settings import plain
+from modsim3d.tracking.trackers.chosen_settings import DEFAULTS, chosen_settings
+from modsim3d.tracking.trackers.interface import Tracker
+from modsim3d.tracking.trackers.names import BUILT_IN
+from modsim3d.tracks.track_set import Origin
+
+_ALWAYS = ("numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class NamedTracker:
+    """A tracker with its settings.
+
+    Attributes:
+        name: Its name.
+        tracker: The tracker.
+        plugin: Where it comes from; None if it is built in.
+        chosen: Where its settings come from, in a sentence.
+    """
+
+    name: str
+    tracker: Tracker
+    plugin: Plugin | None
+    chosen: str
+
+    def __str__(self) -> str:
+        """Text for messages."""
+        return f"the tracker '{self.name}'" if self.plugin is None else str(self.plugin)
+
+    @property
+    def origin(self) -> Origin:
+        """How its tracks are made."""
+        settings = _as_json(self.tracker, str(self))
+        packages = _ALWAYS + (() if self.plugin else BUILT_IN[self.name].packages)
+        return Origin(
+            tracker=self.name,
+            settings=settings,
+            chosen=self.chosen,
+            package=self.plugin.package if self.plugin else f"modsim3d {version('modsim3d')}",
+            versions={package: version(package) for package in packages},
+        )
+
+
+def named_tracker(name: str, settings: Mapping[str, object], scene: str) -> NamedTracker:
+    """A tracker by its name.
+
+    The settings are its defaults; in their place those that were chosen for all shipped scenes; in place of these
+    those chosen for the scene; and in place of all those that are given.
+
+    Args:
+        name: Name of a built-in tracker or of a plug-in.
+        settings: Settings by their names.
+        scene: Name of the run's scene.
+
+    Raises:
+        InputError: There is no such tracker, or a setting is wrong.
+        TypeError: The settings are no mapping.
+    """
+    if not isinstance(settings, Mapping):
+        raise TypeError(f"settings: a mapping of names to values is needed (got {type(settings).__name__})")
+    model, plugin = _model(name)
+    found = chosen_settings(name, model, scene)
+    given = {str(key): plain(value) for key, value in settings.items()}
+    tracker = _validated(model, {**found.settings, **given}, name, plugin)
+    return NamedTracker(name, tracker, plugin, _chosen(found.chosen, given))
+
+
+def _as_json(tracker: Tracker, name: str) -> dict[str, Any]:
+    """Settings of a tracker as a JSON file holds them."""
+    try:
+        return tracker.model_dump(mode="json")
+    except PydanticSerializationError as error:
+        raise ModsimError(f"{name}: its settings cannot be written as JSON: {error}") from None
+
+
+def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
+    if not given:
+        return chosen
+    if chosen == DEFAULTS:
+        return f"{chosen}, but for {', '.join(given)}"
+    return f"{chosen.rstrip('.')}; but {', '.join(given)} given by the caller"
+
+
+def _model(name: str) -> tuple[type[Tracker], Plugin | None]:
+    if name in BUILT_IN:
+        found: object = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
+        plugin = None
+    else:
+        found, plugin = load_plugin(TRACKERS, name, "--tracker", BUILT_IN)
+    if isinstance(found, type) and issubclass(found, Tracker) and found.follow is not Tracker.follow:
+        return found, plugin
+    raise InputError(
+        f"--tracker {name}",
+        [f"{plugin} must be a class made from modsim3d.Tracker with a method follow, not {found!r}"],
+    )
+
+
+def _validated(model: type[Tracker], settings: dict[str, Any], name: str, plugin: Plugin | None) -> Tracker:
+    source = f"settings of the tracker '{name}'"
+    try:
+        return model.model_validate(settings)
+    except ValidationError as error:
+        raise InputError(source, describe(error, model)) from None
+    except Exception as error:  # a validator of a foreign model may raise anything
+        if plugin is None:
+            raise
+        raise InputError(source, [str(failed(plugin, error))]) from error

@@ -1,0 +1,136 @@
+"""Trackers by their names, and their settings: defaults, those of a file, those of its scene, those that are given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.inputs.plugins import TRACKERS, Plugin
+from modsim3d.tracking.trackers import chosen_settings as files
+from modsim3d.tracking.trackers import registry
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn, tracker_names
+from modsim3d.tracking.trackers.registry import named_tracker
+
+
+class Toy(Tracker):
+    gate: float = 1.0
+    hits: int = 2
+    name: str = "toy"
+
+    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        return (TrackedFrame.empty() for _ in frames)
+
+
+@pytest.fixture(autouse=True)
+def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A built-in tracker `sort` of these tests, and a folder of settings of their own."""
+    monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Toy", ("pydantic",)))
+    monkeypatch.setattr(files, "data_folder", lambda kind: tmp_path / kind)
+
+
+def settings_file(folder: Path, text: str) -> None:
+    (folder / "scenes" / "trackers").mkdir(parents=True)
+    (folder / "scenes" / "trackers" / "sort.yaml").write_text(text)
+
+
+FILE = "chosen: On seeds 900 to 909.\nsettings: {gate: 2.0, hits: 3}\nscenes: {strait: {gate: 4.0}}\n"
+
+
+def test_names_are_the_built_in_ones_first() -> None:
+    built_in = ("reference", "sort", "bytetrack", "ocsort", "stonesoup_gnn", "stonesoup_jpda")
+    assert tracker_names()[:6] == built_in
+
+
+def test_without_a_file_the_defaults_hold() -> None:
+    named = named_tracker("sort", {}, "strait")
+    assert (named.tracker, named.plugin, named.chosen) == (Toy(), None, "the tracker's defaults")
+    assert named_tracker("sort", {"hits": np.int64(5)}, "strait").tracker == Toy(hits=5)
+    assert named_tracker("sort", {"hits": 5}, "strait").chosen == "the tracker's defaults, but for hits"
+
+
+def test_a_file_replaces_defaults_its_scene_the_file_and_the_caller_all(tmp_path: Path) -> None:
+    settings_file(tmp_path, FILE)
+    assert named_tracker("sort", {}, "fairway").tracker == Toy(gate=2.0, hits=3)
+    assert named_tracker("sort", {}, "strait").tracker == Toy(gate=4.0, hits=3)
+    given = named_tracker("sort", {"gate": 5}, "strait")
+    assert given.tracker == Toy(gate=5.0, hits=3)
+    assert given.chosen == "On seeds 900 to 909; but gate given by the caller"
+
+
+def test_the_origin_has_all_settings_and_versions(tmp_path: Path) -> None:
+    settings_file(tmp_path, FILE)
+    origin = named_tracker("sort", {}, "strait").origin
+    assert origin.settings == {"gate": 4.0, "hits": 3, "name": "toy"}
+    assert (origin.tracker, origin.package) == ("sort", f"modsim3d {version('modsim3d')}")
+    assert origin.versions == {name: version(name) for name in ("numpy", "scipy", "pydantic")}
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("chosen: x\nsetings: {}\n", "setings: unknown key (did you mean 'settings'?)"),
+        ("settings: {}\n", "chosen: missing"),
+        ("chosen: x\nsettings: {gat: 1}\n", "settings.gat: unknown key (did you mean 'gate'?)"),
+        ("chosen: x\nscenes: {harbour: {hits: many}}\n", "scenes.harbour.hits: "),
+        ("chosen: x\nsettings: [1]\n", "settings: a mapping of keys is needed"),
+    ],
+)
+def test_a_wrong_file_is_told_with_its_path_and_key(tmp_path: Path, text: str, problem: str) -> None:
+    settings_file(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        named_tracker("sort", {}, "strait")
+    assert str(tmp_path / "scenes" / "trackers" / "sort.yaml") in caught.value.source
+    assert caught.value.problems[0].startswith(problem)
+
+
+def test_shipped_files_of_settings_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever files there are: each belongs to a tracker, and every value of it is one that the tracker takes."""
+    monkeypatch.undo()
+    folder = files.data_folder("scenes") / "trackers"
+    names = [path.stem for path in sorted(folder.glob("*.yaml"))]
+    assert set(names) <= set(BUILT_IN)
+    for name in names:
+        assert named_tracker(name, {}, "strait").chosen != files.DEFAULTS
+
+
+def test_wrong_settings_are_told_together_with_the_nearest_names() -> None:
+    with pytest.raises(InputError) as caught:
+        named_tracker("sort", {"gat": 3, "hits": "many"}, "strait")
+    assert caught.value.source == "settings of the tracker 'sort'"
+    assert sorted(caught.value.problems)[0] == "gat: unknown key (did you mean 'gate'?)"
+    assert "hits: " in sorted(caught.value.problems)[1] and "(got 'many')" in sorted(caught.value.problems)[1]
+    with pytest.raises(TypeError, match="a mapping of names to values"):
+        named_tracker("sort", ["gate"], "strait")  # type: ignore[arg-type]
+
+
+def test_an_unknown_tracker_is_told_with_the_known_ones() -> None:
+    with pytest.raises(InputError, match=r"(?s)--tracker.*'refrence'.*modsim3d\.trackers.*did you mean 'reference'"):
+        named_tracker("refrence", {}, "strait")
+    with pytest.raises(InputError, match="known: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda"):
+        named_tracker("../../x", {}, "strait")
+
+
+@pytest.mark.parametrize("found", [3, Tracker, type("Other", (), {}), Toy(), type("Empty", (Tracker,), {})])
+def test_a_plugin_that_is_no_tracker_is_refused(monkeypatch: pytest.MonkeyPatch, found: object) -> None:
+    plugin = Plugin(TRACKERS, "mine", "mine 1.0")
+    monkeypatch.setattr(registry, "load_plugin", lambda *_: (found, plugin))
+    with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0 must be a class made from modsim3d\.Tracker"):
+        named_tracker("mine", {}, "strait")
+
+
+class Strange(Toy):
+    thing: Any = object()
+
+
+def test_settings_that_no_file_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    plugin = Plugin(TRACKERS, "mine", "mine 1.0")
+    monkeypatch.setattr(registry, "load_plugin", lambda *_: (Strange, plugin))
+    with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0: its settings cannot be written as JSON"):
+        _ = named_tracker("mine", {}, "strait").origin

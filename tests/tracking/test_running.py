@@ -1,0 +1,205 @@
+"""A tracker over the frames of cameras: it is given them one by one, and what it answers is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from modsim3d.errors import ModsimError
+from modsim3d.inputs.plugins import TRACKERS, Plugin
+from modsim3d.runs.camera_sequences import CameraSequence, TrueBoxes
+from modsim3d.runs.told import Told
+from modsim3d.scene.reading import load_scene
+from modsim3d.scene.scene import Scene
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.tracking.trackers.registry import NamedTracker
+from modsim3d.tracking.trackers.running import tracked
+from modsim3d.tracks.tracks import Tracks
+from tests.scenes import crossing
+
+Follow = Callable[[Iterable[SensedFrame], CameraFacts], Any]
+BOX = [[10.0, 20.0, 30.0, 40.0]]
+
+
+class Scripted(Tracker):
+    """A tracker that does what a test says."""
+
+    script: ClassVar[Follow]
+
+    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        answers: Iterator[TrackedFrame] = type(self).script(frames, camera)
+        return answers
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return load_scene(crossing(tmp_path_factory.mktemp("scene"), 40), source="analytic")
+
+
+def sequence(scene: Scene, steps: list[int], boxes: list[tuple[int, float]]) -> CameraSequence:
+    """Frames at some steps of 0.5 s; detections as (place of the frame, x_min), 10 pixels wide and high."""
+    count, none = len(boxes), np.empty(0)
+    frame, x = np.array([at for at, _ in boxes], dtype=np.int64), np.array([x for _, x in boxes], dtype=float)
+    truth = TrueBoxes(*(none.astype(kind) for kind in (int, int, int, bool)), np.empty((0, 4)), none, none, none)
+    edges = np.column_stack([x, np.zeros(count), x + 10, np.full(count, 10.0)]).reshape(count, 4)
+    told = Told(frame, np.zeros(count, dtype=np.int64), edges, np.full(count, 0.5))
+    return CameraSequence(scene.cameras[0], np.array(steps), np.array(steps) * 0.5, truth, told)
+
+
+def run(scene: Scene, script: Follow, *, plugin: bool = True) -> Tracks:
+    """The tracks of a script in three frames, at steps 0, 2 and 4, with two, no and one detection."""
+    tracker = type("Mine", (Scripted,), {"script": staticmethod(script)})()
+    named = NamedTracker("mine", tracker, Plugin(TRACKERS, "mine", "mine 1.0") if plugin else None, "")
+    return tracked(named, [sequence(scene, [0, 2, 4], [(0, 5), (0, 50), (2, 7)])], [0], scene)
+
+
+def test_a_tracker_is_given_each_frame_with_its_detections_and_time(scene: Scene) -> None:
+    seen = []
+
+    def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        assert (camera.name, camera.labels, camera.rate_hz) == ("C0", tuple(scene.detector.labels), 1.0)
+        assert camera.image_size_px == scene.cameras[0].intrinsics.image_size_px
+        for frame in frames:
+            seen.append((frame.time_s, frame.boxes_px[:, 0].tolist(), frame.label.shape, frame.confidence.tolist()))
+            frame.boxes_px[:] = 0  # its own to write to
+            yield TrackedFrame.empty()
+
+    for _ in range(2):
+        assert len(run(scene, script)) == 0
+    assert seen[:3] == [(0.0, [5.0, 50.0], (2,), [0.5, 0.5]), (1.0, [], (0,), []), (2.0, [7.0], (1,), [0.5])]
+    assert seen[3:] == seen[:3]
+
+
+def test_tracks_are_numbered_by_their_first_box_and_frames_by_step_and_camera(scene: Scene) -> None:
+    numbers = iter([[900, -4], [], [-4, 17]])
+
+    def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        for _ in frames:
+            track = next(numbers)
+            yield TrackedFrame(track, BOX * len(track))  # type: ignore[arg-type]
+
+    tracks = run(scene, script)
+    assert tracks.frame.tolist() == [0, 0, 4, 4]
+    assert tracks.track.tolist() == [1, 2, 2, 3]
+    assert tracks.label.tolist() == [-1] * 4 and np.isnan(tracks.confidence).all()
+
+
+def test_cameras_are_tracked_by_themselves(scene: Scene) -> None:
+    def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        return (TrackedFrame(np.arange(7, 7 + len(each.label)), each.boxes_px, each.label) for each in frames)
+
+    tracker = type("Mine", (Scripted,), {"script": staticmethod(script)})()
+    sequences = [sequence(scene, [0, 1], [(0, 5), (1, 6)]), sequence(scene, [1], [(0, 9)])]
+    two = SimpleNamespace(cameras=scene.cameras * 2, detector=scene.detector)
+    tracks = tracked(NamedTracker("mine", tracker, None, ""), sequences, [0, 1], two)  # type: ignore[arg-type]
+    assert list(zip(tracks.frame.tolist(), tracks.track.tolist(), tracks.boxes_px[:, 0].tolist(), strict=True)) == [
+        (0, 1, 5.0),
+        (2, 1, 6.0),
+        (3, 1, 9.0),
+    ]
+    assert tracks.cameras == 2
+
+
+def answer(**columns: Any) -> Follow:
+    """A script that gives one answer in the frame at 1 s, and none in the others."""
+
+    def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        for frame in frames:
+            wrong = {"track": [3], "boxes_px": BOX, **columns}
+            yield TrackedFrame(**wrong) if frame.time_s == 1.0 else TrackedFrame.empty()
+
+    return script
+
+
+def yields(value: Any) -> Follow:
+    return lambda frames, camera: (value for _ in frames)
+
+
+def fails(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+    for frame in frames:
+        assert 1 / (frame.time_s - 1.0)
+        yield TrackedFrame.empty()
+
+
+def lagging(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+    """Answers each frame after it has seen the next."""
+    waiting = None
+    for frame in frames:
+        if waiting is not None:
+            yield TrackedFrame.empty()
+        waiting = frame
+    yield TrackedFrame.empty()
+
+
+NAN_COVARIANCE = [[[1.0, np.nan], [np.nan, 1.0]]]
+WRONG: dict[str, tuple[Follow, str]] = {
+    "all frames at once": (lambda frames, camera: [TrackedFrame.empty() for _ in frames], "at 0 s: it read the next"),
+    "one frame ahead": (lagging, "at 0 s: it read the next frame before it answered this one"),
+    "before it has read": (lambda frames, camera: iter([TrackedFrame.empty()] * 3), "at 0 s: it answered before it"),
+    "too few": (lambda frames, camera: (TrackedFrame.empty() for _ in [next(frames)]), "at 1 s: it ended after 1 of 3"),  # type: ignore[call-overload]
+    "too many": (
+        lambda frames, camera: _one_more(frames),
+        "it gave more answers than the camera has frames (3)",
+    ),
+    "nothing": (lambda frames, camera: None, "follow must yield"),
+    "no answer": (yields(None), "at 0 s: the answer to a frame is a modsim3d.TrackedFrame, not NoneType"),
+    "an exception": (fails, "failed: ZeroDivisionError: float division by zero (test_running.py"),
+    "a float for a number": (answer(track=[3.0]), "TrackedFrame.track must be integers, not float64"),
+    "a number for a list": (answer(track=3), "got the shape ()"),
+    "twice": (answer(track=[3, 3], boxes_px=BOX * 2), "at 1 s: track 3: two boxes have the track 3"),
+    "a box too few": (answer(track=[3, 4]), "boxes_px must have the shape (2, 4) with 2 tracks; got (1, 4)"),
+    "three edges": (answer(boxes_px=[[1.0, 2.0, 3.0]]), "boxes_px must have the shape (1, 4)"),
+    "text": (answer(boxes_px=[["a", "b", "c", "d"]]), "boxes_px must be an array of numbers"),
+    "no boxes": (answer(boxes_px=None), "boxes_px must"),
+    "a box of nothing": (answer(boxes_px=[[10, 20, np.nan, 40]]), "at 1 s: track 3: a box must be finite"),
+    "x, y, width, height": (answer(boxes_px=[[500, 20, 30, 40]]), "with a positive width and height, not 500, 20, 30"),
+    "no width": (answer(boxes_px=[[500, 20, 500, 40]]), "with a positive width and height"),
+    "an unknown label": (answer(label=[9]), "a label is an index from 0 to"),
+    "text for a label": (answer(label=["boat"]), "TrackedFrame.label must be integers"),
+    "a label too many": (answer(label=[0, 0]), "label must have the shape (1,)"),
+    "a confidence of 3": (answer(confidence=[3.0]), "a confidence is from 0 to 1, not 3"),
+    "a negative variance": (answer(covariance_px2=[[[-1.0, 0], [0, 1]]]), "this is no covariance of x and y"),
+    "too much covariance": (answer(covariance_px2=[[[1.0, 2], [2, 1]]]), "this is no covariance of x and y"),
+    "unequal covariances": (answer(covariance_px2=[[[1.0, 0.1], [0.2, 1]]]), "this is no covariance of x and y"),
+    "half a covariance": (answer(covariance_px2=NAN_COVARIANCE), "this is no covariance of x and y"),
+}
+
+
+def _one_more(frames: Iterable[SensedFrame]) -> Iterator[TrackedFrame]:
+    yield from (TrackedFrame.empty() for _ in frames)
+    yield TrackedFrame.empty()
+
+
+@pytest.mark.parametrize(("script", "part"), WRONG.values(), ids=WRONG)
+def test_a_wrong_answer_is_told_with_the_plugin_the_camera_and_the_time(
+    scene: Scene, script: Follow, part: str
+) -> None:
+    with pytest.raises(ModsimError) as caught:
+        run(scene, script)
+    said = str(caught.value)
+    assert part in said
+    assert said.startswith("the plug-in 'mine' of mine 1.0") and "camera 'C0'" in said and "\n" not in said
+
+
+def test_what_is_right_is_kept(scene: Scene) -> None:
+    covariance = [[[4.0, 1.0], [1.0, 9.0]]]
+    tracks = run(scene, answer(label=[0], confidence=[1.0], covariance_px2=covariance))
+    assert tracks.frame.tolist() == [2] and tracks.track.tolist() == [1]
+    assert tracks.boxes_px.tolist() == BOX and tracks.label.tolist() == [0]
+    assert tracks.covariance_px2.tolist() == covariance
+    assert len(run(scene, answer(label=[-1], confidence=[np.nan]))) == 1
+
+
+def test_an_error_of_a_built_in_tracker_is_its_own(scene: Scene) -> None:
+    with pytest.raises(ZeroDivisionError):
+        run(scene, fails, plugin=False)
+
+
+def test_a_camera_without_frames_has_no_tracks(scene: Scene) -> None:
+    tracker = type("Mine", (Scripted,), {"script": staticmethod(yields(None))})()
+    assert len(tracked(NamedTracker("mine", tracker, None, ""), [sequence(scene, [], [])], [0], scene)) == 0
+    assert len(tracked(NamedTracker("mine", tracker, None, ""), [], [], scene)) == 0

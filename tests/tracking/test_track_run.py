@@ -1,0 +1,136 @@
+"""A tracker over a finished run, and what it writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import modsim3d
+from modsim3d.errors import ModsimError, OutputError, RunDirectoryError
+from modsim3d.runs.camera_sequences import camera_sequences
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn
+from tests.scenes import crossing
+
+STEPS = 40
+
+
+class EveryBox(Tracker):
+    """The detections themselves; the k-th most confident of a frame is track k."""
+
+    most: int = 100
+
+    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
+        for frame in frames:
+            count = min(len(frame.label), self.most)
+            yield TrackedFrame(np.arange(count), frame.boxes_px[:count], frame.label[:count], frame.confidence[:count])
+
+
+@pytest.fixture(autouse=True)
+def every_box(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "EveryBox"))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    folder = tmp_path_factory.mktemp("track_run")
+    run_scene(load_scene(crossing(folder, STEPS), source="analytic"), folder / "run")
+    return open_run(folder / "run")
+
+
+def test_the_tracks_of_a_tracker_that_repeats_detections_are_the_detections(run: StoredRun, tmp_path: Path) -> None:
+    result = modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
+    (sequence,) = camera_sequences(run, (0,))
+    told = sequence.detections
+    assert len(told) > STEPS
+    order = np.lexsort((result.tracks.track, result.tracks.frame))
+    assert order.tolist() == list(range(len(told)))
+    np.testing.assert_array_equal(result.tracks.boxes_px, told.boxes_px)
+    np.testing.assert_array_equal(result.tracks.step, sequence.steps[told.frame])
+    np.testing.assert_array_equal(result.tracks.confidence, told.confidence)
+
+
+def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
+    told: list[int] = []
+    result = modsim3d.track_run(run, tmp_path / "t", tracker="sort", settings={"most": 1}, progress=told.append)
+    tracks, rows = result.tracks, RunRows.of(run)
+    times_s = run.scene.times_s(0, STEPS)
+    counts = result.counts
+    assert (counts.frames, counts.detections) == (STEPS, len(rows.detections))
+    assert (counts.tracks, counts.boxes) == (1, len(np.unique(rows.detection_frame)))
+    assert counts.median_track_s == pytest.approx(times_s[tracks.step.max()] - times_s[tracks.step.min()])
+    assert result.camera_counts == {"C0": counts}
+    assert sum(told) == STEPS
+    assert result.name == "sort (most=1)"
+    assert "tracks 1" in repr(result) and "sort (most=1)" in result._repr_html_()
+
+
+def test_without_tracks_there_is_no_median(run: StoredRun, tmp_path: Path) -> None:
+    result = modsim3d.track_run(run, tmp_path / "t", tracker="sort", settings={"most": 0})
+    assert (result.counts.tracks, result.counts.boxes, result.counts.median_track_s) == (0, 0, None)
+    assert "median" not in repr(result)
+
+
+def test_what_is_written_says_how_it_was_made_and_is_the_same_again(run: StoredRun, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        modsim3d.track_run(run.folder, str(tmp_path / name), tracker="sort", settings={"most": 3})
+    files = [{path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b")]
+    assert files[0] == files[1] and set(files[0]) == {"tracks.parquet", "tracks.json"}
+    facts = json.loads(files[0]["tracks.json"])
+    assert (facts["tracker"], facts["settings"]) == ("sort", {"most": 3})
+    assert facts["chosen"].startswith("the tracker's defaults")
+
+
+def test_what_is_there_is_refused_before_the_work(run: StoredRun, tmp_path: Path) -> None:
+    tracks = tmp_path / "tracks"
+    modsim3d.track_run(run, tracks, tracker="sort")
+    frames: list[int] = []
+    with pytest.raises(OutputError, match="exists: use --overwrite"):
+        modsim3d.track_run(run, tracks, tracker="sort", progress=frames.append)
+    assert frames == []
+    before = (tracks / "tracks.parquet").read_bytes()
+    modsim3d.track_run(run, tracks, tracker="sort", settings={"most": 1}, overwrite=True)
+    assert (tracks / "tracks.parquet").read_bytes() != before
+
+
+@pytest.mark.parametrize("place", ["", "tracks", "scene/tracks"])
+def test_nothing_is_written_into_the_run(run: StoredRun, place: str) -> None:
+    before = sorted(run.folder.rglob("*"))
+    with pytest.raises(OutputError, match="which this command reads"):
+        modsim3d.track_run(run, run.folder / place, tracker="sort", overwrite=True)
+    assert sorted(run.folder.rglob("*")) == before
+
+
+def test_a_tracker_that_fails_leaves_nothing(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(EveryBox, "follow", lambda self, frames, camera: iter(()))
+    with pytest.raises(ModsimError, match="the tracker 'sort': camera 'C0' at 0 s: it ended after 0 of 40 frames"):
+        modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
+    assert not (tmp_path / "tracks").exists()
+
+
+def test_an_interrupted_run_is_refused_with_how_to_finish_it(tmp_path: Path) -> None:
+    def stop(steps: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scene(load_scene(crossing(tmp_path, 5), source="analytic"), tmp_path / "run", progress=stop)
+    with pytest.raises(RunDirectoryError, match="interrupted run: finish it with `modsim3d run SCENE --resume` first"):
+        modsim3d.track_run(tmp_path / "run", tmp_path / "tracks", tracker="sort")
+
+
+def test_the_page_has_every_column_of_the_table(run: StoredRun, tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
+    text = (Path(__file__).parents[2] / "docs" / "track.md").read_text(encoding="utf-8")
+    section = text.split("## What it writes")[1].split("\n## ")[0].split("`tracks.json`")[0]
+    for name in pq.read_schema(tmp_path / "tracks" / "tracks.parquet").names:
+        assert f"`{name}`" in section
