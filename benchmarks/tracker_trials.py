@@ -13,11 +13,7 @@ import yaml
 from modsim3d.tracking.detector_seeds import detector_runs
 from modsim3d.tracking.oracle.oracle import oracle_tracks
 from modsim3d.tracking.scores.association import clear, hota, identity
-from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.occlusions import Occlusion, occlusions
-from modsim3d.tracking.scores.set_distances import gospa
-from modsim3d.tracking.trackers.registry import named_tracker
-from modsim3d.tracking.trackers.running import tracked
 from scipy.stats import t as student_t
 
 from modsim3d.runs.camera_sequences import sequences_of
@@ -25,8 +21,12 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.rules import Rules
 from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.set_distances import gospa
+from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.similarity import Similarity
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import TrueTracks, TruthName

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from modsim3d.tracking.trackers.registry import named_tracker
 
 from benchmarks.bench import BUSY_LOAD
 from benchmarks.measured import significant, table
@@ -26,6 +25,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, Tracker
+from modsim3d.tracking.trackers.registry import named_tracker
 
 RESULTS = ROOT / "benchmarks" / "TRACKING.md"
 SCENE, STEPS, QUICK_STEPS, ROUNDS = "fairway", 600, 60, 5

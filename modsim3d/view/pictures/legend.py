@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from PIL import Image
 
 from modsim3d.runs.outcomes import Outcome
@@ -28,11 +29,18 @@ class Entry:
 
     text: str
     colour: Colour
-    style: Literal["box", "dashed", "missed", "hatched", "filled"] | Outcome = "box"
+    style: Literal["box", "dashed", "missed", "hatched", "filled", "track"] | Outcome = "box"
 
 
-def detection_entries(layers: Layers, mode: int, mistakes: Outcome) -> list[Entry]:
-    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there."""
+TRACK_ENTRIES = (
+    Entry("#: track, a colour for each, and its last 2 s", palette.TRACKS[0], "track"),
+    Entry("track on a hidden vessel", palette.TRACKS[0], "dashed"),
+    Entry("track on nothing", palette.ALARM, "dashed"),
+)
+
+
+def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracks: bool = False) -> list[Entry]:
+    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there, and tracks."""
     marks = [mark for mark in MARKS if layers.detections and layers.mistakes and mark & mistakes]
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
@@ -42,6 +50,7 @@ def detection_entries(layers: Layers, mode: int, mistakes: Outcome) -> list[Entr
         *((True, Entry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
         (layers.false_positives, Entry(NAMES[Outcome.FALSE_POSITIVE], palette.ALARM, Outcome.FALSE_POSITIVE)),
+        *((layers.tracks and tracks, entry) for entry in TRACK_ENTRIES),
         (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
     )
     return [entry for drawn, entry in shown if drawn]
@@ -117,6 +126,9 @@ def _draw_sample(canvas: Canvas, box: Box, colour: Colour, style: str | Outcome)
         canvas.brackets((x0 + 3, y0 + 3, x1 - 3, y1 - 3), colour, 1.0)
     elif style == "dashed":
         canvas.dashed_box(box, colour, 0.75, 4.0)
+    elif style == "track":
+        canvas.box(box, colour, 2.0)
+        canvas.segments(np.array([[[(x0 + x1) / 2, (y0 + y1) / 2], [x1 + 4, y1 - 3]]]), colour, 1.0)
     elif style == Outcome.OFF_VESSEL:
         side = (x1 - x0) / 4
         vessel = (x1 - side, y0, x1, y0 + side)
