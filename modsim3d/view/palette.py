@@ -29,7 +29,7 @@ TRACKS: tuple[Colour, ...] = (
     (187, 204, 51),
     (170, 170, 0),
 )
-"""Of tracks by number: the light scheme of Tol (2021), "Colour Schemes", without its orange, which is close to ALARM."""
+"""Of tracks by number: the light scheme of Tol (2021), "Colour Schemes", without orange, which is near ALARM."""
 OBSTACLE: Colour = (122, 122, 122)
 OBSTACLES: tuple[Colour, ...] = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))
 """Greys in turn, where obstacles are to be told apart."""

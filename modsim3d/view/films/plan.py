@@ -79,9 +79,8 @@ class FilmPlan:
         """The places of panels and legend."""
         entries: list[Entry] = []
         if "detections" in self.kinds:
-            entries += detection_entries(
-                self.layers_of("detections"), scene.annotation.mode, self.mistakes, self.tracks is not None
-            )
+            layers, tracker = self.layers_of("detections"), self.tracks.name if self.tracks else None
+            entries += detection_entries(layers, scene.annotation.mode, self.mistakes, tracker)
         if "ids" in self.kinds:
             entries += id_entries(scene.vessel_names, [obstacle.name for obstacle in scene.obstacles])
         elif set(self.kinds) & {"scene", "corners"}:

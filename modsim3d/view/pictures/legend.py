@@ -11,6 +11,7 @@ from PIL import Image
 
 from modsim3d.runs.outcomes import Outcome
 from modsim3d.view import palette
+from modsim3d.view.followed_tracks import TRAIL_S
 from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas, font, text_size
@@ -32,15 +33,8 @@ class Entry:
     style: Literal["box", "dashed", "missed", "hatched", "filled", "track"] | Outcome = "box"
 
 
-TRACK_ENTRIES = (
-    Entry("#: track, a colour for each, and its last 2 s", palette.TRACKS[0], "track"),
-    Entry("track on a hidden vessel", palette.TRACKS[0], "dashed"),
-    Entry("track on nothing", palette.ALARM, "dashed"),
-)
-
-
-def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracks: bool = False) -> list[Entry]:
-    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there, and tracks."""
+def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str | None = None) -> list[Entry]:
+    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there, and a tracker's tracks."""
     marks = [mark for mark in MARKS if layers.detections and layers.mistakes and mark & mistakes]
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
@@ -50,10 +44,20 @@ def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracks: bool
         *((True, Entry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
         (layers.false_positives, Entry(NAMES[Outcome.FALSE_POSITIVE], palette.ALARM, Outcome.FALSE_POSITIVE)),
-        *((layers.tracks and tracks, entry) for entry in TRACK_ENTRIES),
+        *((layers.tracks, entry) for entry in _track_entries(tracker)),
         (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
     )
     return [entry for drawn, entry in shown if drawn]
+
+
+def _track_entries(tracker: str | None) -> list[Entry]:
+    if tracker is None:
+        return []
+    return [
+        Entry(f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s", palette.TRACKS[0], "track"),
+        Entry("on a vessel that is hidden or not annotated", palette.TRACKS[0], "dashed"),
+        Entry("on nothing", palette.ALARM, "dashed"),
+    ]
 
 
 def vessel_entries(names: Sequence[str]) -> list[Entry]:
