@@ -34,7 +34,7 @@ class Entry:
 
 
 def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str | None = None) -> list[Entry]:
-    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there, and a tracker's tracks."""
+    """The legend of some layers in an annotation mode, with the mistakes that are there and the tracks of a tracker."""
     marks = [mark for mark in MARKS if layers.detections and layers.mistakes and mark & mistakes]
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
