@@ -10,10 +10,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from modsim3d.tracking.detector_seeds import detector_runs
-from modsim3d.tracking.oracle.oracle import oracle_tracks
-from modsim3d.tracking.scores.association import clear, hota, identity
-from modsim3d.tracking.scores.occlusions import Occlusion, occlusions
 from scipy.stats import t as student_t
 
 from modsim3d.runs.camera_sequences import sequences_of
@@ -21,7 +17,11 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.detector_seeds import detector_runs
+from modsim3d.tracking.oracle import oracle_tracks
+from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.continuity import continuity
+from modsim3d.tracking.scores.occlusions import Occlusion, occlusions
 from modsim3d.tracking.scores.rules import Rules
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.set_distances import gospa
@@ -63,11 +63,17 @@ def looks(
 
 
 def tracks_of(rows: RunRows, tracker: str, settings: Mapping[str, object] | None = None) -> Tracks:
-    """The tracks of a tracker, or of a reference by its name in `ORACLES`."""
+    """The tracks of a tracker, or of a reference by its name in `ORACLES`.
+
+    Args:
+        rows: The run.
+        tracker: The name.
+        settings: Settings beside the tracker's own defaults; None: those that were chosen for the scene.
+    """
     if tracker in ORACLES:
         return oracle_tracks(rows, TrueTracks.of(rows, IOU.truth), smoothed=ORACLES[tracker])
     cameras = tuple(range(len(rows.scene.cameras)))
-    named = named_tracker(tracker, settings or {}, rows.scene.name)
+    named = named_tracker(tracker, settings or {}, rows.scene.name if settings is None else None)
     return tracked(named, sequences_of(rows, cameras), cameras, rows.scene)
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from modsim3d.runs.stored_run import open_run
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.scene import Scene
+    from modsim3d.tracking.score_run import score_run
     from modsim3d.tracking.track_run import track_run
     from modsim3d.tracking.trackers.interface import TrackedFrame, Tracker
     from modsim3d.verify.verification import verify_run
@@ -45,6 +46,7 @@ __all__ = [
     "locate",
     "open_run",
     "run_scene",
+    "score_run",
     "simulate_frames",
     "track_run",
     "verify_run",
@@ -63,6 +65,7 @@ _HOMES = {
     "locate": "modsim3d.positions.locating",
     "open_run": "modsim3d.runs.stored_run",
     "run_scene": "modsim3d.runs.run",
+    "score_run": "modsim3d.tracking.score_run",
     "simulate_frames": "modsim3d.runs.pipeline",
     "track_run": "modsim3d.tracking.track_run",
     "verify_run": "modsim3d.verify.verification",

@@ -20,6 +20,7 @@ from modsim3d.commands.repeat import repeat_command
 from modsim3d.commands.report import report_command, rerun_command
 from modsim3d.commands.run import run_command
 from modsim3d.commands.scenes import check_command, scenes_command
+from modsim3d.commands.score import score_command
 from modsim3d.commands.shared import INTERRUPTED
 from modsim3d.commands.stream import stream_command
 from modsim3d.commands.streams import lost_output, prepare_output
@@ -53,6 +54,7 @@ COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (LOOK, "view", view_command, "Films, pictures and maps of a run."),
     (LOOK, "rerun", rerun_command, "A recording for the Rerun viewer."),
     (TEST, "track", track_command, "Run a tracker over the detections of a run."),
+    (TEST, "score", score_command, "How well do tracks follow the vessels of a run?"),
     (CHECK, "check", check_command, "Everything that is wrong with a scene, at once."),
     (CHECK, "verify", verify_command, "Does a run obey its detector file?"),
     (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),

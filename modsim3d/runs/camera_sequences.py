@@ -81,14 +81,19 @@ class CameraSequence:
 
 def camera_sequences(run: StoredRun, cameras: tuple[int, ...]) -> tuple[CameraSequence, ...]:
     """The sequences of cameras, by their indices."""
-    rows, count = RunRows.of(run), len(run.scene.cameras)
-    times_s = run.scene.times_s(0, rows.steps)
+    return sequences_of(RunRows.of(run), cameras)
+
+
+def sequences_of(rows: RunRows, cameras: tuple[int, ...]) -> tuple[CameraSequence, ...]:
+    """The sequences of cameras, by their indices, from rows in memory."""
+    count = len(rows.scene.cameras)
+    times_s = rows.scene.times_s(0, rows.steps)
     sequences = []
     for index in cameras:
         frames = rows.frames[rows.frames % count == index]
         steps = frames // count
         found = _truth(rows, frames), _detections(rows, frames)
-        sequences.append(CameraSequence(run.scene.cameras[index], steps, times_s[steps], *found))
+        sequences.append(CameraSequence(rows.scene.cameras[index], steps, times_s[steps], *found))
     return tuple(sequences)
 
 

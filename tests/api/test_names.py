@@ -27,6 +27,7 @@ NAMES = {
     "locate",
     "open_run",
     "run_scene",
+    "score_run",
     "simulate_frames",
     "track_run",
     "verify_run",

@@ -16,15 +16,17 @@ import pytest
 from modsim3d.commands import terminal
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.run import RunResult
+from tests.commands.bad_input.writers import TRACKS
 from tests.commands.conftest import Modsim3d, Said
 
-COMMANDS = ("run", "detect", "check", "scenes", "verify", "repeat", "compare", "learn", "track")
+COMMANDS = ("run", "detect", "check", "scenes", "verify", "repeat", "compare", "learn", "track", "score")
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
 
 
 @pytest.fixture
 def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
     """A command line for each command that has `--json`."""
+    (tmp_path / "tracks.csv").write_text(TRACKS)
     return {
         "run": ("run", scene, "--source", "analytic", "--out", tmp_path / "run"),
         "detect": ("detect", run, "--seed", 3, "--out", tmp_path / "detect"),
@@ -34,6 +36,7 @@ def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...
         "repeat": ("repeat", run),
         "compare": ("compare", scene, "--steps", 2, "--out", tmp_path / "compare"),
         "track": ("track", run, "--out", tmp_path / "tracks"),
+        "score": ("score", run, tmp_path / "tracks.csv"),
         "learn": ("learn", "--run", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
     }
 
@@ -87,6 +90,7 @@ def test_an_error_is_text_on_standard_error(modsim3d: Modsim3d, tmp_path: Path, 
     said = modsim3d(
         command,
         *(("--run", nowhere) if command == "learn" else (nowhere,)),
+        *((nowhere,) if command == "score" else ()),
         *(("--out", out[command]) if command in out else ()),
         "--json",
     )

@@ -86,6 +86,15 @@ def test_crossing_vessels_keep_their_tracks():
     assert numbers(answers) == [[0, 1]] * 39
 
 
+def test_of_the_pairs_in_the_gates_the_likeliest_are_taken_together():
+    wide = replaced(noise_x_px=10.0, noise_y_px=10.0)
+    frames = straight(np.arange(10) / 10, [[100, 200], [112, 200]], [[30, 0], [30, 0]])
+    answers = followed(frames, wide)[1:]
+    for track, x_px in enumerate((127, 139)):
+        last = answers[-1].boxes_px[answers[-1].track == track]
+        np.testing.assert_allclose(centres(last), [[x_px, 200]], atol=5)
+
+
 def test_a_miss_does_not_end_a_track_which_is_reported_where_it_should_be():
     frames = straight(np.arange(20) / 10, [[100, 200]], [[30, 0]])
     answers = followed(without(frames, 10))

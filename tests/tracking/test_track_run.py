@@ -24,13 +24,14 @@ STEPS = 40
 
 
 class EveryBox(Tracker):
-    """The detections themselves; the k-th most confident of a frame is track k."""
+    """The detections themselves, from a frame on; the k-th most confident of a frame is track k."""
 
     most: int = 100
+    first: int = 0
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
-        for frame in frames:
-            count = min(len(frame.label), self.most)
+        for place, frame in enumerate(frames):
+            count = min(len(frame.label), self.most) if place >= self.first else 0
             yield TrackedFrame(np.arange(count), frame.boxes_px[:count], frame.label[:count], frame.confidence[:count])
 
 
@@ -60,17 +61,21 @@ def test_the_tracks_of_a_tracker_that_repeats_detections_are_the_detections(run:
 
 def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
     told: list[int] = []
-    result = modsim3d.track_run(run, tmp_path / "t", tracker="sort", settings={"most": 1}, progress=told.append)
+    result = modsim3d.track_run(
+        run, tmp_path / "t", tracker="sort", settings={"most": 1, "first": 5}, progress=told.append
+    )
     tracks, rows = result.tracks, RunRows.of(run)
     times_s = run.scene.times_s(0, STEPS)
     counts = result.counts
     assert (counts.frames, counts.detections) == (STEPS, len(rows.detections))
-    assert (counts.tracks, counts.boxes) == (1, len(np.unique(rows.detection_frame)))
-    assert counts.median_track_s == pytest.approx(times_s[tracks.step.max()] - times_s[tracks.step.min()])
+    seen = np.unique(rows.detection_frame[rows.detection_frame >= 5])
+    assert (counts.tracks, counts.boxes) == (1, len(seen))
+    assert counts.median_track_s == pytest.approx(times_s[seen[-1]] - times_s[seen[0]])
+    assert times_s[seen[0]] > 0 and np.isin(seen, tracks.step).all()
     assert result.camera_counts == {"C0": counts}
     assert sum(told) == STEPS
-    assert result.name == "sort (most=1)"
-    assert "tracks 1" in repr(result) and "sort (most=1)" in result._repr_html_()
+    assert result.name == "sort (most=1, first=5)"
+    assert "tracks 1" in repr(result) and "sort (most=1, first=5)" in result._repr_html_()
 
 
 def test_without_tracks_there_is_no_median(run: StoredRun, tmp_path: Path) -> None:
@@ -85,7 +90,7 @@ def test_what_is_written_says_how_it_was_made_and_is_the_same_again(run: StoredR
     files = [{path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b")]
     assert files[0] == files[1] and set(files[0]) == {"tracks.parquet", "tracks.json"}
     facts = json.loads(files[0]["tracks.json"])
-    assert (facts["tracker"], facts["settings"]) == ("sort", {"most": 3})
+    assert (facts["tracker"], facts["settings"]) == ("sort", {"most": 3, "first": 0})
     assert facts["chosen"].startswith("the tracker's defaults")
 
 

@@ -111,6 +111,11 @@ def test_the_only_camera_needs_no_name(one_camera_run, tmp_path):
     assert_close(read_tracks(tmp_path / "any.csv", one_camera_run, rows).tracks, tracks)
 
 
+def test_a_confidence_of_minus_one_is_none(read_mot):
+    found = read_mot({"bow.txt": "1,7,10,20,30,40,-1\n1,8,10,20,30,40,0.25\n", "quay.txt": ""}).tracks
+    np.testing.assert_array_equal(found.confidence, [np.nan, 0.25])
+
+
 def test_empty_mot_files_are_a_tracker_that_found_nothing(read_mot):
     assert len(read_mot({"bow.txt": "", "quay.txt": "\n"}).tracks) == 0
 
@@ -119,6 +124,7 @@ def test_sequences_have_the_names_of_the_export(small_run):
     names = camera_sequence_names([camera.name for camera in small_run.scene.cameras])
     request = ExportRequest(small_run, (0, 1), False, "measured")
     assert {f"modsim3d-all/{name}/det/det.txt" for name in names} <= set(mot_files(request))
+    assert camera_sequence_names(["A_B", "a b"]) == ("A_B", "a_b-2")
     assert camera_sequence_names(["a b", "A_B", "name"]) == ("a_b", "A_B-2", "name-2")
 
 
@@ -296,7 +302,7 @@ def test_boxes_in_another_form_are_recognised(read, small_rows, small_tracks, na
         (lambda boxes: boxes, "are read as x, y, width, height with pixels from 1, but are the corners"),
         (centred, "but are centre x"),
         (lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
-        (lambda boxes: top_left(boxes) / 2, "are those of an image of 960 x 540 px"),
+        (lambda boxes: top_left(boxes) / 4, "are those of an image of 480 x 270 px"),
     ],
 )
 def test_mot_boxes_in_another_form_are_recognised(read_mot, small_rows, small_tracks, numbers, what):

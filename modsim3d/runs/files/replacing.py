@@ -24,6 +24,7 @@ MADE_OF_A_RUN = frozenset(
     {
         *("contact_sheet.png", "report.html", "run.rrd", "verify.html", "verify.json"),
         *("compare.html", "compare.json", "rectangle_rule.png"),
+        *("score.html", "score.json"),
     }
 )
 """What other commands write into a run directory; of a run that is replaced, nothing of it may stay."""

@@ -15,7 +15,7 @@ from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.plugins import TRACKERS, Plugin, failed, load_plugin
 from modsim3d.inputs.validation import describe
 from modsim3d.scene.settings import plain
-from modsim3d.tracking.trackers.chosen_settings import DEFAULTS, chosen_settings
+from modsim3d.tracking.trackers.chosen_settings import DEFAULTS, ChosenSettings, chosen_settings
 from modsim3d.tracking.trackers.interface import Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracks.track_set import Origin
@@ -57,7 +57,7 @@ class NamedTracker:
         )
 
 
-def named_tracker(name: str, settings: Mapping[str, object], scene: str) -> NamedTracker:
+def named_tracker(name: str, settings: Mapping[str, object], scene: str | None) -> NamedTracker:
     """A tracker by its name.
 
     The settings are its defaults; in their place those that were chosen for all shipped scenes; in place of these
@@ -66,7 +66,7 @@ def named_tracker(name: str, settings: Mapping[str, object], scene: str) -> Name
     Args:
         name: Name of a built-in tracker or of a plug-in.
         settings: Settings by their names.
-        scene: Name of the run's scene.
+        scene: Name of the run's scene; None: nothing that was chosen for the shipped scenes.
 
     Raises:
         InputError: There is no such tracker, or a setting is wrong.
@@ -75,7 +75,7 @@ def named_tracker(name: str, settings: Mapping[str, object], scene: str) -> Name
     if not isinstance(settings, Mapping):
         raise TypeError(f"settings: a mapping of names to values is needed (got {type(settings).__name__})")
     model, plugin = _model(name)
-    found = chosen_settings(name, model, scene)
+    found = ChosenSettings() if scene is None else chosen_settings(name, model, scene)
     given = {str(key): plain(value) for key, value in settings.items()}
     tracker = _validated(model, {**found.settings, **given}, name, plugin)
     return NamedTracker(name, tracker, plugin, _chosen(found.chosen, given))

@@ -39,6 +39,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def run(tmp_path: Path) -> Path:
     run_scene(load_scene(crossing(tmp_path, 40), source="analytic"), tmp_path / "run")
     write_coco(labelled_run(tmp_path / "run")[0], tmp_path / "coco")
+    (tmp_path / "tracks.csv").write_text(writers.TRACKS)
     return tmp_path / "run"
 
 
@@ -52,7 +53,7 @@ def test_the_tables_of_these_tests_have_every_command_and_every_path_that_one_is
         writes = name not in writers.NO_WRITERS
         assert writes == ("overwrite" in {each.name for each in parameters}) == bool(paths & writers.WRITTEN), name
         optional = {each.name for each in parameters if each.default is None}
-        if name in named and "out" in optional and name != "compare":  # which writes nothing without it
+        if name in named and "out" in optional and name not in ("compare", "score"):  # which write nothing without it
             defaults.add(name)
     assert {name.partition(":")[0] for name in writers.DEFAULTS} == defaults
 

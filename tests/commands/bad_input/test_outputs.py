@@ -17,7 +17,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.ais.ais_builders import SAMPLES
 from tests.commands.bad_input.builders import CIRCULAR, Call, Inputs
-from tests.commands.bad_input.writers import WRITERS, Line
+from tests.commands.bad_input.writers import TRACKS, WRITERS, Line
 from tests.scenes import crossing
 
 
@@ -31,6 +31,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("outputs")
     run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
     write_coco(labelled_run(folder / "run")[0], folder / "coco")
+    (folder / "tracks.csv").write_text(TRACKS)
     return folder / "run"
 
 

@@ -31,6 +31,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
         ),
     ),
     "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
+    "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",
@@ -50,6 +51,8 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
 }
 """Those that write files, by the command: the name of a file that it writes, and its command line."""
+TRACKS = "step,track,x_min_px,y_min_px,x_max_px,y_max_px\n5,1,100,100,120,110\n"
+"""Tracks of somebody's own, which `score` reads from `tracks.csv` beside the run."""
 INPUTS: dict[str, Callable[[Path], Path]] = {
     "compare": scene_file,
     "guess": lambda run: run / "scene" / "detector.yaml",
@@ -74,7 +77,7 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
     "view: sheet": (("contact_sheet.png",), lambda run: ("view", run, "--sheet")),
 }
 """What a command writes into the run directory unless told otherwise."""
-READ = {"scene", "run", "truth", "detections", "detector", "sequence", "files"}
+READ = {"scene", "run", "truth", "detections", "detector", "sequence", "files", "tracks"}
 """Parameters that name what is read."""
 WRITTEN = {"out", "page"}
 """Parameters that name what is written."""

@@ -1,0 +1,161 @@
+"""Scores over detector seeds: detector, tracker and scores again over the truth of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from scipy.stats import t as student_t
+
+from modsim3d.arrays import Array
+from modsim3d.errors import ModsimError
+from modsim3d.runs.camera_sequences import sequences_of
+from modsim3d.runs.files.block_files import TABLES
+from modsim3d.runs.files.reading import truth_of
+from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, scene_census
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.scene.scene import Scene
+from modsim3d.tracking.report.numbers import Keys
+from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.running import tracked
+from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.truth.truth_record import Truth
+
+SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa")
+"""The scores whose spread is told."""
+LEAST_SEEDS, MOST_SEEDS = 2, 1000
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A score over detector seeds.
+
+    Attributes:
+        values: The score of each seed; None where it is undefined.
+    """
+
+    values: tuple[float | None, ...]
+
+    @property
+    def known(self) -> Array:
+        """The values that are defined, shape (n,)."""
+        return np.array([value for value in self.values if value is not None], dtype=np.float64)
+
+    @property
+    def mean(self) -> float | None:
+        """The mean."""
+        return float(self.known.mean()) if len(self.known) else None
+
+    @property
+    def deviation(self) -> float | None:
+        """The standard deviation of one seed's value, with n − 1."""
+        return float(self.known.std(ddof=1)) if len(self.known) > 1 else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of the mean, by Student's t."""
+        if self.mean is None or self.deviation is None:
+            return None
+        count = len(self.known)
+        half = float(student_t.ppf((1 + _CONFIDENCE) / 2, count - 1)) * self.deviation / count**0.5
+        return self.mean - half, self.mean + half
+
+
+@dataclass(frozen=True)
+class SeedSpread:
+    """Scores over detector seeds.
+
+    Attributes:
+        seeds: The detector seeds, that of the run first.
+        spreads: Name of the tracker or reference → score → its spread.
+    """
+
+    seeds: tuple[int, ...]
+    spreads: dict[str, dict[str, Spread]]
+
+
+Score = Callable[[RunRows, Tracks], Keys]
+"""Scores tracks of a run of the same truth."""
+
+
+def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[Path]) -> None:
+    """Refuse a number of seeds, or tracks whose tracker is not known.
+
+    Raises:
+        ModsimError: There are too few or too many seeds, or tracks that `modsim3d track` did not write.
+    """
+    if not LEAST_SEEDS <= seeds <= MOST_SEEDS:
+        raise ModsimError(f"--seeds must be from {LEAST_SEEDS} to {MOST_SEEDS} (got {seeds})")
+    unknown = [f"{path}" for path in in_world] + [each.name for each in track_sets if each.origin is None]
+    if unknown:
+        raise ModsimError(
+            f"--seeds runs the tracker again, and nothing says which one made '{unknown[0]}': give folders that "
+            "`modsim3d track` wrote, or leave out --seeds"
+        )
+
+
+def detector_runs(run: StoredRun, count: int) -> Iterator[tuple[int, RunRows]]:
+    """The run as other seeds of the detector would have given it, in memory: the same truth, other detections.
+
+    Args:
+        run: A finished run.
+        count: Number of seeds; the first is that of the run.
+    """
+    blocks = list(_truth_blocks(run))
+    for seed in range(run.scene.detector_seed, run.scene.detector_seed + count):
+        scene: Scene = replace(run.scene, detector_seed=seed)
+        simulation = Simulation(scene, scene_census(scene, blocks))
+        made = [simulation.detect(*block) for block in blocks]
+        tables = {
+            name: pa.concat_tables([table(block, scene) for block in made]) for name, (_, table) in TABLES.items()
+        }
+        yield seed, RunRows.of_tables(scene, run.steps, tables)
+
+
+def _truth_blocks(run: StoredRun) -> Iterator[tuple[Truth, int, int]]:
+    ranges: list[Range] = block_ranges(run.steps, block_steps(run.scene))
+    stored = run.finished_tables
+    return ((truth_of(stored.truth(first, stop), run.scene), first, stop) for first, stop in ranges)
+
+
+def spread_over_seeds(
+    run: StoredRun,
+    track_sets: Sequence[TrackSet],
+    count: int,
+    score: Score,
+    references: Callable[[RunRows], dict[str, Tracks]],
+    progress: Callable[[int], None] = lambda seeds: None,
+) -> SeedSpread:
+    """Run detector, tracker and scores again with other seeds of the detector.
+
+    Args:
+        run: A finished run.
+        track_sets: Tracks whose tracker is known; see `check_seeds`.
+        count: Number of seeds.
+        score: What scores tracks.
+        references: The tracks that stand beside those of trackers, by name.
+        progress: Called with the number of seeds done since its last call.
+    """
+    cameras = tuple(range(len(run.scene.cameras)))
+    found: dict[str, list[Keys]] = {}
+    seeds = []
+    for seed, rows in detector_runs(run, count):
+        sequences = sequences_of(rows, cameras)
+        for each in track_sets:
+            assert each.origin is not None  # check_seeds has seen it
+            named = named_tracker(each.origin.tracker, each.origin.settings, run.scene.name)
+            found.setdefault(each.name, []).append(score(rows, tracked(named, sequences, cameras, rows.scene)))
+        for name, tracks in references(rows).items():
+            found.setdefault(name, []).append(score(rows, tracks))
+        seeds.append(seed)
+        progress(1)
+    spreads = {
+        name: {key: Spread(tuple(keys[key] for keys in every)) for key in SPREAD_KEYS} for name, every in found.items()
+    }
+    return SeedSpread(tuple(seeds), spreads)

@@ -1,0 +1,1 @@
+"""Scores of tracks as a sentence, tables, `score.json` and a page."""

@@ -1,0 +1,185 @@
+"""The page of scores: its sentence, the table, the rules, and where tracks fail."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+
+import numpy as np
+import orjson
+
+from modsim3d.display import counted
+from modsim3d.outputs.placing import write_files
+from modsim3d.paths import StrPath, as_path
+from modsim3d.tracking.report.numbers import MEANINGS, number, rules_in_words
+from modsim3d.tracking.report.score_json import score_data
+from modsim3d.tracking.report.score_tables import (
+    GROUP_NAMES,
+    HEADER,
+    HIDDEN_HEADER,
+    OCCLUSION_HEADER,
+    SEED_HEADER,
+    hidden_rows,
+    key_rows,
+    named_scores,
+    occlusion_rows,
+    part_tables,
+    remarks_of,
+    score_rows,
+    seed_rows,
+    seeds_in_words,
+    survival,
+    survived_of,
+)
+from modsim3d.tracking.report.world_tables import world_sections
+from modsim3d.tracking.score_run import RAW, REFERENCES, RunScores, TrackScores
+from modsim3d.tracking.scores.breakdown import Bin
+from modsim3d.tracking.scores.scoring import Scores
+from modsim3d.view.pages import charts, page
+
+FILES = ("score.json", "score.html")
+GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
+
+
+def write_scores(scores: RunScores, folder: StrPath) -> None:
+    """Write `score.json` and `score.html` into a folder."""
+    target = as_path(folder, "folder")
+    options = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
+    data = orjson.dumps(score_data(scores), default=str, option=options) + b"\n"
+    write_files(dict(zip((target / name for name in FILES), (data, score_page(scores)), strict=True)))
+
+
+def score_page(scores: RunScores) -> str:
+    """The whole page."""
+    run = scores.run
+    of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
+    body = [page.paragraph(scores.conclusion, "lead")]
+    if scores.trackers:
+        body += [
+            page.table(score_rows(scores), HEADER),
+            page.paragraph(
+                "The last two lines are the same detections with perfect association: each detection is given to the "
+                "vessel that it came from, and false ones are removed. They are references and no ceilings: a tracker "
+                "that smooths better may exceed them.",
+                "soft",
+            ),
+            page.paragraph(f"{of_run} {remarks_of(scores)}", "soft"),
+            _closed("What the scores mean", page.table(list(MEANINGS.items()))),
+            _alpha_chart(scores),
+            page.heading("Rules"),
+            page.table(rules_in_words(scores.rules)),
+            *_seeds(scores),
+            page.heading("Where vessels are lost"),
+            page.paragraph(
+                "Tracks and vessels are matched once. Recall is the share of the vessel-frames in a line that a track "
+                "follows; association is how much of the vessel and of the track belong together, where one follows.",
+                "soft",
+            ),
+            *_breakdowns(scores),
+            *_parts(scores),
+            page.heading("Wholly hidden vessels"),
+            page.paragraph("They count neither way in all other tables. A good tracker coasts over them.", "soft"),
+            page.table(hidden_rows(scores), HIDDEN_HEADER),
+            page.heading("Occlusions"),
+            *(part for each in scores.trackers for part in _occlusions(each)),
+            page.heading("All scores"),
+            _closed(
+                "By their keys", page.table(key_rows(scores), ("score", *(name for name, _ in named_scores(scores))))
+            ),
+        ]
+    return page.page(f"{run.scene.name}: how well is it tracked?", [*body, *world_sections(scores)])
+
+
+def _alpha_chart(scores: RunScores) -> str:
+    """HOTA at each threshold of similarity."""
+    axes, content = charts.Axes((0, 1), (0, 1.02), width=560), ""
+    names: list[str] = []
+    for name, found in named_scores(scores):
+        values = found.flat()["hota_by_alpha"]
+        if not isinstance(values, tuple):
+            continue
+        alphas = np.linspace(0.05, 0.95, len(values))
+        content += charts.line(axes, alphas, np.array(values), charts.colour_of(len(names)))
+        names.append(name)
+    if not names:
+        return ""
+    content += charts.key(names, axes.height - 38)
+    drawing = axes.drawing(content, "HOTA by threshold", "least similarity of a match", "HOTA")
+    return charts.figure(
+        [drawing],
+        "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
+        "compare centres instead of IoU.",
+    )
+
+
+def _seeds(scores: RunScores) -> list[str]:
+    if scores.seeds is None:
+        return []
+    rows = page.table(seed_rows(scores), SEED_HEADER)
+    return [page.heading("Detector seeds"), page.paragraph(seeds_in_words(scores), "soft"), rows]
+
+
+def _breakdowns(scores: RunScores) -> list[str]:
+    """A table for each property, with the trackers and the smoothed reference side by side."""
+    shown = [each for each in named_scores(scores) if each[0] != REFERENCES[RAW]]
+    parts = []
+    for index, group in enumerate(shown[0][1].breakdown):
+        bins = {name: {each.bin: each for each in found.breakdown[index].rows} for name, found in shown}
+        title = GROUP_TITLES.get(group.name, f"By {GROUP_NAMES.get(group.name, group.name)}")
+        parts += [f"<h3>{html.escape(title)}</h3>", page.paragraph(group.explanation, "soft")]
+        parts.append(_bin_table(bins, group.name == "occlusion") if group.rows else page.paragraph("There are none."))
+    return parts
+
+
+def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> str:
+    """Recall and association of the bins of one property, as bars."""
+    first = next(iter(bins.values()))
+    per = ("survived", "recall") if of_occlusions else ("recall", "association")
+    spans = "".join(f'<th colspan="{len(per)}">{html.escape(name)}</th>' for name in bins)
+    counts = ("occlusions", "vessel-frames") if of_occlusions else ("vessel-frames",)
+    head = "".join(f'<th class="number">{name}</th>' for name in (*counts, *(per * len(bins))))
+    lines = [f"<tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr>"]
+    for name, row in first.items():
+        cells = [f'<td class="number">{row.occlusions}</td>'] if of_occlusions else []
+        cells.append(f'<td class="number">{row.vessel_frames:,}</td>')
+        for each in bins.values():
+            cells += [_bar(getattr(each[name], key), _text(each[name], key)) for key in per]
+        lines.append(f'<tr><th style="white-space: nowrap">{html.escape(name)}</th>{"".join(cells)}</tr>')
+    return '<div style="overflow-x: auto"><table>\n' + "\n".join(lines) + "\n</table></div>"
+
+
+def _text(row: Bin, key: str) -> str:
+    return survived_of(row) if key == "survived" else number(getattr(row, key), 2)
+
+
+def _bar(share: float | None, text: str) -> str:
+    """A share as text with a bar behind it."""
+    width = 100 * min(max(share or 0.0, 0.0), 1.0)
+    shade = f"color-mix(in srgb, {charts.COLOURS[0]} 35%, transparent)"
+    fill = f"linear-gradient(to right, {shade} {width:.0f}%, transparent {width:.0f}%)"
+    return f'<td class="number" style="background: {fill}; min-width: 5rem">{text}</td>'
+
+
+def _parts(scores: RunScores) -> list[str]:
+    """HOTA and others by state, by camera and by class."""
+    found = []
+    for title, header, rows in part_tables(scores):
+        found += [page.heading(title), page.table(rows, header)]
+    return found
+
+
+def _occlusions(tracker: TrackScores) -> list[str]:
+    """The list of a tracker's occlusions, closed at first where there are many."""
+    found: Scores = tracker.scores
+    if not found.occlusions:
+        return [page.paragraph(f"{tracker.name}: no vessel is occluded.")]
+    survived, judged = survival(found.occlusions)
+    said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found.occlusions), 'occlusion')} in all"
+    failed = {index for index, each in enumerate(found.occlusions) if each.survived is False}
+    table = page.table(occlusion_rows(found.occlusions), OCCLUSION_HEADER, failed)
+    return [_closed(said, table, opened=len(found.occlusions) <= 15)]
+
+
+def _closed(title: str, content: str, opened: bool = False) -> str:
+    """Content that is shown when its title is clicked."""
+    return f"<details{' open' if opened else ''}><summary>{html.escape(title)}</summary>{content}</details>"

@@ -1,0 +1,261 @@
+"""Scores of tracks of a run, beside those of its detections with perfect association."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from modsim3d.display import column_table
+from modsim3d.errors import ModsimError
+from modsim3d.outputs.claims import claimed
+from modsim3d.paths import StrPath, as_path
+from modsim3d.runs.files.replacing import read_of_run
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun, opened_run
+from modsim3d.tracking.oracle.association import oracle_tracks
+from modsim3d.tracking.report.numbers import keys_of
+from modsim3d.tracking.scores.rules import Rules, SetDistance
+from modsim3d.tracking.scores.scoring import Scores, score_tracks
+from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, WorldScores, score_world
+from modsim3d.tracks.reading import read_tracks
+from modsim3d.tracks.reading_world import is_world, read_world_tracks
+from modsim3d.tracks.similarity import Similarity, SimilarityName
+from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TrueTracks, TruthName
+from modsim3d.tracks.world_tracks import WorldTracks
+
+if TYPE_CHECKING:
+    from modsim3d.tracking.detector_seeds import SeedSpread
+
+SMOOTHED, RAW = "smoothed", "raw"
+REFERENCES = {SMOOTHED: "oracle association, smoothed", RAW: "oracle association, raw boxes"}
+"""What the references are called: the detections of the run, each with the vessel that it came from."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackScores:
+    """The scores of one tracker in the images.
+
+    Attributes:
+        name: What tables call it.
+        path: Where its tracks are; None if they were given in memory.
+        track_set: Its tracks.
+        scores: Their scores.
+    """
+
+    name: str
+    path: Path | None
+    track_set: TrackSet
+    scores: Scores
+
+
+@dataclass(frozen=True, eq=False)
+class WorldTrackScores:
+    """The scores of one tracker on the sea.
+
+    Attributes:
+        name: What tables call it.
+        path: Where its tracks are.
+        scores: Their scores.
+    """
+
+    name: str
+    path: Path
+    scores: WorldScores
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RunScores:
+    """How well tracks follow the vessels of a run, from `score_run`.
+
+        scores = modsim3d.score_run("runs/first", ["runs/sort", "runs/reference"])
+        scores.trackers[0].scores.flat()["hota"], scores.conclusion, scores.write("runs/scores")
+
+    Attributes:
+        run: The run.
+        rules: How tracks were scored.
+        trackers: The trackers in the images, the highest HOTA first.
+        references: The scores of the run's own detections with perfect association: `smoothed`, and with `raw` boxes.
+            They are references and no ceilings: a tracker that smooths better may exceed them.
+        seeds: Scores over detector seeds; None unless asked for.
+        world: The trackers on the sea.
+    """
+
+    run: StoredRun
+    rules: Rules
+    trackers: tuple[TrackScores, ...]
+    references: dict[str, Scores]
+    seeds: SeedSpread | None
+    world: tuple[WorldTrackScores, ...]
+
+    def __repr__(self) -> str:
+        """The outcome in a sentence."""
+        return f"<RunScores {self.run.folder}: {self.conclusion}>"
+
+    def _repr_html_(self) -> str:
+        """The outcome, and a line for each tracker."""
+        from modsim3d.tracking.report.score_tables import HEADER, score_rows
+
+        return column_table(self.conclusion, HEADER, score_rows(self))
+
+    @cached_property
+    def conclusion(self) -> str:
+        """The outcome in a sentence."""
+        from modsim3d.tracking.report.score_tables import conclusion_of  # the report knows this module
+
+        return conclusion_of(self)
+
+    def write(self, folder: StrPath, *, overwrite: bool = False) -> tuple[Path, ...]:
+        """Write `score.json` and `score.html`.
+
+        Args:
+            folder: Where to.
+            overwrite: Replace those that are there.
+
+        Returns:
+            The paths of both.
+
+        Raises:
+            OutputError: A file exists, or cannot be written.
+            TypeError: The folder is neither text nor a path.
+        """
+        from modsim3d.tracking.report.score_page import FILES, write_scores
+
+        paths = tuple(as_path(folder, "folder") / name for name in FILES)
+        given = [each.path for each in self.trackers] + [each.path for each in self.world]
+        with claimed(paths, overwrite=overwrite, inputs=[*read_of_run(self.run.folder), *filter(None, given)]):
+            write_scores(self, folder)
+        return paths
+
+
+def score_run(
+    run: StoredRun | StrPath,
+    tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet],
+    *,
+    truth: TruthName = "annotated",
+    similarity: SimilarityName = "iou",
+    scale_px: float | None = None,
+    threshold: float = 0.5,
+    gap_s: float = DEFAULT_GAP_S,
+    by_class: bool = False,
+    gospa_c: float | None = None,
+    gospa_p: float = 1.0,
+    gate_m: float | None = None,
+    seeds: int | None = None,
+    progress: Callable[[int], None] = lambda seeds: None,
+) -> RunScores:
+    """Score tracks against what was true, and beside them the same detections with perfect association.
+
+        modsim3d.score_run("runs/first", ["runs/sort", "my_tracks.csv"])
+
+    Args:
+        run: A finished run, or its directory.
+        tracks: Folders that `track_run` wrote, files of your own tracker, or tracks in memory; one or several.
+        truth: `annotated`: the vessels that the detector was given; `full`: all in the image, with whole boxes.
+        similarity: `iou`, or `centre`: 1 − distance of the centres / scale.
+        scale_px: The scale of `centre`.
+        threshold: The least similarity at which a track follows a vessel.
+        gap_s: After so long outside the image a vessel that comes back is a new one.
+        by_class: Score each class by itself too.
+        gospa_c: Cutoff of GOSPA and OSPA: 100 px in the images and 50 m in the world if None.
+        gospa_p: Power of GOSPA and OSPA.
+        gate_m: Farthest that a track in the world follows a vessel; 50 m if None.
+        seeds: Number of detector seeds to run detector, tracker and scores with as well; for tracks that `track_run`
+            wrote.
+        progress: Called with the number of seeds done since its last call.
+
+    Raises:
+        ModsimError: The run was interrupted, tracks are not of this run, or a rule is out of range.
+        TypeError: The run or a tracker's tracks are neither text, nor a path, nor what Python holds of them.
+    """
+    cutoff = SetDistance().cutoff if gospa_c is None else gospa_c
+    rules = Rules(truth, gap_s, Similarity(similarity, scale_px, threshold), by_class, SetDistance(cutoff, gospa_p))
+    run = opened_run(run)
+    run.finished_tables.check_checksums()
+    rows = RunRows.of(run)
+    in_images, in_world = _read(run, rows, tracks)
+    if gate_m is not None and not in_world:
+        raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
+    if seeds is not None:
+        from modsim3d.tracking.detector_seeds import check_seeds
+
+        check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
+    gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
+    in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p)
+    world = tuple(
+        WorldTrackScores(each.name, path, score_world(rows, each, gate_m, in_metres)) for path, each in in_world
+    )
+    scored = [TrackScores(each.name, path, each, score_tracks(rows, each.tracks, rules)) for path, each in in_images]
+    references = reference_tracks(rows, rules) if in_images else {}
+    return RunScores(
+        run,
+        rules,
+        tuple(sorted(scored, key=lambda each: -(keys_of(each.scores)["hota"] or 0.0))),
+        {name: score_tracks(rows, each, rules) for name, each in references.items()},
+        _over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
+        world,
+    )
+
+
+def reference_tracks(rows: RunRows, rules: Rules) -> dict[str, Tracks]:
+    """The detections of a run with perfect association, smoothed and raw."""
+    truth = TrueTracks.of(rows, rules.truth, rules.gap_s)
+    return {name: oracle_tracks(rows, truth, smoothed=name == SMOOTHED) for name in REFERENCES}
+
+
+def _read(
+    run: StoredRun, rows: RunRows, tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet]
+) -> tuple[list[tuple[Path | None, TrackSet]], list[tuple[Path, WorldTracks]]]:
+    """The tracks in the images and those in the world, each with its path.
+
+    Raises:
+        ModsimError: There are none, some are given twice, or they are not what tracks may be.
+    """
+    given = [tracks] if isinstance(tracks, TrackSet | str | os.PathLike) else list(tracks)
+    if not given:
+        raise ModsimError("there are no tracks to score: give folders that `modsim3d track` wrote, or your own files")
+    in_images: list[tuple[Path | None, TrackSet]] = []
+    in_world: list[tuple[Path, WorldTracks]] = []
+    seen: set[Path] = set()
+    for each in given:
+        if isinstance(each, TrackSet):
+            in_images.append((None, each))
+            continue
+        path = as_path(each, "tracks", "a folder or a file of tracks, or a TrackSet")
+        if path.resolve() in seen:
+            raise ModsimError(f"{path} is given twice: each tracker needs a line of its own")
+        seen.add(path.resolve())
+        if is_world(path):
+            in_world.append((path, read_world_tracks(path, run)))
+        else:
+            in_images.append((path, read_tracks(path, run, rows)))
+    return _told_apart(in_images), in_world
+
+
+def _told_apart(found: list[tuple[Path | None, TrackSet]]) -> list[tuple[Path | None, TrackSet]]:
+    """Track sets of one name called by their paths, or by their numbers where they have none."""
+    names = [each.name for _, each in found]
+    return [
+        (path, replace(each, name=f"{path or f'{each.name} {index + 1}'}") if names.count(each.name) > 1 else each)
+        for index, (path, each) in enumerate(found)
+    ]
+
+
+def _over_seeds(
+    run: StoredRun, track_sets: Sequence[TrackSet], count: int, rules: Rules, progress: Callable[[int], None]
+) -> SeedSpread:
+    from modsim3d.tracking.detector_seeds import spread_over_seeds
+
+    return spread_over_seeds(
+        run,
+        track_sets,
+        count,
+        lambda rows, tracks: keys_of(score_tracks(rows, tracks, rules)),
+        lambda rows: reference_tracks(rows, rules),
+        progress,
+    )

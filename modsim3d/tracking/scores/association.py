@@ -1,0 +1,153 @@
+"""HOTA, CLEAR and identity scores, by TrackEval, in memory.
+
+A score whose denominator is 0 is None. TrackEval writes 0 or 1 there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.sequence import Data, metrics, sequence
+
+
+@dataclass(frozen=True)
+class Hota:
+    """Higher order tracking accuracy: means over the 19 thresholds α = 0.05, 0.1, …, 0.95 (Luiten et al. (2021)).
+
+    Attributes:
+        hota: √(DetA · AssA) at each threshold.
+        deta: Detection accuracy, TP / (TP + FN + FP).
+        assa: Association accuracy: mean of TPA / (TPA + FNA + FPA) over the matches; None without any.
+        detre: Detection recall, TP / (TP + FN).
+        detpr: Detection precision, TP / (TP + FP).
+        assre: Association recall, mean of TPA / (TPA + FNA).
+        asspr: Association precision, mean of TPA / (TPA + FPA).
+        loca: Mean similarity of the matches, over the thresholds that have any. TrackEval counts 1 for the others, and
+            so large errors of boxes can look better located than small ones.
+        hota_by_alpha: HOTA at each threshold.
+    """
+
+    hota: float | None
+    deta: float | None
+    assa: float | None
+    detre: float | None
+    detpr: float | None
+    assre: float | None
+    asspr: float | None
+    loca: float | None
+    hota_by_alpha: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class Clear:
+    """CLEAR scores at the rules' threshold (Bernardin & Stiefelhagen (2008)).
+
+    Attributes:
+        mota: 1 − (misses + false positives + switches) / vessel-frames; below 0 if there are more errors than vessels.
+        motp: Mean similarity of the matches.
+        id_switches: How often a vessel is followed by another track than the one before.
+        fragmentations: How often a vessel is followed again after it was not. As in TrackEval, a frame without any
+            track interrupts none.
+        mostly_tracked: Number of identities that are followed in more than 80 % of their frames.
+        partly_tracked: Number of those in between.
+        mostly_lost: Number of those that are followed in less than 20 %.
+        true_positives: Matches.
+        misses: Vessel-frames without a track.
+        false_positives: Boxes of tracks on no vessel.
+    """
+
+    mota: float | None
+    motp: float | None
+    id_switches: int
+    fragmentations: int
+    mostly_tracked: int
+    partly_tracked: int
+    mostly_lost: int
+    true_positives: int
+    misses: int
+    false_positives: int
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Scores of the best one-to-one assignment of tracks to identities (Ristani et al. (2016)).
+
+    Attributes:
+        idf1: F1 of the vessel-frames that carry the right identity.
+        idp: Share of the tracks' boxes that do.
+        idr: Share of the vessel-frames that do.
+    """
+
+    idf1: float | None
+    idp: float | None
+    idr: float | None
+
+
+def hota(scored: Scored) -> Hota:
+    """HOTA and its parts."""
+    return hota_of(sequence(scored))
+
+
+def clear(scored: Scored) -> Clear:
+    """CLEAR scores."""
+    return clear_of(sequence(scored), scored.rules.similarity.least)
+
+
+def identity(scored: Scored) -> Identity:
+    """Identity scores."""
+    return identity_of(sequence(scored), scored.rules.similarity.least)
+
+
+def hota_of(data: Data) -> Hota:
+    """HOTA and its parts of a sequence."""
+    found = metrics().HOTA().eval_sequence(data)
+    vessels, boxes = data["num_gt_dets"], data["num_tracker_dets"]
+    matched = found["HOTA_TP"] > 0
+
+    def mean(name: str, defined: bool) -> float | None:
+        """The mean over the thresholds."""
+        return float(np.mean(found[name])) if defined else None
+
+    anything, any_match = vessels + boxes > 0, bool(matched.any())
+    return Hota(
+        hota=mean("HOTA", anything),
+        deta=mean("DetA", anything),
+        assa=mean("AssA", any_match),
+        detre=mean("DetRe", vessels > 0),
+        detpr=mean("DetPr", boxes > 0),
+        assre=mean("AssRe", any_match),
+        asspr=mean("AssPr", any_match),
+        loca=float(np.mean(found["LocA"][matched])) if any_match else None,
+        hota_by_alpha=tuple(found["HOTA"].tolist()) if anything else None,
+    )
+
+
+def clear_of(data: Data, least: float) -> Clear:
+    """CLEAR scores of a sequence, from a similarity on."""
+    found = _at(metrics().CLEAR, least).eval_sequence(data)
+    vessels, matches = data["num_gt_dets"], int(found["CLR_TP"])
+    errors = int(found["CLR_FN"] + found["CLR_FP"] + found["IDSW"])
+    counts = ("IDSW", "Frag", "MT", "PT", "ML", "CLR_TP", "CLR_FN", "CLR_FP")
+    return Clear(
+        1 - errors / vessels if vessels else None,
+        float(found["MOTP"]) if matches else None,
+        *(int(found[name]) for name in counts),
+    )
+
+
+def identity_of(data: Data, least: float) -> Identity:
+    """Identity scores of a sequence, from a similarity on."""
+    found = _at(metrics().Identity, least).eval_sequence(data)
+    vessels, boxes = data["num_gt_dets"], data["num_tracker_dets"]
+    defined = {"IDF1": vessels + boxes, "IDP": boxes, "IDR": vessels}
+    return Identity(*(float(found[name]) if count else None for name, count in defined.items()))
+
+
+def _at(metric: Callable[[dict[str, object]], Any], least: float) -> Any:
+    """A metric of TrackEval at a threshold, which prints nothing."""
+    return metric({"THRESHOLD": least, "PRINT_CONFIG": False})

@@ -1,0 +1,188 @@
+"""Recall and association broken down by what only a simulator knows.
+
+Tracks are matched once, with everything. Then rows of the truth are averaged. To delete the other rows and match again
+would be wrong: the tracks on them would become false positives. A false positive has no visibility, no range and no
+state of occlusion, so nothing here counts them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask, ranges
+from modsim3d.boxes import areas
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.tracking.scores.occlusions import Spans, Survival, within
+from modsim3d.tracking.scores.scored import Scored
+
+NEAR_S = 2.0
+"""So long before and after an occlusion is a phase of its own."""
+PHASES = ("before", "during", "after", "elsewhere")
+"""Of an occlusion."""
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Some vessel-frames.
+
+    Attributes:
+        bin: What they have in common.
+        vessel_frames: Their number.
+        recall: Share of them that a track follows; None if there are none.
+        association: Mean association of those that are followed, as in `association_of_pairs`; None if none is.
+        occlusions: Number of occlusions that they belong to; None outside the group of occlusions.
+        judged: Number of these that a track could survive, as in `Survival`.
+        survived: Share of the judged ones that a track survived; None if there are none.
+    """
+
+    bin: str
+    vessel_frames: int
+    recall: float | None
+    association: float | None
+    occlusions: int | None = None
+    judged: int | None = None
+    survived: float | None = None
+
+
+@dataclass(frozen=True)
+class Group:
+    """The vessel-frames divided by one property.
+
+    Attributes:
+        name: Name of the property.
+        explanation: What it is, with its unit.
+        rows: The bins that have vessel-frames.
+    """
+
+    name: str
+    explanation: str
+    rows: tuple[Bin, ...]
+
+
+Breakdown = tuple[Group, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """The n vessel-frames that are scored.
+
+    Attributes:
+        found: Whether a track follows the vessel, shape (n,).
+        association: NaN where none does, shape (n,).
+    """
+
+    found: Mask
+    association: Array
+
+    def bin(self, name: str, chosen: Mask, survival: Survival | None = None) -> Bin:
+        """The chosen rows."""
+        found = self.found[chosen]
+        association = self.association[chosen][found]
+        return Bin(
+            name,
+            len(found),
+            float(np.mean(found)) if len(found) else None,
+            float(np.mean(association)) if len(association) else None,
+            *(astuple(survival) if survival else ()),
+        )
+
+    def bins(self, names: Sequence[str], index: Indices) -> tuple[Bin, ...]:
+        """A bin for each name; rows whose index is none of a name are left out."""
+        bins = (self.bin(name, index == k) for k, name in enumerate(names))
+        return tuple(each for each in bins if each.vessel_frames)
+
+
+def breakdown(scored: Scored) -> Breakdown:
+    """The scored vessel-frames by visibility, occlusion, state, range, size, edge of the image and label."""
+    rows, truth = scored.rows, scored.truth
+    followed = _Followed(*association_of_pairs(scored))
+    visible, depth_m, in_frame = (
+        rows.numbers(name)[truth.row] for name in ("visible_fraction", "depth_m", "in_frame_fraction")
+    )
+    side_px = np.sqrt(areas(truth.boxes_px))
+    detector = rows.scene.detector
+    states = [state.name for state in detector.states]
+    groups = {
+        "visible_fraction": (
+            "share of the vessel's silhouette in the image that is visible",
+            ("1", "0.75 to 1", "0.5 to 0.75", "0.25 to 0.5", "below 0.25"),
+            _visibility(visible),
+        ),
+        "range": ("mean distance along the axis of the camera, m", *_intervals(depth_m, (100, 200, 400, 800))),
+        "size": ("side of a square as large as the true box, px", *_intervals(side_px, (16, 32, 64, 128))),
+        "edge": (
+            "whether the edge of the image cuts the vessel",
+            ("whole in the image", "cut by the edge"),
+            (~(in_frame >= 1)).astype(np.int64),  # it is unknown where the near plane cuts the vessel
+        ),
+        "state": ("performance state of the detector", states, rows.states_of(truth.frame)),
+        "label": ("true class of the vessel", detector.labels, truth.label),
+    }
+    found = tuple(Group(name, text, followed.bins(names, index)) for name, (text, names, index) in groups.items())
+    return (found[0], *_by_occlusion(scored, followed), *found[1:])
+
+
+def association_of_pairs(scored: Scored) -> tuple[Mask, Array]:
+    """Which vessels are followed, and A(c) = TPA / (TPA + FNA + FPA) of those, shapes (n,).
+
+    Luiten et al. (2021), eq. 1: TPA counts the frames in which the same track follows the same vessel, FNA all others
+    of the vessel, FPA all others of the track; here of one matching at the rules' threshold.
+    """
+    following, truth = scored.following, scored.truth
+    tracks = scored.following.tracks.identity
+    track_row = following.track_row[scored.truth_rows]
+    found, association = track_row != NOBODY, np.full(len(truth), np.nan)
+    pairs = np.column_stack([truth.identity[found], tracks[track_row[found]]])
+    _, pair, together = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    both = together[pair.reshape(-1)]
+    of_vessel, of_track = np.bincount(truth.identity), np.bincount(tracks[scored.track_rows])
+    association[found] = both / (of_vessel[pairs[:, 0]] + of_track[pairs[:, 1]] - both)
+    return found, association
+
+
+def _visibility(fraction: Array) -> Indices:
+    """0 for all visible, then quarters; `NOBODY` where it is unknown."""
+    below = np.array([1.0, 0.75, 0.5, 0.25])
+    index: Indices = np.where(np.isnan(fraction), NOBODY, (fraction[:, None] < below).sum(axis=1))
+    return index
+
+
+def _intervals(values: Array, edges: Sequence[int]) -> tuple[list[str], Indices]:
+    """Names of the intervals between edges, the lower edge included, and the index of each value's interval."""
+    names = [f"{low} to {high}" for low, high in zip((0, *edges), edges, strict=False)]
+    return [*names, f"{edges[-1]} and more"], np.searchsorted(np.array(edges), values, side="right")
+
+
+def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
+    """The vessel-frames by phase of an occlusion, and those during one by its length."""
+    spans = Spans.of(scored)
+    during, phase = _phases(scored, spans)
+    names, length = _intervals(spans.length_s, (1, 3, 10))
+    of_row = np.append(length, NOBODY)[during]  # the last is that of NOBODY
+    bins = (
+        followed.bin(name, of_row == index, spans.survival(length == index))
+        for index, name in enumerate(names)
+        if (length == index).any()
+    )
+    phases = f"less than half of the vessel is visible, or it is in the {NEAR_S:g} s before or after; after goes first"
+    lengths = "length of the occlusion, s; vessel-frames in which the vessel is occluded, but not wholly"
+    return Group("phase", phases, followed.bins(PHASES, phase)), Group("occlusion", lengths, tuple(bins))
+
+
+def _phases(scored: Scored, spans: Spans) -> tuple[Indices, Indices]:
+    """The occlusion during which each of n rows is, `NOBODY` for none, and its phase, shapes (n,)."""
+    each, count = spans.histories, spans.last - spans.first + 1
+    during = np.full(len(each.row), NOBODY)
+    during[ranges(spans.first, count)] = np.repeat(np.arange(len(count)), count)
+    occluded = during != NOBODY
+    start_s, end_s = (np.append(times_s, np.nan) for times_s in (spans.start_s, spans.end_s))
+    next_one, last_one = (np.append(during, NOBODY)[place(occluded)] for place in (each.first_after, each.last_before))
+    before, after = within(start_s[next_one] - each.time_s, NEAR_S), within(each.time_s - end_s[last_one], NEAR_S)
+    phase = np.select([occluded, after, before], [1, 2, 0], 3)  # places in PHASES
+    place = np.empty(len(each.row), dtype=np.int64)
+    place[each.row] = np.arange(len(each.row))
+    chosen = place[scored.truth_rows]
+    return during[chosen], phase[chosen]

@@ -1,0 +1,194 @@
+"""Occlusions, and whether tracks survive them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
+from modsim3d.tracking.scores.histories import Histories
+from modsim3d.tracking.scores.scored import Scored
+
+OCCLUDED_BELOW = 0.5
+"""A vessel is occluded while less than this share of its silhouette in the image is visible."""
+BEFORE_S = 1.0
+"""The track before is the last that followed the vessel within this time before its occlusion."""
+AFTER_S = 2.0
+"""The track after is the first that follows the vessel within this time after its occlusion."""
+
+_TIME_DECIMALS = 9
+"""Differences of times are rounded to so many decimals before they are compared."""
+
+
+@dataclass(frozen=True)
+class Survival:
+    """How many occlusions there are, and how many of them tracks survive.
+
+    Attributes:
+        occlusions: Their number.
+        occlusions_judged: Number of those that a track could survive: one followed the vessel in the last second
+            before, and the vessel is in the image in the two seconds after.
+        occlusions_survived: Share of these after which the same track is the first to follow the vessel.
+    """
+
+    occlusions: int
+    occlusions_judged: int
+    occlusions_survived: float | None
+
+
+@dataclass(frozen=True)
+class Occlusion:
+    """Consecutive frames of an appearance in which less than half of the vessel is visible.
+
+    Attributes:
+        camera: Name of the camera.
+        vessel: Name of the vessel.
+        start_s: Time of the first of these frames.
+        end_s: Time of the camera's next frame after the last of them.
+        length_s: From start to end.
+        least_visible_fraction: The least share of the silhouette that is visible.
+        followed_before: Whether a track followed the vessel in the last second before.
+        track_before: Number of that track; None without one.
+        track_after: Number of the first track that follows the vessel within two seconds after; None without one.
+        survived: Whether that is the same; None if no track followed the vessel before, or if the vessel is not in the
+            image in the two seconds after.
+    """
+
+    camera: str
+    vessel: str
+    start_s: float
+    end_s: float
+    length_s: float
+    least_visible_fraction: float
+    followed_before: bool
+    track_before: int | None
+    track_after: int | None
+    survived: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """The m occlusions of a matching in order of identity and time, as places in its histories.
+
+    Attributes:
+        histories: The histories.
+        first: Place of the first frame of each, shape (m,).
+        last: Place of the last one, shape (m,).
+        start_s: Time of the first frame, shape (m,).
+        end_s: Time of the camera's next frame after the last one, shape (m,).
+        before: Place at which the track before last followed the vessel, `NOBODY` for none, shape (m,).
+        after: Place at which the track after first follows it, `NOBODY` for none, shape (m,).
+        stays: Whether the vessel is in the image within two seconds after, shape (m,).
+    """
+
+    histories: Histories
+    first: Indices
+    last: Indices
+    start_s: Array
+    end_s: Array
+    before: Indices
+    after: Indices
+    stays: Mask
+
+    @classmethod
+    def of(cls, scored: Scored) -> Spans:
+        """All occlusions that begin in a frame that counts."""
+        each = Histories.of(scored)
+        occluded = np.flatnonzero(each.visible_fraction < OCCLUDED_BELOW)
+        found = runs(each.identity[occluded], occluded)
+        first, last = occluded[found.first], occluded[found.last]
+        first, last = first[each.counted[first]], last[each.counted[first]]
+        start_s = each.time_s[first]
+        end_s = each.time_s[last] + frame_lengths_s(scored, each.frame[last])
+        before, after = each.last_before(each.followed)[first], each.first_after(each.followed)[last]
+        next_one = each.first_after(np.ones(len(each.row), dtype=bool))[last]
+        times_s = np.append(each.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
+        return cls(
+            each,
+            first,
+            last,
+            start_s,
+            end_s,
+            np.where(within(start_s - times_s[before], BEFORE_S), before, NOBODY),
+            np.where(within(times_s[after] - end_s, AFTER_S), after, NOBODY),
+            within(times_s[next_one] - end_s, AFTER_S),
+        )
+
+    @property
+    def length_s(self) -> Array:
+        """From start to end, shape (m,)."""
+        length: Array = np.round(self.end_s - self.start_s, _TIME_DECIMALS)
+        return length
+
+    @property
+    def judged(self) -> Mask:
+        """Which ones a track could survive: one followed the vessel before, and the vessel stays, shape (m,)."""
+        judged: Mask = (self.before != NOBODY) & self.stays
+        return judged
+
+    @property
+    def survived(self) -> Mask:
+        """Which of the judged ones a track survived, shape (m,); it means nothing for the others."""
+        track = np.append(self.histories.track, NOBODY)
+        survived: Mask = track[self.before] == track[self.after]
+        return survived
+
+    def survival(self, chosen: Mask) -> Survival:
+        """How many of the chosen ones there are, and how many of them tracks survive."""
+        judged = chosen & self.judged
+        count = int(np.count_nonzero(judged))
+        survived = float(np.mean(self.survived[judged])) if count else None
+        return Survival(int(np.count_nonzero(chosen)), count, survived)
+
+
+def within(times_s: Array, limit_s: float) -> Mask:
+    """Which spans of time are no longer than a limit, whatever their last bits are; NaN is longer, same shape."""
+    return np.less_equal(np.round(times_s, _TIME_DECIMALS), limit_s)
+
+
+def survival(scored: Scored) -> Survival:
+    """How many occlusions there are, and how many of them tracks survive."""
+    spans = Spans.of(scored)
+    return spans.survival(np.ones(len(spans.first), dtype=bool))
+
+
+def occlusions(scored: Scored) -> tuple[Occlusion, ...]:
+    """All occlusions in order of time, then of camera and vessel."""
+    spans, following, scene = Spans.of(scored), scored.following, scored.rows.scene
+    truth_row = spans.histories.row[spans.first]
+    frame, vessel = following.truth.frame[truth_row], following.truth.vessel[truth_row]
+    least = [
+        float(np.min(spans.histories.visible_fraction[a : b + 1]))
+        for a, b in zip(spans.first.tolist(), spans.last.tolist(), strict=True)
+    ]
+    found = [
+        Occlusion(
+            scene.cameras[int(frame[k]) % scored.by_step].name,
+            scene.vessel_names[vessel[k]],
+            float(spans.start_s[k]),
+            float(spans.end_s[k]),
+            float(spans.length_s[k]),
+            least[k],
+            bool(spans.before[k] != NOBODY),
+            before,
+            after,
+            bool(spans.survived[k]) if spans.judged[k] else None,
+        )
+        for k, (before, after) in enumerate(
+            zip(_track_numbers(scored, spans, spans.before), _track_numbers(scored, spans, spans.after), strict=True)
+        )
+    ]
+    return tuple(found[k] for k in np.lexsort((vessel, frame)).tolist())
+
+
+def _track_numbers(scored: Scored, spans: Spans, places: Indices) -> Sequence[int | None]:
+    """The tracker's numbers of the tracks that follow at places in the histories; None for `NOBODY`."""
+    following = scored.following
+    numbers = following.tracks.track
+    track_row = following.track_row[spans.histories.row[places[places != NOBODY]]]
+    found = iter(numbers[track_row].tolist())
+    return [None if place == NOBODY else next(found) for place in places.tolist()]

@@ -1,0 +1,167 @@
+"""All scores of tracks over a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from modsim3d.arrays import Indices
+from modsim3d.errors import ModsimError
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracking.scores.association import Clear, Hota, Identity, clear_of, hota_of, identity_of
+from modsim3d.tracking.scores.breakdown import Breakdown, breakdown
+from modsim3d.tracking.scores.continuity import Continuity, continuity
+from modsim3d.tracking.scores.errors import Errors, errors
+from modsim3d.tracking.scores.hidden import Hidden, hidden
+from modsim3d.tracking.scores.occlusions import Occlusion, Survival, occlusions, survival
+from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.sequence import sequence
+from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, ospa
+from modsim3d.tracking.scores.siap import Siap, siap
+from modsim3d.tracks.following import follow
+from modsim3d.tracks.tracks import Tracks
+
+Value = float | int | None | tuple[float, ...]
+Part = Hota | Clear | Identity | Gospa | Ospa | Siap | Errors | Continuity | Hidden | Survival
+"""Scores that belong together; the names of their fields are keys of the JSON."""
+OWN_PARTS: tuple[Callable[[Scored], Part], ...] = (gospa, ospa, siap, errors, continuity, hidden, survival)
+"""What is computed here, after the scores by TrackEval, in the order of the keys."""
+
+
+@dataclass(frozen=True)
+class SubsetScores:
+    """The scores of some frames of a run, from the matching of all.
+
+    Attributes:
+        frames: Number of frames.
+        vessel_frames: Number of scored vessels in them.
+        hota: As in `Hota`, of these frames only.
+        deta: The same.
+        assa: The same.
+        mota: As in `Clear`.
+        idf1: As in `Identity`.
+    """
+
+    frames: int
+    vessel_frames: int
+    hota: float | None
+    deta: float | None
+    assa: float | None
+    mota: float | None
+    idf1: float | None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """All scores of tracks over a run.
+
+    Attributes:
+        parts: The scores of everything.
+        occlusions: Each occlusion.
+        breakdown: Recall and association by what only a simulator knows.
+        by_state: The frames of each performance state, by its name.
+        by_camera: The frames of each camera, by its name.
+        by_class: The scores of each label alone, by its name, if the rules ask for them; labels without vessels and
+            tracks are left out.
+    """
+
+    parts: tuple[Part, ...]
+    occlusions: tuple[Occlusion, ...]
+    breakdown: Breakdown
+    by_state: dict[str, SubsetScores]
+    by_camera: dict[str, SubsetScores]
+    by_class: dict[str, Scores] = field(default_factory=dict)
+
+    def flat(self) -> dict[str, Value]:
+        """The scores of everything by their keys; None where one is not defined."""
+        return {key: value for part in self.parts for key, value in vars(part).items()}
+
+    def as_json(self) -> dict[str, Any]:
+        """All scores as JSON has them."""
+        subsets = {"by_state": self.by_state, "by_camera": self.by_camera}
+        found = self.flat() | {
+            name: {key: asdict(each) for key, each in subset.items()} for name, subset in subsets.items()
+        }
+        if self.by_class:
+            found |= {"by_class": {label: each.flat() for label, each in self.by_class.items()}}
+        return found | {
+            "breakdown": {group.name: [asdict(each) for each in group.rows] for group in self.breakdown},
+            "each_occlusion": [asdict(each) for each in self.occlusions],
+        }
+
+
+def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
+    """Score tracks over a run.
+
+    Args:
+        rows: The run.
+        tracks: The tracks.
+        rules: By which they are scored. By class, the vessels and tracks of each label are matched and scored alone;
+            the other scores stay as they are, of all classes as one.
+
+    Raises:
+        ModsimError: It should be by class and a track has no label, or TrackEval is not installed.
+    """
+    if rules.by_class:
+        check_labels(tracks)
+    scored = Scored.of(rows, tracks, rules)
+    names = rows.scene.detector.labels if rules.by_class else ()
+    by_class = {name: _scores(each) for name, each in zip(names, _by_class(scored), strict=False) if _has_rows(each)}
+    return _scores(scored, by_class)
+
+
+def check_labels(tracks: Tracks) -> None:
+    """Refuse tracks without labels.
+
+    Raises:
+        ModsimError: A row of the tracks has no label.
+    """
+    if unknown := int(np.count_nonzero(tracks.label == NOBODY)):
+        raise ModsimError(
+            f"--by-class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
+            "score without --by-class"
+        )
+
+
+def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores:
+    whole = _by_trackeval(scored)
+    states, cameras = scored.rows.scene.detector.states, scored.rows.scene.cameras
+    camera_frames = (scored.frames[scored.frames % scored.by_step == index] for index in range(len(cameras)))
+    state_frames = (scored.state_frames(index) for index in range(len(states)))
+    return Scores(
+        (*whole, *(part(scored) for part in OWN_PARTS)),
+        occlusions(scored),
+        breakdown(scored),
+        {state.name: _subset(scored, frames, whole) for state, frames in zip(states, state_frames, strict=True)},
+        {camera.name: _subset(scored, frames, whole) for camera, frames in zip(cameras, camera_frames, strict=True)},
+        by_class or {},
+    )
+
+
+def _by_trackeval(scored: Scored) -> tuple[Hota, Clear, Identity]:
+    data, least = sequence(scored), scored.rules.similarity.least
+    return hota_of(data), clear_of(data, least), identity_of(data, least)
+
+
+def _subset(scored: Scored, frames: Indices, whole: tuple[Hota, Clear, Identity]) -> SubsetScores:
+    """The scores of some frames; those of all frames are known."""
+    chosen = scored.in_frames(frames)
+    hota, clear, identity = whole if len(frames) == len(scored.frames) else _by_trackeval(chosen)
+    return SubsetScores(len(frames), len(chosen.truth), hota.hota, hota.deta, hota.assa, clear.mota, identity.idf1)
+
+
+def _by_class(scored: Scored) -> Iterator[Scored]:
+    """Vessels and tracks of each label alone, matched with each other."""
+    truth, tracks, rules = scored.following.truth, scored.following.tracks, scored.rules
+    for label in range(len(scored.rows.scene.detector.labels)):
+        alone = follow(truth.take(truth.label == label), tracks.take(tracks.label == label), rules.similarity)
+        yield Scored(scored.rows, rules, alone, scored.frames)
+
+
+def _has_rows(scored: Scored) -> bool:
+    return len(scored.truth) + len(scored.tracks) > 0

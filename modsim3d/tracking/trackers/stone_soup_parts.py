@@ -1,0 +1,206 @@
+"""A tracker put together from Stone Soup's components; only this file imports them."""
+
+# mypy: disable-error-code="import-untyped"
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, MutableSet
+from datetime import datetime, timedelta
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+from stonesoup.dataassociator.probability import JPDAwithLBP
+from stonesoup.deleter.time import UpdateTimeDeleter
+from stonesoup.hypothesiser.distance import DistanceHypothesiser
+from stonesoup.hypothesiser.probability import PDAHypothesiser
+from stonesoup.initiator.simple import MultiMeasurementInitiator, SimpleMeasurementInitiator
+from stonesoup.measures import Mahalanobis
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.transition.linear import (
+    CombinedLinearGaussianTransitionModel,
+    ConstantVelocity,
+    RandomWalk,
+)
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.tracker.simple import MultiTargetMixtureTracker, MultiTargetTracker
+from stonesoup.types.detection import Detection
+from stonesoup.types.state import GaussianState
+from stonesoup.types.update import Update
+from stonesoup.updater.kalman import KalmanUpdater
+
+from modsim3d.arrays import Array
+from modsim3d.boxes import centre_form, corner_form
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
+from modsim3d.tracking.trackers.stone_soup import StoneSoup, StoneSoupJpda
+
+_START = datetime(2000, 1, 1)
+_STATE = 6
+"""x, its rate, y, its rate, width, height."""
+_MEASURED = (0, 2, 4, 5)
+_LARGEST_CLUTTER_SHARE = 0.25
+"""Of the image's width and height, up to which the sizes of false detections are taken to go."""
+_LEAST_SIDE_PX = 1.0
+
+
+class Ordered(MutableSet[Any]):
+    """A set in order of insertion: Stone Soup's sets are in order of memory addresses, which differ between runs."""
+
+    def __init__(self, items: Iterable[Any] = ()) -> None:
+        """A set of some items."""
+        self._items = dict.fromkeys(items)
+
+    def __contains__(self, item: object) -> bool:
+        """Whether it is in the set."""
+        return item in self._items
+
+    def __iter__(self) -> Iterator[Any]:
+        """The items, first come first."""
+        return iter(list(self._items))
+
+    def __len__(self) -> int:
+        """Number of items."""
+        return len(self._items)
+
+    def add(self, value: Any) -> None:
+        """Put an item at the end, unless it is there."""
+        self._items[value] = None
+
+    def discard(self, value: Any) -> None:
+        """Take an item out, if it is there."""
+        self._items.pop(value, None)
+
+
+def _row(detection: Any) -> int:
+    """Row in its frame of a detection, or of the last detection of a track."""
+    return int(detection.metadata["row"])
+
+
+class _Starter(SimpleMeasurementInitiator):  # type: ignore[misc]
+    """Starts tracks in order of the detections' rows."""
+
+    def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> Ordered:
+        """A track from each detection."""
+        return Ordered(
+            track
+            for detection in sorted(detections, key=_row)
+            for track in super(_Starter, self).initiate([detection], timestamp)
+        )
+
+
+class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
+    """Confirms tracks in order of the detections' rows."""
+
+    def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> Ordered:
+        """The tracks that are confirmed by these detections."""
+        left = Ordered(sorted(detections, key=_row))
+        return Ordered(sorted(super().initiate(left, timestamp, **kwargs), key=_row))
+
+
+class ImageTracker:
+    """A tracker of boxes in the images of one camera."""
+
+    def __init__(self, settings: StoneSoup, camera: CameraFacts) -> None:
+        """Put the components together."""
+        self._settings = settings
+        self._numbers: dict[Any, int] = {}
+        moves = ConstantVelocity(settings.acceleration_density_px2_s3)
+        grows = RandomWalk(settings.size_density_px2_s)
+        predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([moves, moves, grows, grows]))
+        updater = KalmanUpdater(None)
+        gate = sqrt(float(chi2.ppf(settings.gate_probability, len(_MEASURED))))
+        nearest = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=gate))
+        confirming = self._confirming(nearest, updater)
+        lost = UpdateTimeDeleter(timedelta(seconds=settings.lost_s))
+        self._tracker: Any
+        if isinstance(settings, StoneSoupJpda):
+            joint = _joint(settings, camera, predictor, updater)
+            self._tracker = MultiTargetMixtureTracker(confirming, lost, None, joint, updater)
+        else:
+            self._tracker = MultiTargetTracker(confirming, lost, None, nearest, updater)
+        self._tracker._tracks = Ordered()
+
+    def _confirming(self, associator: Any, updater: Any) -> Any:
+        settings = self._settings
+        spread = np.zeros(_STATE)
+        spread[[1, 3]] = settings.speed_sigma_px_s**2
+        prior = GaussianState(np.zeros((_STATE, 1)), np.diag(spread))
+        confirming = _Confirming(
+            prior_state=prior,
+            deleter=UpdateTimeDeleter(timedelta(seconds=settings.tentative_s)),
+            data_associator=associator,
+            updater=updater,
+            min_points=settings.minimum_detections,
+            initiator=_Starter(prior),
+        )
+        confirming.holding_tracks = Ordered()
+        return confirming
+
+    def step(self, frame: SensedFrame) -> TrackedFrame:
+        """The tracks in one frame, with or without detections."""
+        time = _START + timedelta(seconds=frame.time_s)
+        _, tracks = self._tracker.update_tracker(time, Ordered(self._detections(frame, time)))
+        coast = timedelta(seconds=self._settings.coast_s)
+        shown = []
+        for track in tracks:
+            self._numbers.setdefault(track.id, len(self._numbers))
+            if time - _last_update(track) <= coast:
+                shown.append(track)
+        if not shown:
+            return TrackedFrame.empty()
+        state = np.array([track.state_vector for track in shown], dtype=np.float64).reshape(-1, _STATE)
+        covariance = np.array([track.covar for track in shown], dtype=np.float64)
+        box = state[:, _MEASURED]
+        box[:, 2:] = np.maximum(box[:, 2:], _LEAST_SIDE_PX)
+        seen = [_last_update(track) == time for track in shown]
+        return TrackedFrame(
+            np.array([self._numbers[track.id] for track in shown], dtype=np.int64),
+            corner_form(box),
+            np.array([track.metadata["label"] for track in shown], dtype=np.int64),
+            np.where(seen, [track.metadata["confidence"] for track in shown], np.nan),
+            covariance[:, [[0], [2]], [0, 2]],
+        )
+
+    def _detections(self, frame: SensedFrame, time: datetime) -> Iterator[Any]:
+        boxes = centre_form(frame.boxes_px)
+        rows = zip(boxes, self._variances(boxes), frame.label.tolist(), frame.confidence.tolist(), strict=True)
+        for row, (box, variance, label, confidence) in enumerate(rows):
+            yield Detection(
+                box[:, None],
+                timestamp=time,
+                measurement_model=LinearGaussian(_STATE, _MEASURED, np.diag(variance)),
+                metadata={"row": row, "label": label, "confidence": confidence},
+            )
+
+    def _variances(self, boxes: Array) -> Array:
+        """Variances of the errors of centre x, centre y, width and height of detections, shape (m, 4)."""
+        own, size = self._settings, np.maximum(boxes[:, 2:], 0)
+        centre = own.centre_sigma_px**2 + (own.centre_sigma_share * size) ** 2
+        return np.concatenate([centre, own.size_sigma_px**2 + (own.size_sigma_share * size) ** 2], axis=1)
+
+
+def _joint(settings: StoneSoupJpda, camera: CameraFacts, predictor: Any, updater: Any) -> Any:
+    """Joint association by loopy belief propagation (Williams & Lau (2014)).
+
+    Exact methods take seconds a frame where a dozen detections lie in the gates of a dozen tracks.
+    """
+    width, height = camera.image_size_px
+    places = width * height * (width * _LARGEST_CLUTTER_SHARE) * (height * _LARGEST_CLUTTER_SHARE)
+    hypotheses = PDAHypothesiser(
+        predictor,
+        updater,
+        clutter_spatial_density=settings.false_alarms_per_frame / places,
+        prob_detect=settings.detection_probability,
+        prob_gate=settings.gate_probability,
+    )
+    return JPDAwithLBP(hypotheses)
+
+
+def _last_update(track: Any) -> datetime:
+    """When the last detection was associated with a track."""
+    time: datetime = next(
+        state.timestamp for state in reversed(track.states) if isinstance(state, Update) and state.hypothesis
+    )
+    return time

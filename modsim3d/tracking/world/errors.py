@@ -1,0 +1,110 @@
+"""Errors of tracks on the sea: for each vessel first, then over vessels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy import special
+
+from modsim3d.arrays import Array, Indices
+from modsim3d.tracking.world.following import WorldFollowing
+
+LEVEL = 0.95
+"""Of the intervals."""
+
+
+@dataclass(frozen=True)
+class OverVessels:
+    """A mean over vessels, each with one value, however long it was followed.
+
+    Attributes:
+        mean: None without vessels.
+        low: Lower end of the 95 % t-interval of the mean; None with fewer than two vessels.
+        high: Upper end.
+        vessels: Number of vessels.
+    """
+
+    mean: float | None
+    low: float | None
+    high: float | None
+    vessels: int
+
+    @classmethod
+    def of(cls, values: Array) -> Self:
+        """The mean of the values of n vessels, shape (n,); NaN for a vessel that has none."""
+        values = values[np.isfinite(values)]
+        count = len(values)
+        if count < 2:
+            return cls(float(values[0]) if count else None, None, None, count)
+        mean = float(values.mean())
+        wide = float(special.stdtrit(count - 1, (1 + LEVEL) / 2) * values.std(ddof=1) / np.sqrt(count))
+        return cls(mean, mean - wide, mean + wide, count)
+
+
+@dataclass(frozen=True)
+class WorldErrors:
+    """Errors of the tracks that follow a scored vessel, as means over vessels.
+
+    Attributes:
+        rmse_m: Root of a vessel's mean squared error of position.
+        rmse_m_s: The same of velocity, where tracks have one.
+        nees: A vessel's mean squared error of position over its covariance, e' P⁻¹ e: 2 if the covariance is right.
+        nees_velocity: The same of velocity: 2.
+        nees_state: The same of position and velocity together, where tracks have the whole covariance: 4.
+        pairs: Number of estimates that are compared, over all vessels and steps.
+    """
+
+    rmse_m: OverVessels
+    rmse_m_s: OverVessels
+    nees: OverVessels
+    nees_velocity: OverVessels
+    nees_state: OverVessels
+    pairs: int
+
+
+def world_errors(following: WorldFollowing) -> WorldErrors:
+    """The errors of all pairs."""
+    truth, tracks = following.truth, following.tracks
+    step, vessel = np.nonzero(following.found)
+    row = following.followed_by[step, vessel]
+    times_s = tracks.time_s[row]
+    position = tracks.position_m[row] - truth.positions_at(times_s, vessel)
+    velocity = tracks.velocity_m_s[row] - truth.velocities_at(times_s, vessel)
+    covariance = tracks.covariance[row]
+
+    def by_vessel(values: Array) -> Array:
+        return mean_by(vessel, values, len(truth.names))
+
+    whole = nees(np.concatenate([position, velocity], axis=1), covariance)
+    return WorldErrors(
+        rmse_m=OverVessels.of(np.sqrt(by_vessel((position**2).sum(axis=1)))),
+        rmse_m_s=OverVessels.of(np.sqrt(by_vessel((velocity**2).sum(axis=1)))),
+        nees=OverVessels.of(by_vessel(nees(position, covariance[:, :2, :2]))),
+        nees_velocity=OverVessels.of(by_vessel(nees(velocity, covariance[:, 2:, 2:]))),
+        nees_state=OverVessels.of(by_vessel(whole)),
+        pairs=len(row),
+    )
+
+
+def nees(errors: Array, covariances: Array) -> Array:
+    """Normalised estimation errors squared e' P⁻¹ e (Bar-Shalom et al. (2001), equation 5.4.2-1), shape (m,).
+
+    Args:
+        errors: Shape (m, d).
+        covariances: Positive definite, shape (m, d, d). NaN in either gives NaN.
+    """
+    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
+    found = np.full(len(errors), np.nan)
+    wanted = errors[known, :, None]
+    found[known] = (wanted * np.linalg.solve(covariances[known], wanted)).sum(axis=(1, 2))
+    return found
+
+
+def mean_by(group: Indices, values: Array, groups: int) -> Array:
+    """Mean of the values of each group that are not NaN, NaN for none, shape (groups,)."""
+    known = np.isfinite(values)
+    count = np.bincount(group[known], minlength=groups)
+    total = np.bincount(group[known], values[known], minlength=groups)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

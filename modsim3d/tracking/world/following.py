@@ -1,0 +1,142 @@
+"""Which track follows which vessel on the sea, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.tracking.scores.point_sets import distances
+from modsim3d.tracking.world.truth import WorldTruth
+from modsim3d.tracks.following import best_pairs
+from modsim3d.tracks.world_tracks import WorldTracks
+
+_LEAST = 0.5
+"""Similarity at the gate, which is 1 for two equal places: then two pairs are better than one, wherever they can be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Which estimate stands for each track at each step: m of them, in order of step and track.
+
+    Attributes:
+        step: Shape (m,).
+        row: Row of the tracks, shape (m,).
+    """
+
+    step: Indices
+    row: Indices
+
+    @classmethod
+    def of(cls, times_s: Array, tracks: WorldTracks) -> Estimates:
+        """The estimate of each track that is nearest in time to each step, if it is near enough.
+
+        Near enough is half of the median time between two estimates of a track, or half a step if that is longer: so
+        a tracker may be slower than the run's steps and is still there at each.
+        """
+        step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+        reach_s = max(step_s, tracks.interval_s) / 2
+        reach_s += 1e-6 * max(reach_s, 1.0)  # times have rounding errors
+        parts = list(_nearest(times_s, tracks, reach_s))
+        step, row = np.concatenate(parts, axis=1) if parts else np.zeros((2, 0), dtype=np.int64)
+        order = np.argsort(step, kind="stable")
+        return cls(step[order], row[order])
+
+
+def _nearest(times_s: Array, tracks: WorldTracks, reach_s: float) -> Iterator[Indices]:
+    """Of each track, the steps that an estimate of it reaches, and the row of the nearest one, shape (2, n)."""
+    edges = np.flatnonzero(np.diff(tracks.track, prepend=NOBODY, append=NOBODY)).tolist()
+    for first, stop in pairwise(edges):
+        mine = tracks.time_s[first:stop]
+        begin, end = np.searchsorted(times_s, (mine[0] - reach_s, mine[-1] + reach_s)).tolist()
+        wanted = times_s[begin:end]
+        after = np.clip(np.searchsorted(mine, wanted), 0, len(mine) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = np.where(wanted - mine[before] <= mine[after] - wanted, before, after)
+        near = np.flatnonzero(np.abs(mine[nearer] - wanted) <= reach_s)
+        yield np.stack([begin + near, first + nearer[near]])
+
+
+@dataclass(frozen=True, eq=False)
+class WorldFollowing:
+    """The one matching of tracks and V vessels at S steps that all scores are taken from.
+
+    At each step as many pairs of the step before as possible stay, and then the sum of 1 − distance / (2 gate) is
+    largest. Vessels that are not scored take part: a track that follows one is not counted.
+
+    Attributes:
+        truth: The vessels.
+        tracks: The tracks.
+        estimates: What stands for the tracks at the steps.
+        followed_by: Row of the tracks that follows each vessel, `NOBODY` for none, shape (S, V).
+        vessel: Index of the vessel that each of the m estimates follows, `NOBODY` for none, shape (m,).
+    """
+
+    truth: WorldTruth
+    tracks: WorldTracks
+    estimates: Estimates
+    followed_by: Indices
+    vessel: Indices
+
+    @property
+    def found(self) -> Mask:
+        """Which vessels are scored and followed, shape (S, V)."""
+        return self.truth.scored & np.not_equal(self.followed_by, NOBODY)
+
+    @property
+    def counted(self) -> Mask:
+        """Which of the m estimates are not on a vessel that is not scored, shape (m,)."""
+        counted: Mask = np.pad(self.truth.scored, ((0, 0), (0, 1)), constant_values=True)[
+            self.estimates.step, self.vessel
+        ]
+        return counted
+
+    def scored_distances(self) -> Iterator[Array]:
+        """Distances of scored vessels to counted estimates at each step, shape (a, b)."""
+        counted = self.counted
+        for step, (first, stop) in enumerate(_edges(self.truth, self.estimates)):
+            rows = self.estimates.row[first:stop][counted[first:stop]]
+            yield distances_at(self.truth, self.tracks, step, np.flatnonzero(self.truth.scored[step]), rows)
+
+
+def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> WorldFollowing:
+    """Assign tracks to vessels at each step, no pair farther apart than the gate."""
+    estimates = Estimates.of(truth.times_s, tracks)
+    followed_by, vessel = np.full(truth.scored.shape, NOBODY), np.full(len(estimates.row), NOBODY)
+    last = np.full(len(truth.names), NOBODY)  # track of each vessel at the step before
+    for step, (first, stop) in enumerate(_edges(truth, estimates)):
+        present, rows = np.flatnonzero(np.isfinite(truth.hulls.centres_m[step, :, 0])), estimates.row[first:stop]
+        if not len(present) or not len(rows):
+            continue  # as in `follow`: such a step lies between two steps and is not the one before
+        apart = distances_at(truth, tracks, step, present, rows)
+        alike = np.maximum(1 - (1 - _LEAST) * apart / gate_m, 0)
+        i, j = best_pairs(alike, _LEAST, last[present][:, None] == tracks.track[rows])
+        followed_by[step, present[i]], vessel[first + j] = rows[j], present[i]
+        last[:] = NOBODY
+        last[present[i]] = tracks.track[rows[j]]
+    return WorldFollowing(truth, tracks, estimates, followed_by, vessel)
+
+
+def distances_at(truth: WorldTruth, tracks: WorldTracks, step: int, vessels: Indices, rows: Indices) -> Array:
+    """Distances of a vessels to b estimates of a step, each at the estimate's own time, shape (a, b).
+
+    They are infinite where the vessel is absent at that time.
+    """
+    times_s = tracks.time_s[rows]
+    if (times_s == truth.times_s[step]).all():
+        return distances(truth.hulls.centres_m[step, vessels], tracks.position_m[rows])
+    pairs = np.meshgrid(vessels, np.arange(len(rows)), indexing="ij")
+    vessel, column = (each.reshape(-1) for each in pairs)
+    offset = truth.positions_at(times_s[column], vessel) - tracks.position_m[rows[column]]
+    apart = np.hypot(offset[:, 0], offset[:, 1]).reshape(len(vessels), len(rows))
+    return np.where(np.isnan(apart), np.inf, apart)
+
+
+def _edges(truth: WorldTruth, estimates: Estimates) -> list[tuple[int, int]]:
+    """First of the estimates of each step, and the one after its last."""
+    edges = np.searchsorted(estimates.step, np.arange(len(truth.times_s) + 1)).tolist()
+    return list(pairwise(edges))

@@ -1,0 +1,277 @@
+"""Trackers of other libraries behind our interface."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from modsim3d.boxes import centres, corner_form, iou
+from modsim3d.errors import ModsimError
+from modsim3d.tracking.trackers.detection_trackers import ByteTracker, OcSortTracker, SortTracker
+from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.tracking.trackers.stone_soup import StoneSoupGnn, StoneSoupJpda
+
+BY_IOU = [SortTracker, ByteTracker, OcSortTracker]
+STONE_SOUP = [StoneSoupGnn, StoneSoupJpda]
+ALL = [*BY_IOU, *STONE_SOUP]
+COASTING = [*(tracker(coast_s=1.0) for tracker in BY_IOU), *(tracker(coast_s=1.0) for tracker in STONE_SOUP)]
+
+every = pytest.mark.parametrize("tracker", [model() for model in ALL], ids=lambda tracker: type(tracker).__name__)
+coasting = pytest.mark.parametrize("tracker", COASTING, ids=lambda tracker: type(tracker).__name__)
+
+
+def camera(rate_hz: float = 5.0, name: str = "quay") -> CameraFacts:
+    return CameraFacts(name, (640, 480), rate_hz, ("boat", "ferry"))
+
+
+def crossing_px(time_s: float) -> np.ndarray:
+    """Two vessels on straight lines that pass each other at 4 s, one above the other by less than their height."""
+    return corner_form(np.array([[120.0 + 30 * time_s, 200, 60, 30], [360.0 - 30 * time_s, 222, 60, 30]]))
+
+
+def sensed(
+    times_s: Sequence[float], noise_px: float = 1.0, empty: Sequence[int] = (), seed: int = 1
+) -> Iterator[SensedFrame]:
+    """The crossing as a detector sees it, the first vessel a boat and the second a ferry."""
+    generator = np.random.default_rng(seed)
+    for index, time_s in enumerate(times_s):
+        boxes_px = crossing_px(time_s) + generator.normal(0, noise_px, (2, 4))
+        kept = slice(0, 0) if index in empty else slice(None)
+        yield SensedFrame(time_s, boxes_px[kept], np.array([0, 1])[kept], np.array([0.9, 0.8])[kept])
+
+
+def times_s(count: int = 40, rate_hz: float = 5.0) -> list[float]:
+    return (np.arange(count) / rate_hz).tolist()
+
+
+def answers(tracker: Tracker, frames: Iterator[SensedFrame], rate_hz: float = 5.0) -> list[TrackedFrame]:
+    return list(tracker.follow(frames, camera(rate_hz)))
+
+
+def followed(answer: TrackedFrame, time_s: float) -> list[int]:
+    """The track whose box overlaps each vessel's most, −1 where none does by half."""
+    if not len(answer.track):
+        return [-1, -1]
+    alike = iou(crossing_px(time_s)[:, None], answer.boxes_px)
+    best = alike.argmax(axis=1)
+    return [int(answer.track[j]) if alike[i, j] > 0.5 else -1 for i, j in enumerate(best)]
+
+
+@every
+def test_two_crossing_vessels_keep_their_identities(tracker: Tracker) -> None:
+    found = answers(tracker, sensed(times_s()))
+    seen = [followed(answer, time_s) for answer, time_s in zip(found, times_s(), strict=True)][4:]
+    assert seen[0][0] != seen[0][1]
+    assert min(seen[0]) >= 0
+    assert all(pair == seen[0] for pair in seen)
+
+
+@every
+def test_a_track_keeps_the_label_of_its_vessel(tracker: Tracker) -> None:
+    for answer, time_s in zip(answers(tracker, sensed(times_s())), times_s(), strict=True):
+        labels = [] if answer.label is None else answer.label.tolist()
+        by_track = dict(zip(answer.track.tolist(), labels, strict=True))
+        tracks = followed(answer, time_s)
+        assert [by_track[track] for track in tracks if track >= 0] == [i for i in range(2) if tracks[i] >= 0]
+
+
+@every
+def test_each_frame_has_its_answer_before_the_next_is_read(tracker: Tracker) -> None:
+    read = []
+
+    def frames() -> Iterator[SensedFrame]:
+        for frame in sensed(times_s(10)):
+            read.append(frame)
+            yield frame
+
+    for answered, _ in enumerate(tracker.follow(frames(), camera()), start=1):
+        assert len(read) == answered
+    assert len(read) == 10
+
+
+@every
+def test_nothing_is_tracked_without_detections(tracker: Tracker) -> None:
+    found = answers(tracker, sensed(times_s(6), empty=range(6)))
+    assert [len(answer.track) for answer in found] == [0] * 6
+    assert all(answer.boxes_px.shape == (0, 4) for answer in found)
+
+
+@every
+def test_identities_outlive_a_gap_in_the_detections(tracker: Tracker) -> None:
+    found = answers(tracker, sensed(times_s(20), empty=range(8, 10)))
+    assert len(found) == 20
+    assert followed(found[-1], times_s(20)[-1]) == followed(found[7], times_s(20)[7])
+    assert min(followed(found[-1], times_s(20)[-1])) >= 0
+
+
+@pytest.mark.parametrize("tracker", [model() for model in BY_IOU])
+def test_the_library_reports_no_track_without_a_detection(tracker: Tracker) -> None:
+    found = answers(tracker, sensed(times_s(20), empty=range(8, 10)))
+    assert [len(answer.track) for answer in found[7:10]] == [2, 0, 0]
+
+
+@coasting
+def test_a_coasting_track_stays_on_its_vessel(tracker: Tracker) -> None:
+    found = answers(tracker, sensed(times_s(20), noise_px=0.3, empty=range(12, 15)))
+    before = followed(found[11], times_s(20)[11])
+    for index in range(12, 15):
+        assert followed(found[index], times_s(20)[index]) == before
+        assert np.isnan(found[index].confidence).all()
+
+
+@coasting
+def test_a_track_coasts_no_longer_than_asked(tracker: Tracker) -> None:
+    found = answers(tracker, sensed(times_s(30), empty=range(12, 30)))
+    assert [len(answer.track) for answer in found[12:19]] == [2, 2, 2, 2, 2, 0, 0]
+
+
+@every
+def test_a_track_that_is_lost_for_too_long_comes_back_as_another(tracker: Tracker) -> None:
+    short = tracker.model_copy(update={"lost_s": 0.5})
+    times = times_s(30)
+    found = answers(short, sensed(times, empty=range(8, 13)))
+    assert not set(followed(found[-1], times[-1])) & set(followed(found[7], times[7]))
+
+
+@every
+def test_unequal_steps_keep_the_identities(tracker: Tracker) -> None:
+    times = np.cumsum(np.tile([0.1, 0.3, 0.2, 0.2], 10)).tolist()
+    found = answers(tracker, sensed(times))
+    assert followed(found[-1], times[-1]) == followed(found[8], times[8])
+    assert min(followed(found[-1], times[-1])) >= 0
+
+
+@every
+def test_a_slow_camera_is_tracked_even_where_tracks_are_kept_shorter_than_its_period(tracker: Tracker) -> None:
+    times = times_s(12, rate_hz=1.25)
+    short = tracker.model_copy(update={"lost_s": 0.5, "tentative_s": 0.5})
+    found = answers(short, sensed(times), rate_hz=1.25)
+    assert min(followed(found[-1], times[-1])) >= 0
+    assert followed(found[-1], times[-1]) == followed(found[6], times[6])
+
+
+@every
+def test_the_same_detections_give_the_same_tracks(tracker: Tracker) -> None:
+    first, second = (answers(tracker, sensed(times_s(25), noise_px=6, empty=[7])) for _ in range(2))
+    for a, b in zip(first, second, strict=True):
+        for name in ("track", "boxes_px", "label", "confidence", "covariance_px2"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+@every
+def test_identities_start_again_in_another_camera(tracker: Tracker) -> None:
+    first = answers(tracker, sensed(times_s(10)))
+    second = list(tracker.follow(sensed(times_s(10)), camera(name="bow")))
+    assert set(first[-1].track.tolist()) == {0, 1} == set(second[-1].track.tolist())
+
+
+@every
+def test_two_cameras_may_be_tracked_in_turn(tracker: Tracker) -> None:
+    alone = answers(tracker, sensed(times_s(12)))
+    one, other = (tracker.follow(sensed(times_s(12), seed=seed), camera()) for seed in (1, 2))
+    for expected, got, _ in zip(alone, one, other, strict=True):
+        np.testing.assert_array_equal(got.boxes_px, expected.boxes_px)
+        np.testing.assert_array_equal(got.track, expected.track)
+
+
+@pytest.mark.parametrize("model", BY_IOU)
+def test_the_box_of_a_track_is_its_detection(model: type[Tracker]) -> None:
+    for answer, frame in zip(answers(model(), sensed(times_s(10))), sensed(times_s(10)), strict=True):
+        for box_px in answer.boxes_px:
+            assert np.abs(frame.boxes_px - box_px).max(axis=1).min() == 0
+
+
+@pytest.mark.parametrize("model", BY_IOU)
+def test_a_filtered_box_lies_near_its_detection_and_differs_from_it(model: type[Tracker]) -> None:
+    filtered = model(boxes="filtered")
+    for answer, frame in zip(answers(filtered, sensed(times_s(15))), sensed(times_s(15)), strict=True):
+        for box_px in answer.boxes_px:
+            assert 0 < np.abs(frame.boxes_px - box_px).max(axis=1).min() < 12
+
+
+@pytest.mark.parametrize("model", STONE_SOUP)
+def test_filtered_centres_are_closer_to_the_truth_than_detections(model: type[Tracker]) -> None:
+    times = times_s(60)
+    tracker, frames = model(acceleration_density_px2_s3=1.0), list(sensed(times, noise_px=5))
+    squares = np.zeros(2)
+    for answer, frame, time_s in list(zip(answers(tracker, iter(frames)), frames, times, strict=True))[20:]:
+        for index, track in enumerate(followed(answer, time_s)):
+            truth = crossing_px(time_s)[index]
+            box = answer.boxes_px[answer.track == track][0] if track >= 0 else frame.boxes_px[index]
+            for place, each in enumerate((box, frame.boxes_px[index])):
+                squares[place] += ((centres(each) - centres(truth)) ** 2).sum()
+    assert squares[0] < 0.7 * squares[1]
+
+
+@pytest.mark.parametrize("model", STONE_SOUP)
+def test_the_covariance_of_the_centre_grows_while_a_track_coasts(model: type[Tracker]) -> None:
+    found = answers(model(), sensed(times_s(15), empty=range(11, 15)))
+    variances = [answer.covariance_px2[answer.track == 0][0] for answer in found[10:15]]
+    assert all(np.allclose(each, each.T) and np.linalg.eigvalsh(each).min() > 0 for each in variances)
+    assert np.all(np.diff([np.trace(each) for each in variances]) > 0)
+
+
+@every
+def test_a_detection_without_size_at_the_edge_of_the_image_is_survived(tracker: Tracker) -> None:
+    boxes_px = np.array([[0.0, 100, 0, 100], [600.0, 440, 640, 480]])
+    frames = [SensedFrame(time_s, boxes_px, np.array([0, 1]), np.array([0.9, 0.9])) for time_s in times_s(8)]
+    found = answers(tracker, iter(frames))
+    assert len(found) == 8
+    assert np.isfinite(np.concatenate([answer.boxes_px for answer in found])).all()
+
+
+@every
+def test_two_equal_detections_are_survived(tracker: Tracker) -> None:
+    boxes_px = np.tile([100.0, 100, 150, 130], (6, 1))
+    frames = [SensedFrame(time_s, boxes_px, np.zeros(6, int), np.full(6, 0.9)) for time_s in times_s(6)]
+    assert len(answers(tracker, iter(frames))) == 6
+
+
+@every
+def test_a_failure_of_the_library_names_camera_and_time(tracker: Tracker) -> None:
+    broken = SensedFrame(0.4, np.full((1, 4), np.nan), np.array([0]), np.array([0.9]))
+    frames = [*sensed([0.0, 0.2]), broken]
+    with pytest.raises(ModsimError, match=r"\w+ failed in camera 'quay' at 0\.4 s"):
+        answers(tracker, iter(frames))
+
+
+@pytest.mark.parametrize("model", ALL)
+@pytest.mark.parametrize(
+    "settings", [{"lost_s": -1.0}, {"coast_s": "long"}, {"lost_frames": 3}, {"lost_s": float("nan")}], ids=str
+)
+def test_settings_out_of_range_are_refused(model: type[Tracker], settings: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        model.model_validate(settings)
+
+
+@pytest.mark.parametrize(
+    ("model", "settings"),
+    [
+        (SortTracker, {"minimum_iou_threshold": 1.5}),
+        (ByteTracker, {"track_activation_threshold": -0.1}),
+        (OcSortTracker, {"delta_t": 0}),
+        (StoneSoupGnn, {"gate_probability": 1.0}),
+        (StoneSoupGnn, {"centre_sigma_px": 0.0}),
+        (StoneSoupJpda, {"false_alarms_per_frame": 0.0}),
+    ],
+)
+def test_own_settings_out_of_range_are_refused(model: type[Tracker], settings: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        model.model_validate(settings)
+
+
+@every
+def test_a_missing_library_is_named_with_the_command_that_installs_it(
+    tracker: Tracker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "modsim3d.tracking.trackers.stone_soup_parts", raising=False)
+    for library in ("trackers", "stonesoup"):
+        for name in [each for each in sys.modules if each.split(".")[0] == library]:
+            monkeypatch.setitem(sys.modules, name, None)
+        monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ModsimError, match=r'pip install "modsim3d\[trackers\]"'):
+        answers(tracker, sensed([0.0]))

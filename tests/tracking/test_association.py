@@ -1,0 +1,214 @@
+"""HOTA, CLEAR and identity scores of hand-made tracks, each worked out by hand."""
+
+from __future__ import annotations
+
+import sys
+from itertools import product
+from math import sqrt
+
+import numpy as np
+import pytest
+import trackeval
+
+from modsim3d.errors import ModsimError
+from modsim3d.tracking.scores.association import clear, hota, identity
+from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.sequence import sequence
+from modsim3d.tracks.similarity import Similarity
+from tests.tracking.hand_made import Seen, box, hand_made, rows_of, tracks_of
+
+A, B, FAR = box(0), box(100), box(300)
+
+
+def values(scored: Scored) -> dict[str, object]:
+    return vars(hota(scored)) | vars(clear(scored)) | vars(identity(scored))
+
+
+def check(scored: Scored, **expected: object) -> None:
+    found = values(scored)
+    assert {key: found[key] for key in expected} == pytest.approx(expected, abs=1e-12)
+
+
+def test_tracks_that_swap_their_vessels_cost_association_two_switches_and_half_the_identity() -> None:
+    truth = [(frame, vessel, place) for frame in range(4) for vessel, place in ((0, A), (1, B))]
+    tracks = [(k, 1, (A, B)[k // 2]) for k in range(4)] + [(k, 2, (B, A)[k // 2]) for k in range(4)]
+    # 8 matches. Each of the four pairs: TPA = 2, FNA = 2, FPA = 2, so A = 2/6. Both identities switch: MOTA = 1 − 2/8.
+    # Identity: the best assignment has 4 boxes right, 4 wrong, 4 missing: 4 / (4 + 2 + 2).
+    check(
+        hand_made(truth, tracks, 4),
+        **{
+            "hota": sqrt(1 / 3),
+            "deta": 1,
+            "assa": 1 / 3,
+            "detre": 1,
+            "detpr": 1,
+            "assre": 0.5,
+            "asspr": 0.5,
+            "loca": 1,
+        },
+        **{"mota": 0.75, "motp": 1, "id_switches": 2, "fragmentations": 0, "true_positives": 8, "misses": 0},
+        **{"false_positives": 0, "mostly_tracked": 2, "partly_tracked": 0, "mostly_lost": 0},
+        **{"idf1": 0.5, "idp": 0.5, "idr": 0.5},
+    )
+
+
+def test_a_switch_to_a_new_track_costs_recall_of_association_and_not_its_precision() -> None:
+    scored = hand_made([(k, 0, A) for k in range(4)], [(k, 1 + k // 2, A) for k in range(4)], 4)
+    # Both pairs: TPA = 2, FNA = 2, FPA = 0. Identity: 2 right, 2 wrong, 2 missing.
+    check(scored, hota=sqrt(0.5), deta=1, assa=0.5, assre=0.5, asspr=1, mota=0.75, id_switches=1, idf1=0.5, idr=0.5)
+
+
+def test_a_miss_costs_detection_and_association() -> None:
+    scored = hand_made([(k, 0, A) for k in range(4)], [(k, 1, A) for k in (0, 1, 3)], 4)
+    # 3 matches, 1 miss. TPA = 3, FNA = 1: A = 3/4. Identity: 3 / (3 + 1/2).
+    check(scored, hota=0.75, deta=0.75, assa=0.75, detre=0.75, detpr=1, mota=0.75, misses=1)
+    check(scored, idf1=6 / 7, idp=1, idr=0.75, id_switches=0, mostly_tracked=0, partly_tracked=1)
+
+
+def test_a_miss_fragments_a_track_unless_no_track_is_in_the_frame() -> None:
+    first = [(k, 1, A) for k in (0, 1, 3)]
+    truth = [(k, vessel, place) for k in range(4) for vessel, place in ((0, A), (1, B))]
+    for frames_of_other, fragmentations in ((range(4), 1), ((0, 1, 3), 0)):
+        tracks = [*first, *((k, 2, B) for k in frames_of_other)]
+        check(hand_made(truth, tracks, 4), fragmentations=fragmentations, id_switches=0)
+
+
+def test_a_false_track_costs_precision_and_no_association() -> None:
+    scored = hand_made([(k, 0, A) for k in range(4)], [*((k, 1, A) for k in range(4)), (1, 2, FAR), (2, 2, FAR)], 4)
+    # 4 matches, 2 false boxes: DetA = 4/6; MOTA = 1 − 2/4; identity: 4 / (4 + 2/2).
+    check(scored, hota=sqrt(2 / 3), deta=2 / 3, assa=1, detpr=2 / 3, mota=0.5, false_positives=2, idf1=0.8, idp=2 / 3)
+
+
+def test_a_step_without_vessels_costs_only_what_tracks_say_in_it() -> None:
+    truth = [(k, 0, A) for k in (0, 1, 3)]
+    check(hand_made(truth, [(k, 1, A) for k in (0, 1, 3)], 4), hota=1, mota=1, idf1=1, id_switches=0, fragmentations=0)
+    # TP = 3, FP = 1, TPA = 3, FPA = 1; MOTA = 1 − 1/3; identity 3 / (3 + 1/2).
+    check(hand_made(truth, [(k, 1, A) for k in range(4)], 4), hota=0.75, mota=2 / 3, false_positives=1, idf1=6 / 7)
+
+
+def test_an_identity_that_comes_back_after_the_gap_is_a_new_one() -> None:
+    frames = (0, 1, 6, 7)
+    truth = [(k, 0, A) for k in frames]
+    new_track = hand_made(truth, [(k, k // 6, A) for k in frames], 8)
+    check(new_track, hota=1, mota=1, idf1=1, id_switches=0)
+    # The same track on both identities: each TPA = 2, FNA = 0, FPA = 2. Identity: 2 right, 2 wrong, 2 missing.
+    same_track = [(k, 1, A) for k in frames]
+    check(
+        hand_made(truth, same_track, 8), hota=sqrt(0.5), assa=0.5, assre=1, asspr=0.5, mota=1, id_switches=0, idf1=0.5
+    )
+    check(hand_made(truth, same_track, 8, rules=Rules(gap_s=5)), hota=1, mota=1, idf1=1)
+
+
+def test_a_track_that_coasts_over_a_hidden_vessel_is_no_false_positive() -> None:
+    truth = [Seen(k, 0, A, visible=float(k != 2)) for k in range(4)]
+    for coasting in (True, False):
+        tracks = [(k, 1, A) for k in range(4) if coasting or k != 2]
+        check(hand_made(truth, tracks, 4), hota=1, mota=1, idf1=1, false_positives=0, misses=0, true_positives=3)
+
+
+def test_the_same_number_in_two_cameras_is_two_tracks() -> None:
+    truth = [(frame, 0, A) for frame in range(4)]  # two steps of two cameras
+    check(hand_made(truth, [(frame, 1, A) for frame in range(4)], 2, cameras=2), hota=1, mota=1, idf1=1, id_switches=0)
+    # One camera without tracks: TP = 2, FN = 2, and A = 1, since the misses are those of another identity.
+    blind = hand_made(truth, [(0, 1, A), (2, 1, A)], 2, cameras=2)
+    check(blind, hota=sqrt(0.5), deta=0.5, assa=1, mota=0.5, idf1=2 / 3, mostly_tracked=1, mostly_lost=1)
+
+
+def test_a_track_is_kept_in_its_camera_though_frames_of_another_lie_between() -> None:
+    # Track 2 is nearer in the second frame of camera 0, but track 1 was there before: no switch.
+    truth = [(frame, 0, A) for frame in range(4)]
+    tracks = [(0, 1, A), (2, 1, box(4)), (2, 2, box(1)), (1, 1, A), (3, 1, A)]
+    check(hand_made(truth, tracks, 2, cameras=2), id_switches=0, false_positives=1)
+
+
+def test_thresholds_that_no_match_reaches_count_for_hota_and_not_for_localisation() -> None:
+    # 16 of 24 columns in common: IoU = 2/3, reached by the 13 thresholds up to 0.65.
+    scored = hand_made([(0, 0, A)], [(0, 1, box(4))], 1)
+    check(scored, hota=13 / 19, deta=13 / 19, assa=13 / 19, loca=2 / 3, motp=2 / 3, mota=1)
+    assert hota(scored).hota_by_alpha == pytest.approx((1,) * 13 + (0,) * 6)
+
+
+@pytest.mark.parametrize(("least", "mota", "idf1"), [(0.5, 1, 1), (0.51, -1, 0)])
+def test_clear_and_identity_use_the_similarity_and_the_threshold_of_the_rules(least, mota, idf1) -> None:
+    rules = Rules(similarity=Similarity("centre", 8, least))  # centres 4 px apart: 1 − 4/8
+    check(hand_made([(0, 0, A)], [(0, 1, box(4))], 1, rules=rules), mota=mota, idf1=idf1, hota=10 / 19)
+
+
+def test_what_is_0_divided_by_0_is_none() -> None:
+    every = {key for key, value in values(hand_made([], [], 2)).items() if value is None}
+    ratios = {"hota", "deta", "assa", "detre", "detpr", "assre", "asspr", "loca", "hota_by_alpha", "mota", "motp"}
+    assert every == ratios | {"idf1", "idp", "idr"}
+    blind = hand_made([(0, 0, A)], [], 2)
+    check(blind, hota=0, deta=0, detre=0, mota=0, idf1=0, idr=0, misses=1, mostly_lost=1)
+    assert {key for key, value in values(blind).items() if value is None} == {
+        *("assa", "detpr", "assre", "asspr", "loca", "motp", "idp")
+    }
+    imagined = hand_made([], [(0, 1, A)], 2)
+    check(imagined, hota=0, deta=0, detpr=0, idf1=0, idp=0, false_positives=1)
+    assert {key for key, value in values(imagined).items() if value is None} == {
+        *("assa", "detre", "assre", "asspr", "loca", "mota", "motp", "idr")
+    }
+
+
+def test_trackeval_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    values(hand_made([(0, 0, A)], [(0, 1, A)], 1))
+    assert capsys.readouterr() == ("", "")
+
+
+def test_without_trackeval_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "trackeval", None)
+    with pytest.raises(ModsimError, match=r'^scores of tracks need TrackEval: pip install "modsim3d\[trackers\]"$'):
+        hota(hand_made([], [], 1))
+
+
+def noisy(seed: int, cameras: int = 3, steps: int = 30) -> Scored:
+    """Vessels that move and tracks near them, with misses, switches and false boxes."""
+    rng = np.random.default_rng(seed)
+    truth, tracks = [], []
+    for step, camera, vessel in product(range(steps), range(cameras), range(6)):
+        frame, place = step * cameras + camera, 25 * vessel + step * (vessel % 3 - 1)
+        if rng.random() < 0.9:
+            truth.append((frame, vessel, box(place)))
+        if rng.random() < 0.8:
+            track = vessel + 6 * int(step > 12 + vessel)
+            tracks.append((frame, track, box(place + rng.normal(0, 6), rng.normal(0, 3))))
+    return hand_made(truth, tracks, steps, cameras=cameras)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_all_cameras_as_one_sequence_score_what_trackeval_combines_from_one_each(seed: int) -> None:
+    scored, quiet = noisy(seed), {"PRINT_CONFIG": False}
+    whole = sequence(scored)
+    parts = [sequence(scored.in_frames(scored.frames[scored.frames % 3 == camera])) for camera in range(3)]
+    assert sum(part["num_timesteps"] for part in parts) == whole["num_timesteps"]
+    metrics = trackeval.metrics
+    for metric in (metrics.HOTA(), metrics.CLEAR(dict(quiet)), metrics.Identity(dict(quiet))):
+        combined = metric.combine_sequences({str(k): metric.eval_sequence(part) for k, part in enumerate(parts)})
+        found = metric.eval_sequence(whole)
+        for name, value in combined.items():
+            np.testing.assert_allclose(found[name], value, atol=1e-12, err_msg=name)
+
+
+def check_the_one_matching_is_that_of_clear(scored: Scored) -> None:
+    rows, track_rows = scored.pairs
+    identities, track = scored.following.truth.identity[rows], scored.following.tracks.identity[track_rows]
+    order = np.lexsort((scored.following.truth.frame[rows], identities))
+    switches = (np.diff(identities[order]) == 0) & (np.diff(track[order]) != 0)
+    found = clear(scored)
+    assert found.id_switches > 0 and found.misses > 0 and found.false_positives > 0
+    assert (found.true_positives, found.id_switches) == (len(rows), np.count_nonzero(switches))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_one_matching_is_that_of_clear_where_every_vessel_is_scored(seed: int) -> None:
+    check_the_one_matching_is_that_of_clear(noisy(seed))
+
+
+def test_the_order_of_rows_changes_nothing() -> None:
+    scored = noisy(0)
+    truth, tracks = scored.following.truth, scored.following.tracks
+    seen = list(zip(truth.frame.tolist(), truth.vessel.tolist(), map(tuple, truth.boxes_px.tolist()), strict=True))
+    found = list(zip(tracks.frame.tolist(), tracks.track.tolist(), map(tuple, tracks.boxes_px.tolist()), strict=True))
+    again = Scored.of(rows_of(seen[::-1], 30, cameras=3), tracks_of(found[::-1], 3), Rules())
+    assert values(again) == values(scored)

@@ -1,0 +1,128 @@
+"""Recall and association broken down, worked out by hand and against slow sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
+from modsim3d.tracking.scores.scored import Scored
+from tests.tracking.hand_made import LABELS, Seen, box, hand_made
+
+VISIBLE = (1, 0.8, 0.6, 0.3, 0.1, 0, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def groups() -> dict[str, tuple[Bin, ...]]:
+    """A vessel in eight frames, a second apart: occluded from 3 to 6 s, wholly hidden from 5 s on.
+
+    Track 1 follows it in frames 0, 1, 2 and 6, coasts in 5, where nothing is scored, and track 2 follows in frame 3.
+    Seven frames are scored. Of track 1 TPA = 4, FNA = 3, FPA = 0: A = 4/7; of track 2 A = 1/7.
+    """
+    depth_m = (50, 100, 150, 250, 450, 450, 850, 850)
+    truth = [Seen(k, 0, box(), VISIBLE[k], 0.9 if k == 7 else 1, depth_m[k]) for k in range(8)]
+    tracks = [(k, 2 if k == 3 else 1, box()) for k in (0, 1, 2, 3, 5, 6)]
+    scored = hand_made(truth, tracks, 8, states=[0] * 6 + [1] * 2)
+    return {group.name: group.rows for group in breakdown(scored)}
+
+
+FIRST, SECOND = 4 / 7, 1 / 7
+EXPECTED = {
+    "visible_fraction": [
+        Bin("1", 3, 2 / 3, FIRST),
+        Bin("0.75 to 1", 1, 1, FIRST),
+        Bin("0.5 to 0.75", 1, 1, FIRST),
+        Bin("0.25 to 0.5", 1, 1, SECOND),
+        Bin("below 0.25", 1, 0, None),
+    ],
+    # before are frames 1 and 2, during 3 and 4, after 6 and 7
+    "phase": [
+        *(Bin("before", 2, 1, FIRST), Bin("during", 2, 0.5, SECOND), Bin("after", 2, 0.5, FIRST)),
+        Bin("elsewhere", 1, 1, FIRST),
+    ],
+    "occlusion": [Bin("3 to 10", 2, 0.5, SECOND, occlusions=1, judged=1, survived=1)],
+    "range": [
+        *(Bin("0 to 100", 1, 1, FIRST), Bin("100 to 200", 2, 1, FIRST), Bin("200 to 400", 1, 1, SECOND)),
+        *(Bin("400 to 800", 1, 0, None), Bin("800 and more", 2, 0.5, FIRST)),
+    ],
+    "size": [Bin("16 to 32", 7, 5 / 7, (4 * FIRST + SECOND) / 5)],
+    "edge": [Bin("whole in the image", 6, 5 / 6, (4 * FIRST + SECOND) / 5), Bin("cut by the edge", 1, 0, None)],
+    "state": [Bin("clear", 5, 4 / 5, (3 * FIRST + SECOND) / 4), Bin("haze", 2, 0.5, FIRST)],
+    "label": [Bin(LABELS[0], 7, 5 / 7, (4 * FIRST + SECOND) / 5)],
+}
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_each_group_has_the_values_that_were_worked_out(groups, name: str) -> None:
+    for found, expected in zip(groups[name], EXPECTED[name], strict=True):
+        assert vars(found) == pytest.approx(vars(expected), abs=1e-12)
+
+
+def test_the_groups_are_these(groups) -> None:
+    assert [*groups] == [*EXPECTED]
+
+
+def test_an_occlusion_is_survived_or_not_among_those_of_its_length() -> None:
+    # Occluded from 1 to 2 s, with the same track before and after, and from 4 to 8 s, with another one after.
+    truth = [Seen(k, 0, box(), 0.2 if k == 1 or 4 <= k < 8 else 1) for k in range(10)]
+    tracks = [(k, 1 + k // 8, box()) for k in range(10)]
+    found = {group.name: group.rows for group in breakdown(hand_made(truth, tracks, 10))}["occlusion"]
+    assert [(row.bin, row.occlusions, row.judged, row.survived) for row in found] == [
+        ("1 to 3", 1, 1, 1),
+        ("3 to 10", 1, 1, 0),
+    ]
+
+
+def random(seed: int) -> Scored:
+    """Vessels with random visibility, range and place in the image, and tracks that switch and miss."""
+    rng = np.random.default_rng(seed)
+    truth, tracks = [], []
+    for frame, vessel in np.ndindex(60, 5):
+        if rng.random() < 0.95:
+            fraction, place = rng.choice([0, 0.1, 0.3, 0.6, 0.8, 1]), box(60 * vessel)
+            truth.append(Seen(frame, vessel, place, fraction, rng.choice([0.5, 1]), rng.uniform(0, 1000)))
+        if rng.random() < 0.7:
+            tracks.append((frame, vessel + 5 * int(rng.integers(3)), place))
+    return hand_made(truth, tracks, 60, states=rng.integers(0, 2, 60).tolist(), step_s=0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_bins_of_a_group_together_are_all_scored_vessel_frames(seed: int) -> None:
+    scored = random(seed)
+    followed = len(scored.pairs[0])
+    association = np.nansum(association_of_pairs(scored)[1])
+    for group in breakdown(scored):
+        if group.name != "occlusion":
+            frames, found = (
+                np.array([getattr(row, name) for row in group.rows]) for name in ("vessel_frames", "recall")
+            )
+            each = np.array([row.association or 0 for row in group.rows])
+            assert frames.sum() == len(scored.truth) and frames.min() > 0
+            assert frames @ found == pytest.approx(followed)
+            assert (frames * found) @ each == pytest.approx(association)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_occlusions_by_length_are_those_in_the_phase_during(seed: int) -> None:
+    found = {group.name: group.rows for group in breakdown(random(seed))}
+    during = next(row for row in found["phase"] if row.bin == "during")
+    assert sum(row.vessel_frames for row in found["occlusion"]) == during.vessel_frames
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_association_of_a_pair_is_that_of_its_sets_of_frames(seed: int) -> None:
+    scored = random(seed)
+    vessels, tracks, following = scored.following.truth, scored.following.tracks, scored.following
+    found, association = association_of_pairs(scored)
+    for place in np.flatnonzero(found)[::7]:
+        row = scored.truth_rows[place]
+        mine, its = vessels.identity[row], tracks.identity[following.track_row[row]]
+        of_vessel = {each for each in scored.truth_rows if vessels.identity[each] == mine}
+        of_track = {each for each in scored.track_rows if tracks.identity[each] == its}
+        together = [each for each in of_vessel if following.track_row[each] in of_track]
+        union = len(of_vessel) + len(of_track) - len(together)
+        assert association[place] == pytest.approx(len(together) / union)
+
+
+def test_a_run_without_vessels_has_no_bins() -> None:
+    assert not any(group.rows for group in breakdown(hand_made([], [(0, 1, box())], 2)))

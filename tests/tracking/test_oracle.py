@@ -1,0 +1,286 @@
+"""The oracle-association reference."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modsim3d.boxes import centre_form, centres, corner_form
+from modsim3d.detector.records import FALSE_KINDS, KINDS
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.inputs.shipped import data_folder
+from modsim3d.runs.files.columns import indices, numbers
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.oracle import noise as noise_module
+from modsim3d.tracking.oracle import oracle_tracks
+from modsim3d.tracking.oracle.association import Provenance, Spans
+from modsim3d.tracking.oracle.fitting import fitted_noise, most_likely_noise
+from modsim3d.tracking.oracle.noise import SmootherNoise, smoother_noise
+from modsim3d.tracking.oracle.smoothing import BoxSequences, log_likelihood, smoothed_motion
+from modsim3d.tracks.true_tracks import TrueTracks
+from tests.scenes import crossing
+
+PERFECT = {
+    "labels": ["Vessel"],
+    "confidence_threshold": 0.2,
+    "initial_state": "only",
+    "transition_matrix": [[1.0]],
+    "states": {
+        "only": {
+            "confusion": [[1.0], [0.0]],
+            "false_positive_labels": [1.0],
+            "false_discovery_rate": 0.0,
+            "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": np.zeros((4, 4)).tolist()},
+            "confidence": {"mean": 0.67, "std": 0.1},
+        }
+    },
+}
+EXACT = SmootherNoise(noise_share=0, noise_x_px=0, noise_y_px=0, size_noise=0, velocity_change_px_s=5)
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("noisy") / "run"
+    run_scene(load_scene("strait", steps=90, seed=3), folder)
+    return RunRows.of(open_run(folder))
+
+
+@pytest.fixture(scope="module")
+def perfect(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("perfect")
+    (folder / "perfect.yaml").write_text(json.dumps(PERFECT), encoding="utf-8")
+    run_scene(load_scene(crossing(folder), detector=folder / "perfect.yaml"), folder / "run")
+    return RunRows.of(open_run(folder / "run"))
+
+
+@pytest.fixture(scope="module")
+def truth(noisy):
+    return TrueTracks.of(noisy)
+
+
+def truth_at(truth, tracks):
+    """Row of the truth with the identity and the frame of each row of the tracks, which must be there."""
+    where = {key: row for row, key in enumerate(zip(truth.frame.tolist(), truth.identity.tolist(), strict=True))}
+    return np.array([where[key] for key in zip(tracks.frame.tolist(), tracks.track.tolist(), strict=True)])
+
+
+def frames_of(tracks, track):
+    return tracks.frame[tracks.track == track]
+
+
+def test_without_noise_and_misses_the_true_boxes_come_back(perfect):
+    truth = TrueTracks.of(perfect)
+    scored = truth.take(truth.scored)
+    raw = oracle_tracks(perfect, truth, smoothed=False)
+    assert len(raw) == len(scored) > 20
+    np.testing.assert_array_equal(raw.boxes_px, np.round(truth.boxes_px[truth_at(truth, raw)], 3))
+
+
+def test_without_noise_the_smoother_changes_no_detected_box(perfect):
+    truth = TrueTracks.of(perfect)
+    raw = oracle_tracks(perfect, truth, smoothed=False)
+    smoothed = oracle_tracks(perfect, truth, smoothed=True, noise=EXACT)
+    seen = np.isfinite(smoothed.confidence)
+    assert (smoothed.frame[seen].tolist(), smoothed.track[seen].tolist()) == (raw.frame.tolist(), raw.track.tolist())
+    np.testing.assert_allclose(smoothed.boxes_px[seen], raw.boxes_px, rtol=0, atol=1e-6)
+
+
+def test_a_vessel_that_is_hidden_is_bridged(perfect):
+    truth = TrueTracks.of(perfect)
+    raw = oracle_tracks(perfect, truth, smoothed=False)
+    smoothed = oracle_tracks(perfect, truth, smoothed=True, noise=EXACT)
+    assert len(smoothed) > len(raw)
+    hidden = truth.take(truth.hidden)
+    keys = set(zip(smoothed.frame.tolist(), smoothed.track.tolist(), strict=True))
+    assert set(zip(hidden.frame.tolist(), hidden.identity.tolist(), strict=True)) & keys
+
+
+def test_each_track_has_each_frame_of_its_camera_from_its_first_detection_to_its_last(noisy, truth):
+    raw = oracle_tracks(noisy, truth, smoothed=False)
+    smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=SmootherNoise())
+    assert len(smoothed) > len(raw)
+    assert set(smoothed.track.tolist()) == set(raw.track.tolist())
+    for track in np.unique(raw.track).tolist():
+        seen = frames_of(raw, track)
+        taken = noisy.frames[noisy.frames % 2 == seen[0] % 2]
+        assert frames_of(smoothed, track).tolist() == taken[(taken >= seen[0]) & (taken <= seen[-1])].tolist()
+
+
+def test_a_bridged_box_has_the_label_of_the_detection_before_it(noisy, truth):
+    raw = oracle_tracks(noisy, truth, smoothed=False)
+    smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=SmootherNoise())
+    for track in np.unique(raw.track).tolist():
+        frame, label = raw.frame[raw.track == track], raw.label[raw.track == track]
+        before = np.searchsorted(frame, frames_of(smoothed, track), side="right") - 1
+        assert smoothed.label[smoothed.track == track].tolist() == label[before].tolist()
+    assert len(np.unique(raw.label)) > 1
+
+
+def test_boxes_and_confidences_are_those_that_a_tracker_is_given_and_no_false_one_is_among_them(noisy, truth):
+    raw = oracle_tracks(noisy, truth, smoothed=False)
+    false = np.isin(indices(noisy.detections, "kind", KINDS), FALSE_KINDS)
+    assert false.sum() > 5
+    assert len(raw) == (~false).sum()
+
+    def rows(frame, boxes_px, confidence):
+        return sorted(map(tuple, np.column_stack([frame, boxes_px, confidence]).tolist()))
+
+    told = np.round(noisy.detection_boxes_px(), 3), np.round(numbers(noisy.detections, "confidence"), 6)
+    assert rows(raw.frame, raw.boxes_px, raw.confidence) == rows(
+        noisy.detection_frame[~false], *(column[~false] for column in told)
+    )
+
+
+def test_identities_are_those_of_the_truth(noisy, truth):
+    raw = oracle_tracks(noisy, truth, smoothed=False)
+    vessel = {}
+    for frame, box, found in zip(
+        noisy.detection_frame.tolist(), np.round(noisy.detection_boxes_px(), 3), noisy.detection_vessel, strict=True
+    ):
+        vessel[frame, tuple(box.tolist())] = int(found)
+    came_from = [vessel[key] for key in zip(raw.frame.tolist(), map(tuple, raw.boxes_px.tolist()), strict=True)]
+    assert truth.vessel[truth_at(truth, raw)].tolist() == came_from
+
+
+def test_of_two_boxes_of_one_appearance_the_tracks_stay_apart_where_the_truth_splits_it(noisy, truth):
+    split = replace(truth, identity=2 * truth.identity + (truth.frame >= 90))
+    tracks = oracle_tracks(noisy, split, smoothed=True, noise=SmootherNoise())
+    assert all((frames_of(tracks, track) >= 90).all() == bool(track % 2) for track in np.unique(tracks.track).tolist())
+
+
+def test_smoothed_centres_are_closer_to_the_truth_than_detected_ones(noisy, truth):
+    raw = oracle_tracks(noisy, truth, smoothed=False)
+    smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=smoother_noise("strait"))
+    seen = smoothed.take(np.isfinite(smoothed.confidence))
+    true = truth.boxes_px[truth_at(truth, raw)]
+    errors = [np.hypot(*(centres(each.boxes_px) - centres(true)).T) for each in (raw, seen)]
+    assert errors[1].mean() < 0.95 * errors[0].mean()
+    assert np.isfinite(smoothed.covariance_px2).all()
+    assert (smoothed.covariance_px2[:, 0, 0] > 0).all()
+
+
+def test_the_smoother_is_the_least_squares_solution_of_all_steps_at_once():
+    rng, time_s = np.random.default_rng(1), np.array([1.0, 0.5, 1.5, 0.7, 2.0])
+    measured = np.array([100, 200, 60, 40]) + rng.normal(0, 3, (5, 4)).cumsum(axis=0)
+    there = np.array([True, True, False, True, True])
+    noise = SmootherNoise(noise_share=0, noise_x_px=2, noise_y_px=3, size_noise=1.2)
+    found = smoothed_motion(BoxSequences(corner_form(measured[:, None]), there[:, None], time_s[:, None]), noise)
+    variance, walk = noise.variance_px2(np.ones(2)), noise.rate_walk_px_s**2
+    for axis in range(4):
+        rows, wanted = [], []  # each row of the unknown places and rates, 10 of them, has variance 1
+        first = np.zeros(10)
+        first[1] = 1 / 1000
+        rows.append(first)
+        wanted.append(0.0)
+        for step in np.flatnonzero(there):
+            row = np.zeros(10)
+            row[2 * step] = 1 / np.sqrt(variance[axis])
+            rows.append(row)
+            wanted.append(measured[step, axis] / np.sqrt(variance[axis]))
+        for step, elapsed in enumerate(time_s[1:]):
+            change = np.zeros((2, 10))
+            change[:, 2 * step : 2 * step + 2] = -np.array([[1, elapsed], [0, 1]])
+            change[:, 2 * step + 2 : 2 * step + 4] = np.eye(2)
+            spread = walk[axis] * np.array([[elapsed**3 / 3, elapsed**2 / 2], [elapsed**2 / 2, elapsed]])
+            rows.extend(np.linalg.solve(np.linalg.cholesky(spread), change))
+            wanted.extend([0.0, 0.0])
+        matrix = np.array(rows)
+        information = matrix.T @ matrix
+        best, covariance = np.linalg.solve(information, matrix.T @ np.array(wanted)), np.linalg.inv(information)
+        np.testing.assert_allclose([each.place[0, axis] for each in found], best[::2], rtol=1e-6)
+        np.testing.assert_allclose([each.rate[0, axis] for each in found], best[1::2], rtol=1e-5, atol=1e-6)
+        for name, offset in (("place_variance", 0), ("rate_variance", 1)):
+            given = [getattr(each, name)[0, axis] for each in found]
+            np.testing.assert_allclose(given, np.diag(covariance)[offset::2], rtol=1e-5)
+
+
+def test_what_comes_after_the_last_detection_changes_nothing():
+    rng = np.random.default_rng(2)
+    boxes = corner_form(np.array([100, 200, 60, 40]) + rng.normal(0, 3, (4, 1, 4)))
+    there, time_s = np.ones((4, 1), dtype=bool), np.ones((4, 1))
+    longer = BoxSequences(np.tile(boxes, (2, 1, 1)), np.concatenate([there, ~there]), np.ones((8, 1)))
+    short = smoothed_motion(BoxSequences(boxes, there, time_s), SmootherNoise())
+    for one, other in zip(short, smoothed_motion(longer, SmootherNoise()), strict=False):
+        np.testing.assert_allclose(one.place, other.place, rtol=1e-9)
+
+
+def test_the_noise_that_made_boxes_is_found_again():
+    rng, count, length = np.random.default_rng(3), 60, 40
+    made = SmootherNoise(
+        noise_share=0.05,
+        noise_x_px=2.0,
+        noise_y_px=4.0,
+        size_noise=1.5,
+        velocity_change_px_s=6.0,
+        growth_change_px_s=1.0,
+    )
+    size = np.exp(rng.uniform(np.log(40), np.log(600), count))
+    place = np.column_stack([np.zeros((count, 2)), size, size])
+    rate, boxes = np.zeros((count, 4)), []
+    for _ in range(length):
+        boxes.append(place + rng.normal(0, 1, (count, 4)) * np.sqrt(made.variance_px2(place[:, 2:])))
+        first, second = rng.normal(0, 1, (2, count, 4)) * made.rate_walk_px_s
+        place, rate = place + rate + first / 2 + second / np.sqrt(12), rate + first
+        place = np.maximum(place, [-np.inf, -np.inf, 5, 5])
+    there = rng.random((length, count)) < 0.9
+    there[0] = True
+    found = most_likely_noise(BoxSequences(corner_form(np.array(boxes)), there, np.ones((length, count))))
+    for name, value in made.model_dump().items():
+        assert getattr(found, name) == pytest.approx(value, rel=0.25), name
+
+
+def test_fitted_noise_makes_the_detections_of_a_run_more_likely_than_other_noise(perfect):
+    truth = TrueTracks.of(perfect)
+    sequences = Spans.of(perfect, Provenance.of(perfect, truth)).sequences
+    found = fitted_noise(perfect, truth)
+    for name in ("noise_x_px", "noise_y_px", "growth_change_px_s"):
+        for factor in (0.3, 3):
+            other = found.model_copy(update={name: factor * getattr(found, name)})
+            assert log_likelihood(sequences, other) < log_likelihood(sequences, found)
+
+
+def test_noise_of_a_vessel_that_is_never_seen_twice_is_an_error(perfect):
+    row = np.flatnonzero(perfect.detection_frame == 0)
+    short = replace(
+        perfect,
+        detections=perfect.detections.take(row),
+        detection_frame=perfect.detection_frame[row],
+        detection_vessel=perfect.detection_vessel[row],
+    )
+    with pytest.raises(ModsimError, match="no vessel is detected twice"):
+        fitted_noise(short, TrueTracks.of(perfect))
+
+
+def test_each_shipped_scene_has_its_noise_and_others_have_the_default():
+    names = sorted(path.stem for path in data_folder("scenes").glob("*.yaml"))
+    noises = [smoother_noise(name) for name in names]
+    assert len(set(map(str, [*noises, smoother_noise("of somebody")]))) == len(names) + 1 == 7
+
+
+def test_a_damaged_file_of_noises_is_an_error_that_names_the_key(tmp_path, monkeypatch):
+    (tmp_path / "trackers").mkdir()
+    text = "default: {noise_x_px: -1}\nscenes: {}\n"
+    (tmp_path / "trackers" / "oracle.yaml").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(noise_module, "data_folder", lambda kind: tmp_path)
+    with pytest.raises(InputError, match=r"default\.noise_x_px"):
+        smoother_noise("fairway")
+
+
+def test_a_run_without_detections_has_no_tracks(noisy, truth):
+    nothing = replace(
+        noisy, detections=noisy.detections[:0], detection_frame=np.empty(0, int), detection_vessel=np.empty(0, int)
+    )
+    for smoothed in (False, True):
+        assert len(oracle_tracks(nothing, truth, smoothed=smoothed)) == 0
+
+
+def test_boxes_of_a_size_stay_in_the_image(noisy, truth):
+    smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=SmootherNoise(velocity_change_px_s=500))
+    assert (centre_form(smoothed.boxes_px)[:, 2:] >= 1 - 1e-9).all()
+    for index, camera in enumerate(noisy.scene.cameras):
+        boxes_px = smoothed.boxes_px[smoothed.camera == index]
+        assert (boxes_px >= 0).all() and (boxes_px <= np.tile(camera.intrinsics.image_size_px, 2)).all()

@@ -1,0 +1,163 @@
+"""Scores of tracks of a run: trackers, references, detector seeds, files and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import orjson
+import pytest
+
+import modsim3d
+from modsim3d.errors import ModsimError, RunDirectoryError
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.detector_seeds import Spread, detector_runs
+from modsim3d.tracking.report.numbers import keys_of
+from modsim3d.tracking.report.score_json import score_data
+from modsim3d.tracking.report.score_page import score_page
+from modsim3d.tracking.report.score_tables import remarks_of
+from modsim3d.tracking.score_run import RunScores, score_run
+from modsim3d.tracking.track_run import track_run
+from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import TrueTracks
+from tests.scenes import crossing
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    folder = tmp_path_factory.mktemp("score")
+    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
+    return open_run(folder / "run")
+
+
+@pytest.fixture(scope="module")
+def tracks(run: StoredRun) -> Path:
+    return track_run(run, run.folder.parent / "tracks").folder
+
+
+@pytest.fixture(scope="module")
+def perfect(run: StoredRun) -> TrackSet:
+    truth = TrueTracks.of(RunRows.of(run))
+    return TrackSet("perfect", Tracks.of(truth.cameras, truth.frame, truth.identity, truth.boxes_px), None)
+
+
+@pytest.fixture(scope="module")
+def scores(run: StoredRun, tracks: Path, perfect: TrackSet) -> RunScores:
+    return score_run(run, [tracks, perfect])
+
+
+def test_perfect_tracks_score_1_and_come_first(scores: RunScores) -> None:
+    assert [each.name for each in scores.trackers] == ["perfect", "reference"]
+    best = keys_of(scores.trackers[0].scores)
+    assert (best["hota"], best["mota"], best["idf1"], best["gospa"]) == pytest.approx((1, 1, 1, 0))
+    assert scores.conclusion.startswith("perfect has the highest HOTA of 2 trackers: it follows vessels for 100 %")
+
+
+def test_references_do_not_depend_on_the_trackers_beside_them(run: StoredRun, scores: RunScores, tracks: Path) -> None:
+    alone = score_run(run, tracks)
+    assert alone.references["raw"].flat() == scores.references["raw"].flat()
+    raw, smoothed = (keys_of(alone.references[name]) for name in ("raw", "smoothed"))
+    assert raw["id_switches"] == 0
+    assert (smoothed["hota"] or 0) > (raw["hota"] or 0)  # the boxes of this scene are noisy
+
+
+def test_the_first_detector_seed_is_the_run_itself_and_the_others_are_not(run: StoredRun) -> None:
+    (seed, first), (_, second) = detector_runs(run, 2)
+    stored = RunRows.of(run)
+    assert seed == run.scene.detector_seed
+    assert first.detections.equals(stored.detections) and first.truth.equals(stored.truth)
+    assert second.truth["full_x_min_px"].equals(stored.truth["full_x_min_px"])
+    assert not np.array_equal(second.detection_boxes_px(), stored.detection_boxes_px())
+
+
+def test_scores_of_the_first_seed_are_those_of_the_run(run: StoredRun, scores: RunScores, tracks: Path) -> None:
+    told: list[int] = []
+    found = score_run(run, tracks, seeds=2, progress=told.append)
+    assert found.seeds is not None and told == [1, 1]
+    of_tracker, of_smoothed = (found.seeds.spreads[name]["hota"].values for name in ("reference", "smoothed"))
+    assert of_tracker[0] == keys_of(scores.trackers[1].scores)["hota"] != of_tracker[1]
+    assert of_smoothed[0] == keys_of(scores.references["smoothed"])["hota"]
+    assert "it says nothing about other traffic" in score_page(found)
+
+
+def test_a_spread_is_the_textbook_one() -> None:
+    """Student's t at 97.5 % with 2 degrees of freedom is 4.30265; half the interval is that over √3."""
+    spread = Spread((1.0, None, 2.0, 3.0))
+    assert (spread.mean, spread.deviation) == (2.0, 1.0)
+    assert spread.interval == pytest.approx((2 - 2.48414, 2 + 2.48414), abs=1e-5)
+    assert (Spread((None,)).mean, Spread((1.0,)).deviation, Spread((1.0,)).interval) == (None, None, None)
+
+
+def test_what_is_written_is_what_is_told_and_stays_without_overwrite(scores: RunScores, tmp_path: Path) -> None:
+    data, page = scores.write(tmp_path / "out")
+    assert json.loads(data.read_text()) == orjson.loads(orjson.dumps(score_data(scores), default=str))
+    assert scores.conclusion in page.read_text().split("<p", 2)[1]
+    with pytest.raises(ModsimError, match="exists: use --overwrite"):
+        scores.write(tmp_path / "out")
+    first = page.read_bytes()
+    scores.write(tmp_path / "out", overwrite=True)
+    assert page.read_bytes() == first
+
+
+def test_the_page_needs_no_network_and_shows_names_as_text(run: StoredRun, perfect: TrackSet) -> None:
+    page = score_page(score_run(run, replace(perfect, name="<b>mine</b>"), by_class=False))
+    assert "<b>mine" not in page and "&lt;b&gt;mine" in page
+    assert not any(part in page for part in ("http:", "https:", "src=", "<script"))
+
+
+def test_a_tracker_without_tracks_and_a_rule_that_matches_nothing_are_scored(run: StoredRun) -> None:
+    nothing = TrackSet("nothing", Tracks.of(1, *(np.empty(0, dtype=int) for _ in range(2)), np.empty((0, 4))), None)
+    scores = score_run(run, nothing)
+    assert scores.conclusion.startswith("nothing follows no vessel: no track counts")
+    assert "nothing" in scores._repr_html_() and score_page(scores)
+
+
+def test_noisy_boxes_are_told_where_iou_scores_them(run: StoredRun, tracks: Path, scores: RunScores) -> None:
+    raw = keys_of(scores.references["raw"])["hota"]
+    assert raw is not None and raw < 0.3
+    assert f"have HOTA {raw:.2f} only" in remarks_of(scores)
+    by_centre = score_run(run, tracks, similarity="centre", scale_px=150)
+    assert "only" not in remarks_of(by_centre)
+
+
+def test_tracks_in_the_world_have_a_table_of_their_own(run: StoredRun, tmp_path: Path) -> None:
+    path = tmp_path / "fused.csv"
+    path.write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
+    scores = score_run(run, path)
+    assert scores.trackers == () and scores.references == {}
+    assert scores.conclusion == "fused.csv follows no vessel in the world."
+    assert "Tracks in the world" in score_page(scores)
+    assert score_data(scores)["world"][0]["rmse_m"] is None
+
+
+def test_track_sets_of_one_name_are_told_apart(run: StoredRun, tracks: Path, perfect: TrackSet) -> None:
+    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
+    assert names == ["perfect 1", "perfect 2", "reference"]
+
+
+def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:
+    with pytest.raises(ModsimError, match="nothing says which one made 'perfect': give folders that `modsim3d track`"):
+        score_run(run, [tracks, perfect], seeds=3)
+    with pytest.raises(ModsimError, match=r"--seeds must be from 2 to 1000 \(got 1\)"):
+        score_run(run, tracks, seeds=1)
+    with pytest.raises(ModsimError, match="is given twice"):
+        score_run(run, [tracks, tracks])
+    with pytest.raises(ModsimError, match="there are no tracks to score"):
+        score_run(run, [])
+    with pytest.raises(ModsimError, match="--similarity centre needs --scale"):
+        score_run(run, tracks, similarity="centre")
+    with pytest.raises(TypeError, match="tracks"):
+        score_run(run, [3])  # type: ignore[list-item]
+    with pytest.raises(RunDirectoryError):
+        score_run(tmp_path, tracks)
+
+
+def test_score_run_is_at_hand(scores: RunScores) -> None:
+    assert modsim3d.score_run is score_run
+    assert repr(scores) == f"<RunScores {scores.run.folder}: {scores.conclusion}>"

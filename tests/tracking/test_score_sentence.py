@@ -1,0 +1,100 @@
+"""The sentence of a score says what the numbers say, at the edges too."""
+
+from __future__ import annotations
+
+import pytest
+
+from modsim3d.tracking.report.numbers import number, percent
+from modsim3d.tracking.report.sentence import LengthBin, Told, conclusion
+
+Numbers = dict[str, float | int | None]
+SHORT, LONG = LengthBin("of 0 to 1 s", 10, 9), LengthBin("longer than 10 s", 9, 2)
+
+
+def keys(hota: float | None, followed: int = 71, missed: int = 29, false: int = 0) -> Numbers:
+    return {"hota": hota, "true_positives": followed, "misses": missed, "false_positives": false}
+
+
+def told(name: str, lengths: tuple[LengthBin, ...] = (), **scores: float | None) -> Told:
+    return Told(name, keys(**{"hota": 0.52, **scores}), lengths)  # type: ignore[arg-type]
+
+
+REFERENCE = keys(0.78)
+
+
+def test_one_tracker_is_told_with_the_reference_and_what_it_loses_most() -> None:
+    assert conclusion([told("sort", (SHORT, LONG))], REFERENCE) == (
+        "sort follows vessels for 71 % of the time that it should (HOTA 0.52; the same detections with perfect "
+        "association reach 0.78). Among occlusions it does worst in those longer than 10 s: 2 of 9 are survived."
+    )
+
+
+def test_of_several_trackers_the_best_is_told() -> None:
+    said = conclusion([told("sort"), told("slow", hota=0.4), told("slower", hota=None)], REFERENCE)
+    assert said.startswith("sort has the highest HOTA of 3 trackers: it follows vessels for 71 % of the time")
+
+
+def test_trackers_of_one_hota_share_the_first_place() -> None:
+    said = conclusion([told("a"), told("b"), told("c", hota=0.1)], REFERENCE)
+    assert said.startswith("a and b have the same HOTA, the highest of 3 trackers: a follows vessels")
+    assert conclusion([told("a"), told("b")], REFERENCE).startswith("a and b have the same HOTA: a follows vessels")
+
+
+def test_a_tracker_above_the_reference_is_not_told_to_fall_short_of_it() -> None:
+    said = conclusion([told("sort", hota=0.8)], REFERENCE)
+    assert "(HOTA 0.80, above the 0.78 of the same detections with perfect association)" in said
+    assert "reach" not in said
+
+
+def test_a_reference_without_detections_is_not_told() -> None:
+    assert "(HOTA 0.52)." in conclusion([told("sort")], keys(None))
+
+
+def test_without_tracks_nothing_is_followed() -> None:
+    nothing = told("sort", hota=0.0, followed=0, missed=40)
+    assert conclusion([nothing], REFERENCE) == (
+        "sort follows no vessel: no track counts, and 40 boxes of vessels should be followed."
+    )
+    assert conclusion([nothing, nothing], REFERENCE).startswith("None of the 2 trackers follows a vessel;")
+
+
+@pytest.mark.parametrize(("false", "has"), [(1, "its only box is false"), (7, "all of its 7 boxes are false")])
+def test_tracks_that_follow_nothing_are_called_false(false: int, has: str) -> None:
+    said = conclusion([told("sort", hota=0.0, followed=0, missed=1, false=false)], REFERENCE)
+    assert said == f"sort follows no vessel: {has}, and 1 box of vessels should be followed."
+
+
+def test_without_vessels_nothing_could_be_followed() -> None:
+    empty = keys(None, 0, 0)
+    assert conclusion([Told("sort", empty, ())], empty) == (
+        "There is no vessel to follow in this run, and sort has no track."
+    )
+    said = conclusion([Told("sort", keys(0.0, 0, 0, 3), ())], empty)
+    assert said == "There is no vessel to follow in this run, and sort reports 3 boxes, all false."
+    assert "can only be false" in conclusion([Told("sort", empty, ()), Told("b", empty, ())], empty)
+
+
+def lengths(*counts: tuple[int, int]) -> tuple[LengthBin, ...]:
+    return tuple(LengthBin(f"of {k} s", all_of_them, survived) for k, (all_of_them, survived) in enumerate(counts))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "said"),
+    [
+        ((), "No vessel that it followed came out of an occlusion."),
+        (lengths((0, 0)), "No vessel that it followed came out of an occlusion."),
+        (lengths((1, 1)), "It keeps its vessel through the only occlusion."),
+        (lengths((1, 0)), "It keeps its vessel through 0 of 1 occlusion."),
+        (lengths((2, 2), (3, 3)), "It keeps its vessel through all 5 occlusions."),
+        (lengths((2, 1), (9, 3)), "It keeps its vessel through 4 of 11 occlusions."),
+    ],
+)
+def test_occlusions_are_told_as_far_as_there_are_enough(lengths: tuple[LengthBin, ...], said: str) -> None:
+    assert conclusion([told("sort", lengths)], REFERENCE).endswith(said)
+
+
+def test_a_share_is_0_or_100_percent_only_if_it_is() -> None:
+    assert [percent(share) for share in (0.0, 0.001, 0.5, 0.999, 1.0, None)] == [
+        *("0 %", "under 1 %", "50 %", "over 99 %", "100 %", "–")
+    ]
+    assert [number(-0.25, 2), number(None), number(1234.0, 0)] == ["−0.25", "–", "1,234"]

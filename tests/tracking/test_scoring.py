@@ -1,0 +1,96 @@
+"""All scores together: their keys, and those by state, camera and class."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from math import sqrt
+
+import pytest
+
+from modsim3d.errors import ModsimError
+from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scoring import Scores, SubsetScores, score_tracks
+from tests.tracking.hand_made import LABELS, Seen, box, rows_of, tracks_of
+
+A, B = box(0), box(100)
+BY_CLASS = Rules(by_class=True)
+
+
+def scores_of(truth, tracks, steps: int, rules: Rules | None = None, **kinds: object) -> Scores:
+    cameras = kinds.get("cameras", 1)
+    return score_tracks(rows_of(truth, steps, **kinds), tracks_of(tracks, cameras), rules or Rules())
+
+
+@pytest.fixture(scope="module")
+def miss_in_haze() -> Scores:
+    """A vessel in two clear frames and in two in haze; it is missed in the last."""
+    truth, tracks = [(k, 0, A) for k in range(4)], [(k, 1, A) for k in range(3)]
+    return scores_of(truth, tracks, 4, states=[0, 0, 1, 1])
+
+
+def test_every_key_is_that_of_one_part(miss_in_haze: Scores) -> None:
+    keys = [field.name for part in miss_in_haze.parts for field in fields(part)]
+    assert len(keys) == len(set(keys)) and [*miss_in_haze.flat()] == keys
+    named = {"hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "ospa", "siap_completeness", "rmse_px"}
+    assert named | {"established_share", "hidden_followed", "occlusions_survived"} <= set(keys)
+    nested = {"by_state", "by_camera", "breakdown", "each_occlusion"}
+    assert set(miss_in_haze.as_json()) == set(keys) | nested
+
+
+def test_a_state_has_the_scores_of_its_frames_only(miss_in_haze: Scores) -> None:
+    assert miss_in_haze.flat()["hota"] == pytest.approx(0.75)  # DetA = 3/4, A = 3/4
+    perfect = SubsetScores(frames=2, vessel_frames=2, hota=1, deta=1, assa=1, mota=1, idf1=1)
+    half = SubsetScores(frames=2, vessel_frames=2, hota=0.5, deta=0.5, assa=0.5, mota=0.5, idf1=2 / 3)
+    assert [*miss_in_haze.by_state] == ["clear", "haze"]
+    for name, expected in (("clear", perfect), ("haze", half)):
+        assert vars(miss_in_haze.by_state[name]) == pytest.approx(vars(expected), abs=1e-12)
+
+
+def test_a_camera_has_the_scores_of_its_frames_only() -> None:
+    found = scores_of([(k, 0, A) for k in range(4)], [(0, 1, A), (2, 1, A)], 2, cameras=2).by_camera
+    assert found == {
+        "C0": SubsetScores(2, 2, 1, 1, 1, 1, 1),
+        "C1": SubsetScores(2, 2, 0, 0, None, 0, 0),
+    }
+
+
+def test_a_track_on_a_vessel_that_is_not_scored_counts_in_no_subset() -> None:
+    truth = [Seen(0, 0, A), Seen(1, 0, A, visible=0)]
+    found = scores_of(truth, [(0, 1, A), (1, 1, A)], 2, states=[0, 1])
+    assert found.by_state == {"clear": SubsetScores(1, 1, 1, 1, 1, 1, 1), "haze": SubsetScores(1, 0, *(None,) * 5)}
+
+
+def test_by_class_each_label_has_its_own_matching_and_the_others_stay_of_all_classes() -> None:
+    # Vessel 0 has label 0, vessel 2 label 1; the tracker takes both for label 0, and has a box of label 0 too much.
+    truth = [(k, vessel, place) for k in range(2) for vessel, place in ((0, A), (2, B))]
+    tracks = [(k, track, place, 0) for k in range(2) for track, place in ((1, A), (2, B))]
+    found = scores_of(truth, tracks, 2, BY_CLASS)
+    assert found.flat() == scores_of(truth, tracks, 2).flat()
+    assert found.flat()["hota"] == 1
+    first, second = (found.by_class[name].flat() for name in LABELS[:2])
+    assert [*found.by_class] == [*LABELS[:2]]  # nothing has the third
+    # Label 0: 2 matches and 2 false boxes, so DetA = 2/4, A = 1, MOTA = 1 − 2/2. Label 1: 2 misses.
+    assert (first["hota"], first["mota"], first["false_positives"]) == pytest.approx((sqrt(0.5), 0, 2))
+    assert (second["hota"], second["mota"], second["misses"]) == (0, 0, 2)
+    assert found.as_json()["by_class"] == {LABELS[0]: first, LABELS[1]: second}
+
+
+def test_a_track_without_a_label_is_refused_by_class() -> None:
+    tracks = [(0, 1, A, 0), (0, 2, B), (1, 1, A, 0)]
+    with pytest.raises(
+        ModsimError, match=r"^--by-class needs a label .* 1 of 3 rows have none: score without --by-class$"
+    ):
+        scores_of([(0, 0, A)], tracks, 2, BY_CLASS)
+    assert scores_of([(0, 0, A)], tracks, 2).by_class == {}
+
+
+@pytest.mark.parametrize(("truth", "tracks"), [([], []), ([(0, 0, A)], []), ([], [(0, 1, A, 0)])])
+def test_runs_without_vessels_or_tracks_have_scores_too(truth, tracks) -> None:
+    found = scores_of(truth, tracks, 2, BY_CLASS).as_json()
+    assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
+
+
+def test_the_json_is_made_of_what_json_knows(miss_in_haze: Scores) -> None:
+    found = miss_in_haze.as_json() | {"hota_by_alpha": list(miss_in_haze.flat()["hota_by_alpha"])}
+    assert json.loads(json.dumps(found, allow_nan=False)) == found

@@ -1,0 +1,282 @@
+"""Scores of tracks on the sea against values worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.errors import ModsimError
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracking.scores.rules import SetDistance
+from modsim3d.tracking.world.encounters import Quartiles, quartiles
+from modsim3d.tracking.world.errors import OverVessels, nees
+from modsim3d.tracking.world.following import Estimates
+from modsim3d.tracking.world.scoring import WorldScores, score_world
+from modsim3d.tracking.world.truth import WorldTruth
+from modsim3d.tracks.world_tracks import WorldTracks
+from tests.tracks.sea_runs import (
+    ANCHORED,
+    ASTERN,
+    CROSSER,
+    NAMES,
+    OWN,
+    PLACES_M,
+    STARTS_M,
+    STEPS,
+    TIMES_S,
+    VELOCITIES_M_S,
+    sea_run,
+)
+
+EVERY = np.arange(STEPS)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    return sea_run(tmp_path_factory.mktemp("sea") / "run")
+
+
+@pytest.fixture(scope="module")
+def rows(run: StoredRun) -> RunRows:
+    return RunRows.of(run)
+
+
+@pytest.fixture(scope="module")
+def scored(rows: RunRows) -> Any:
+    """Whether a camera sees each vessel, (S, V)."""
+    return WorldTruth.of(rows).scored
+
+
+def tracks_of(parts: Sequence[tuple[int, Any]], shift_m: Any = (0, 0), **columns: Any) -> WorldTracks:
+    """One track for each vessel and its times, in order, on the vessel's true place but for a shift."""
+    track = np.concatenate([np.full(len(times), index) for index, (_, times) in enumerate(parts)])
+    vessel = np.array([vessel for vessel, _ in parts])[track]
+    times_s = np.concatenate([times for _, times in parts])
+    position = STARTS_M[vessel] + times_s[:, None] * VELOCITIES_M_S[vessel] + np.asarray(shift_m, dtype=float)
+    names = tuple(f"t{index}" for index in range(len(parts)))
+    return WorldTracks.of("t", track, names, times_s, position, VELOCITIES_M_S[vessel], columns.get("covariance"))
+
+
+def perfect(scored: Any, **columns: Any) -> WorldTracks:
+    return tracks_of([(vessel, TIMES_S[scored[:, vessel]]) for vessel in (CROSSER, ANCHORED)], **columns)
+
+
+def values(scores: WorldScores, *names: str) -> list[float | int | None]:
+    return [scores.keys()[name] for name in names]
+
+
+def test_a_camera_sees_the_crosser_until_it_leaves_the_image_and_never_own_ship(scored: Any) -> None:
+    hidden = np.flatnonzero(~scored[:, ANCHORED])
+    assert 1 <= len(hidden) <= 8 and len(hidden) == hidden[-1] - hidden[0] + 1
+    # Seen from the camera 5 m ahead of own ship's middle, the crosser then lies in the way.
+    places_m = PLACES_M[hidden[len(hidden) // 2]]
+    to_both = places_m[[CROSSER, ANCHORED]] - places_m[OWN] - (5, 0)
+    assert np.ptp(np.arctan2(to_both[:, 1], to_both[:, 0])) < 0.05
+    assert not scored[:, OWN].any() and not scored[:, ASTERN].any()
+    leaves = int(np.flatnonzero(~scored[:, CROSSER])[0])
+    assert scored[:leaves, CROSSER].all() and not scored[leaves:, CROSSER].any()
+    # At 20.5 s it is 17.5 m ahead and 22 m to port of own ship: far outside 38.7 degrees.
+    assert 10 < TIMES_S[leaves] < 20.5
+
+
+def test_perfect_tracks_have_no_error_and_are_established_at_first_sight(rows: RunRows, scored: Any) -> None:
+    scores = score_world(rows, perfect(scored))
+    assert values(scores, "rmse_m", "rmse_m_s", "gospa_m", "id_switches", "track_breaks", "false_tracks") == [0] * 6
+    assert values(scores, "vessels", "established", "followed_share") == [2, 2, 1]
+    assert values(scores, "pairs") == [scored.sum()]
+    assert scores.name == "t" and scores.traffic == "this traffic only"
+    for met in scores.encounters:
+        if met.seen_s is not None:
+            assert (met.established_s, met.established_m) == (met.seen_s, met.seen_m)
+
+
+def test_tracks_shifted_by_3_and_4_metres_have_errors_of_5(rows: RunRows, scored: Any) -> None:
+    scores = score_world(rows, perfect(scored, shift_m=(3, 4)))
+    assert values(scores, "rmse_m", "rmse_m_low", "rmse_m_high") == pytest.approx([5, 5, 5])
+    assert values(scores, "gospa_m", "gospa_localisation_m") == pytest.approx([5 * scored.sum() / STEPS] * 2)
+    assert values(scores, "rmse_m_s", "gospa_missed_m", "gospa_false_m", "nees") == [0, 0, 0, None]
+
+
+def test_nees_of_a_shift_is_its_mahalanobis_distance(rows: RunRows, scored: Any) -> None:
+    whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4))
+    scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
+    assert values(scores, "nees", "anees", "nees_velocity", "nees_state", "anees_state") == [5, 2.5, 0, 5, 1.25]
+
+
+def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
+    rng = np.random.default_rng(5)
+    factor = rng.normal(size=(4, 4))
+    count = 40_000
+    errors = rng.normal(size=(count, 4)) @ factor.T
+    found = nees(errors, np.broadcast_to(factor @ factor.T, (count, 4, 4)))
+    # A chi-square number with 4 degrees of freedom has the variance 8.
+    assert found.mean() == pytest.approx(4, abs=4 * np.sqrt(8 / count))
+    assert np.isnan(nees(errors[:1], np.full((1, 4, 4), np.nan))).all()
+
+
+def test_each_vessel_counts_once_however_long_it_is_followed(rows: RunRows, scored: Any) -> None:
+    one = tracks_of([(CROSSER, TIMES_S[:3])], shift_m=(6, 8))
+    other = tracks_of([(ANCHORED, TIMES_S)])
+    both = WorldTracks.of(
+        "t",
+        np.append(one.track, other.track + 1),
+        ("a", "b"),
+        *(np.concatenate([getattr(one, name), getattr(other, name)]) for name in ("time_s", "position_m")),
+    )
+    scores = score_world(rows, both)
+    # The t-quantile of 0.975 with one degree of freedom is 12.706, and the standard error of 10 and 0 is 5.
+    assert values(scores, "rmse_m", "rmse_m_low", "rmse_m_high") == pytest.approx([5, 5 - 63.531, 5 + 63.531], abs=1e-3)
+    seen = int(scored[:, CROSSER].sum())
+    assert values(scores, "followed_share") == pytest.approx([(3 / seen + 1) / 2])
+
+
+def test_a_mean_over_few_vessels_has_no_interval() -> None:
+    assert OverVessels.of(np.array([np.nan])) == OverVessels(None, None, None, 0)
+    assert OverVessels.of(np.array([3.0, np.nan])) == OverVessels(3.0, None, None, 1)
+
+
+def test_a_missed_vessel_and_a_false_track_cost_half_the_cutoff_each(rows: RunRows, scored: Any) -> None:
+    lost = score_world(rows, tracks_of([(CROSSER, TIMES_S[scored[:, CROSSER]])]))
+    missed = 25 * scored[:, ANCHORED].sum() / STEPS
+    assert values(lost, "gospa_m", "gospa_missed_m", "gospa_false_m") == pytest.approx([missed, missed, 0])
+    assert values(lost, "vessels", "established") == [2, 1]
+    far = tracks_of([(ANCHORED, TIMES_S), (ANCHORED, TIMES_S[10:20])], shift_m=0)
+    far.position_m[far.track == 1] += (0, 400)
+    ghost = score_world(rows, far, set_distance=SetDistance(cutoff=30, power=1))
+    crosser = 15 * scored[:, CROSSER].sum() / STEPS
+    assert values(ghost, "gospa_missed_m", "gospa_false_m") == pytest.approx([crosser, 15 * 10 / 60])
+    assert values(ghost, "false_tracks", "false_track_s") == [1, 5.0]
+
+
+def test_without_tracks_all_is_missed(rows: RunRows, scored: Any) -> None:
+    none = WorldTracks.of("t", np.zeros(0, dtype=np.int64), (), np.zeros(0), np.zeros((0, 2)))
+    scores = score_world(rows, none)
+    assert values(scores, "gospa_m", "followed_share", "established") == [25 * scored.sum() / STEPS, 0, 0]
+    assert values(scores, "rmse_m", "nees", "pairs", "encounters", "encounters_established") == [None, None, 0, 1, 0]
+    assert all(met.established_s is None and met.time_left_s is None for met in scores.encounters)
+
+
+def test_a_track_on_a_vessel_that_no_camera_sees_is_neither_right_nor_wrong(rows: RunRows, scored: Any) -> None:
+    unseen = TIMES_S[~scored[:, CROSSER]]
+    extra = [(OWN, TIMES_S), (ASTERN, TIMES_S), (CROSSER, unseen)]
+    seen = [(vessel, TIMES_S[scored[:, vessel]]) for vessel in (CROSSER, ANCHORED)]
+    with_them, without = score_world(rows, tracks_of(seen + extra)), score_world(rows, tracks_of(seen))
+    assert with_them.keys() == without.keys() and with_them.encounters == without.encounters
+
+
+def test_a_track_beyond_the_gate_follows_nothing(rows: RunRows) -> None:
+    tracks = tracks_of([(ANCHORED, TIMES_S)], shift_m=(0, 40))
+    assert values(score_world(rows, tracks), "established", "false_tracks", "rmse_m") == [1, 0, 40]
+    assert values(score_world(rows, tracks, gate_m=39), "established", "false_tracks", "rmse_m") == [0, 1, None]
+
+
+def test_switches_and_breaks_are_counted_as_a_vessel_goes_from_track_to_track(rows: RunRows) -> None:
+    # Followed from 1 s on by one track, by the next, by nobody for five steps, and by the third.
+    parts = [(2, 10), (10, 20), (25, 30)]
+    tracks = tracks_of([(ANCHORED, TIMES_S[slice(*part)]) for part in parts])
+    last = replace(tracks, track=np.array([0, 1, 1])[tracks.track], track_names=("a", "b"))
+    assert values(score_world(rows, last), "id_switches", "track_breaks", "false_tracks") == [1, 1, 0]
+    assert values(score_world(rows, tracks), "id_switches", "track_breaks") == [2, 1]
+
+
+def test_the_track_of_the_step_before_is_kept_though_another_comes_nearer(rows: RunRows) -> None:
+    tracks = tracks_of([(ANCHORED, TIMES_S), (ANCHORED, TIMES_S[30:])])
+    tracks.position_m[tracks.track == 0] += (3, 4)
+    scores = score_world(rows, tracks)
+    assert values(scores, "id_switches", "rmse_m", "false_tracks") == [0, pytest.approx(5), 1]
+
+
+def test_a_track_that_lost_its_vessel_for_a_step_is_not_preferred(rows: RunRows) -> None:
+    # While the crosser's track keeps the step from being empty, the anchored vessel has none at step 30.
+    far = np.delete(TIMES_S[:40], 30)
+    tracks = tracks_of([(ANCHORED, far), (ANCHORED, TIMES_S[31:40]), (CROSSER, TIMES_S[:40])])
+    tracks.position_m[tracks.track == 0] += (3, 4)
+    assert values(score_world(rows, tracks), "id_switches") == [1]
+
+
+def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored: Any, tmp_path: Path) -> None:
+    bow = rows.scene.cameras[0]
+    lens = {"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [640, 360]}
+    cameras = {
+        vessel: {**lens, "image_size_px": [1280, 720], "mount": {"vessel": vessel, "position_m": [5, 0, 6]}}
+        for vessel in ("own", "crosser")
+    }
+    both = WorldTruth.of(RunRows.of(sea_run(tmp_path / "run", cameras=cameras, steps=4)))
+    assert bow.mount.vessel == "own" and scored[:4, CROSSER].all()
+    assert both.own_ships == (OWN, CROSSER) and not both.scored[:, [OWN, CROSSER]].any()
+    assert both.scored[:, ANCHORED].all()
+
+
+def test_estimates_between_steps_are_held_against_the_place_at_their_own_time(rows: RunRows, scored: Any) -> None:
+    seen = TIMES_S[scored[:, CROSSER]]
+    scores = score_world(rows, tracks_of([(CROSSER, seen[:-1] + 0.2), (ANCHORED, TIMES_S - 0.1)]))
+    assert values(scores, "rmse_m", "rmse_m_s") == pytest.approx([0, 0], abs=1e-9)
+    assert scores.keys()["pairs"] == scored.sum() - 1
+
+
+def test_a_tracker_slower_than_the_steps_is_there_at_each(rows: RunRows, scored: Any) -> None:
+    scores = score_world(rows, tracks_of([(ANCHORED, TIMES_S[::4]), (CROSSER, TIMES_S[scored[:, CROSSER]][::4])]))
+    # Each reaches a second to either side: those at 28 s to 29 s, and the crosser's last, at 18 s, to 19 s.
+    assert values(scores, "rmse_m", "id_switches", "track_breaks") == pytest.approx([0, 0, 0], abs=1e-9)
+    assert scored[:, CROSSER].sum() == 40
+    assert scores.keys()["pairs"] == scored[:59, ANCHORED].sum() + 39
+
+
+def test_the_nearest_estimate_in_time_stands_for_a_step() -> None:
+    tracks = WorldTracks.of("t", np.zeros(3, dtype=np.int64), ("a", "b"), np.array([0.0, 0.9, 2.1]), np.zeros((3, 2)))
+    found = Estimates.of(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
+    np.testing.assert_array_equal([found.step, found.row], [[0, 1, 2], [0, 1, 2]])
+
+
+def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, scored: Any) -> None:
+    # From own ship the crosser is at (120 − 5 t, −60 + 4 t): least distance 180 / √41 m at 840 / 41 s.
+    tracks = tracks_of([(CROSSER, TIMES_S[6:20])])
+    met = {each.vessel: each for each in score_world(rows, tracks).encounters}
+    crosser = met["crosser"]
+    assert (crosser.own_ship, crosser.kind, crosser.passed, crosser.expected) == ("own", "gives_way", True, True)
+    assert (crosser.closest_m, crosser.closest_s) == pytest.approx((180 / np.sqrt(41), 840 / 41))
+    assert (crosser.seen_s, crosser.seen_m) == pytest.approx((0, np.hypot(120, 60)))
+    assert (crosser.established_s, crosser.established_m) == pytest.approx((3, np.hypot(105, 48)))
+    assert crosser.time_left_s == pytest.approx(840 / 41 - 3)
+    anchored = met["anchored"]
+    assert (anchored.kind, anchored.passed, anchored.expected) == ("overtaking", False, False)
+    assert (anchored.closest_s, anchored.established_s) == (29.5, None)
+    assert "astern" not in met  # keeps its distance from the first step on
+    keys = score_world(rows, tracks).keys()
+    assert (keys["encounters"], keys["encounters_established"]) == (1, 1)
+    assert keys["established_m"] == keys["established_m_lower"] == pytest.approx(np.hypot(105, 48))
+
+
+def test_a_vessel_farther_than_asked_has_not_met_own_ship(rows: RunRows, scored: Any) -> None:
+    tracks = perfect(scored)
+    assert [met.vessel for met in score_world(rows, tracks, encounter_m=50).encounters] == ["crosser"]
+    assert not score_world(rows, tracks, encounter_m=28).encounters
+
+
+def test_an_estimate_after_its_step_establishes_at_its_own_time(rows: RunRows) -> None:
+    (crosser, *_) = score_world(rows, tracks_of([(CROSSER, TIMES_S[4:10] + 0.2)])).encounters
+    assert crosser.established_s == pytest.approx(2.2)
+    assert crosser.established_m == pytest.approx(np.hypot(120 - 5 * 2.2, -60 + 4 * 2.2))
+
+
+def test_a_vessel_that_is_never_established_is_the_worst_of_a_quartile() -> None:
+    assert quartiles([40.0, None, 10.0, 30.0]) == Quartiles(None, 10.0, 30.0)
+    assert quartiles([]) == Quartiles(None, None, None)
+
+
+@pytest.mark.parametrize(("option", "value"), [("gate_m", 0.0), ("gate_m", np.nan), ("encounter_m", -1.0)])
+def test_distances_must_be_above_zero(option: str, value: float, rows: RunRows, scored: Any) -> None:
+    with pytest.raises(ModsimError, match="must be above 0 metres"):
+        score_world(rows, perfect(scored), **{option: value})
+
+
+def test_a_run_and_its_rows_have_the_same_scores(run: StoredRun, rows: RunRows, scored: Any) -> None:
+    assert score_world(run, perfect(scored)).keys() == score_world(rows, perfect(scored)).keys()
+    assert run.scene.vessel_names == NAMES
+    np.testing.assert_allclose(WorldTruth.of(rows).hulls.centres_m, PLACES_M)

@@ -1,0 +1,321 @@
+"""Tracks on the sea, read from CSV and from ROS 2 bags."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+from modsim3d.ais.geography import places
+from modsim3d.errors import InputError, ModsimError
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracks.reading_world import is_world, read_world_tracks
+from modsim3d.tracks.world_bag import _VISION_MSGS, ARRAYS, ODOMETRY
+from modsim3d.tracks.world_tracks import WorldTracks
+from tests.tracks.sea_runs import CROSSER, ORIGIN, PLACES_M, TIMES_S, VELOCITIES_M_S, sea_run, write_csv
+
+TWO = [CROSSER, 3]
+STATE_COVARIANCE = np.array([[9.0, 1, 0.5, 0.2], [1, 4, 0.1, 0.3], [0.5, 0.1, 0.25, 0.05], [0.2, 0.3, 0.05, 0.16]])
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    return sea_run(tmp_path_factory.mktemp("sea") / "run")
+
+
+def rows() -> dict[str, Any]:
+    """Two tracks at all steps: the crosser and the anchored vessel."""
+    position = PLACES_M[:, TWO].reshape(-1, 2)
+    velocity = np.tile(VELOCITIES_M_S[TWO], (len(TIMES_S), 1))
+    return {
+        "time_s": np.repeat(TIMES_S, 2),
+        "track": ["a", "b"] * len(TIMES_S),
+        "w1_m": position[:, 0],
+        "w2_m": position[:, 1],
+        "v1_m_s": velocity[:, 0],
+        "v2_m_s": velocity[:, 1],
+    }
+
+
+def changed(drop: str = "", **columns: Any) -> dict[str, Any]:
+    """The rows without the columns that begin with one of some words, and with others."""
+    kept = {name: values for name, values in rows().items() if not drop or not name.startswith(tuple(drop.split()))}
+    return kept | {
+        name: np.full(2 * len(TIMES_S), value) if np.ndim(value) == 0 else value for name, value in columns.items()
+    }
+
+
+def with_covariances(size: int) -> dict[str, Any]:
+    names, units = ("w1", "w2", "v1", "v2"), ("m2", "m2_s", "m2_s2")
+    columns = {}
+    for i in range(size):
+        for j in range(i, size):
+            what = f"{names[i]}_variance" if i == j else f"{names[i]}_{names[j]}_covariance"
+            columns[f"{what}_{units[(i > 1) + (j > 1)]}"] = STATE_COVARIANCE[i, j]
+    return changed(**columns)
+
+
+def equal(one: WorldTracks, other: WorldTracks, places_m: float = 0.0) -> None:
+    assert one.track_names == other.track_names
+    np.testing.assert_array_equal(one.track, other.track)
+    for name in ("time_s", "position_m", "velocity_m_s", "covariance"):
+        close = places_m if name == "position_m" else 0.0
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0, atol=close or 1e-6)
+
+
+def test_csv_is_read_by_track_and_time(run: StoredRun, tmp_path: Path) -> None:
+    tracks = read_world_tracks(write_csv(tmp_path / "t.csv", rows()), run)
+    assert tracks.track_names == ("a", "b") and tracks.name == "t.csv"
+    np.testing.assert_array_equal(tracks.time_s, np.tile(TIMES_S, 2))
+    np.testing.assert_allclose(tracks.position_m, np.concatenate([PLACES_M[:, vessel] for vessel in TWO]))
+    assert np.isnan(tracks.covariance).all()
+    assert tracks.interval_s == 0.5
+
+
+def test_steps_stand_for_their_times(run: StoredRun, tmp_path: Path) -> None:
+    by_step = changed("time_s", step=np.repeat(np.arange(len(TIMES_S)), 2))
+    equal(
+        read_world_tracks(write_csv(tmp_path / "step.csv", by_step), run),
+        read_world_tracks(write_csv(tmp_path / "time.csv", rows()), run),
+    )
+
+
+def test_covariances_of_the_state_stand_in_its_order(run: StoredRun, tmp_path: Path) -> None:
+    tracks = read_world_tracks(write_csv(tmp_path / "t.csv", with_covariances(4)), run)
+    np.testing.assert_array_equal(tracks.covariance, np.broadcast_to(STATE_COVARIANCE, (len(tracks), 4, 4)))
+    of_position = read_world_tracks(write_csv(tmp_path / "t.csv", with_covariances(2)), run).covariance
+    np.testing.assert_array_equal(of_position[:, :2, :2], tracks.covariance[:, :2, :2])
+    assert np.isnan(of_position[:, 2:]).all()
+
+
+@pytest.mark.parametrize("form", ["v_east_m_s v_north_m_s", "speed_m_s course_deg"])
+def test_latitude_and_longitude_equal_scene_axes(form: str, run: StoredRun, tmp_path: Path) -> None:
+    in_scene = rows()
+    position = np.column_stack([in_scene["w1_m"], in_scene["w2_m"]])
+    latitude, longitude = places(position, ORIGIN)
+    # w2 at a place east of the origin points to the left of north there, by the convergence of the meridians.
+    turn = np.deg2rad(longitude - ORIGIN[1]) * np.sin(np.deg2rad(latitude))
+    course = np.arctan2(in_scene["v1_m_s"], in_scene["v2_m_s"]) + turn
+    speed = np.hypot(in_scene["v1_m_s"], in_scene["v2_m_s"])
+    values = (speed, np.rad2deg(course)) if "speed" in form else (speed * np.sin(course), speed * np.cos(course))
+    columns = {"latitude_deg": latitude, "longitude_deg": longitude, **dict(zip(form.split(), values, strict=True))}
+    equal(
+        read_world_tracks(write_csv(tmp_path / "earth.csv", changed("w1 w2 v1 v2", **columns)), run),
+        read_world_tracks(write_csv(tmp_path / "scene.csv", in_scene), run),
+        places_m=0.001,
+    )
+
+
+def test_the_interval_is_that_between_estimates_of_one_track() -> None:
+    times_s, track = np.array([0.0, 1.0, 5.0, 7.0]), np.array([0, 0, 1, 2])
+    tracks = WorldTracks.of("t", track, ("a", "b", "c"), times_s, np.zeros((4, 2)))
+    assert tracks.interval_s == 1
+    assert WorldTracks.of("t", np.arange(4), tuple("abcd"), times_s, np.zeros((4, 2))).interval_s == 0
+
+
+def test_a_file_of_column_names_only_has_no_tracks(run: StoredRun, tmp_path: Path) -> None:
+    tracks = read_world_tracks(write_csv(tmp_path / "t.csv", {name: [] for name in rows()}), run)
+    assert len(tracks) == 0 and tracks.track_names == () and tracks.interval_s == 0
+
+
+def test_tracks_on_the_sea_are_told_from_those_in_images(tmp_path: Path) -> None:
+    assert is_world(write_csv(tmp_path / "a.csv", {"track": [1], "w1_m": [2], "w2_m": [3]}))
+    assert is_world(write_csv(tmp_path / "b.csv", {"track": [1], "longitude_deg": [2]}))
+    assert not is_world(write_csv(tmp_path / "c.csv", {"track": [1], "x_min_px": [2], "w1_m": [3]}))
+    assert not is_world(write_csv(tmp_path / "d.csv", {"1": [1], "2": [2]}))
+    assert not is_world(tmp_path) and not is_world(tmp_path / "nowhere")
+    (tmp_path / "metadata.yaml").touch()
+    assert is_world(tmp_path)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "no track": (changed("track", name="a"), "has no column track"),
+    "no time": (changed("time_s"), "has no column time_s, .* and no column step"),
+    "no place": (changed("w1 w2"), r"must have one position: w1_m and w2_m or latitude_deg .* \(got none\)"),
+    "half a place": (changed("w2"), "has not all of w1_m, w2_m: w2_m is missing"),
+    "two places": (changed(latitude_deg=63.4, longitude_deg=10.4), r"one position.*\(got more than one\)"),
+    "half a covariance": (changed(w1_variance_m2=1.0), "w1_w2_covariance_m2, w2_variance_m2 is missing"),
+    "a slip": (changed("v2", v2_ms=1.0), "unknown column 'v2_ms': did you mean v2_m_s"),
+    "text": (changed(w1_m="east"), "cannot be read as CSV: .*'east'"),
+    "a gap": (changed(w1_m=np.append(np.zeros(119), np.nan)), "row 121: has no position"),
+    "a track without a name": (changed(track=["a", ""] * 60), "row 3: track is empty"),
+    "too late": (changed(time_s=np.repeat(TIMES_S, 2) + 1), "row 118: time 30 s is outside .* 0 to 29.5 s"),
+    "a step too far": (changed("time_s", step=60), r"row 2: step must be .* 0 to 59, the run's last \(got 60\)"),
+    "half a step": (changed("time_s", step=0.5), r"row 2: step must be a whole number .* \(got 0.5\)"),
+    "twice": (changed(track="a"), "row 3: a track may be there once at a time .*'a' again"),
+    "no covariance": (
+        changed(w1_variance_m2=1.0, w1_w2_covariance_m2=2.0, w2_variance_m2=1.0),
+        "row 2: the covariance of the position is not positive definite",
+    ),
+    "infinite": (changed(v1_m_s=np.inf), "row 2: the velocity is not finite"),
+    "millimetres": (changed(w1_m=2e5, w2_m=0.0), "more than 100 km .* millimetres, must be metres"),
+    "elsewhere": (changed(w1_m=3e12, w2_m=0.0), "more than 100 km .* metres along w1 and w2"),
+    "swapped": (
+        changed("w1 w2", latitude_deg=10.4, longitude_deg=63.4),
+        "more than 100 km .*: latitude and longitude seem to be swapped",
+    ),
+    "swapped by far": (
+        changed("w1 w2", latitude_deg=120.0, longitude_deg=30.0),
+        r"row 2: is no latitude .* \(got 120 and 30\): are latitude and longitude swapped",
+    ),
+    "radians": (
+        changed("w1 w2", latitude_deg=np.deg2rad(63.4), longitude_deg=np.deg2rad(10.4)),
+        "seem to be radians, must be degrees",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_with_csv_is_said(name: str, run: StoredRun, tmp_path: Path) -> None:
+    columns, said = WRONG[name]
+    with pytest.raises(InputError, match=said):
+        read_world_tracks(write_csv(tmp_path / "t.csv", columns), run)
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(run: StoredRun, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_world_tracks(tmp_path / "nowhere.csv", run)
+
+
+def test_latitude_and_longitude_need_an_origin(tmp_path: Path) -> None:
+    columns = changed("w1 w2", latitude_deg=63.4, longitude_deg=10.4)
+    nowhere = sea_run(tmp_path / "run", origin=None, steps=3)
+    with pytest.raises(InputError, match="scene has no origin: give the scene the key origin"):
+        read_world_tracks(write_csv(tmp_path / "t.csv", columns), nowhere)
+
+
+def store() -> Any:
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _VISION_MSGS.items():
+        types.register(get_types_from_msg(text, name))
+    return types
+
+
+STORE = store()
+
+
+def make(name: str, *values: Any) -> Any:
+    return STORE.types[name.replace("/", "/msg/")](*values)
+
+
+def header(time_s: float, frame: str = "map") -> Any:
+    ns = round(time_s * 1e9)
+    return make("std_msgs/Header", make("builtin_interfaces/Time", ns // 10**9, ns % 10**9), frame)
+
+
+def pose(place: np.ndarray, heading: float, covariance: np.ndarray) -> Any:
+    whole = np.zeros((6, 6))
+    whole[:2, :2] = covariance
+    turn = Rotation.from_euler("z", heading).as_quat()
+    at = make("geometry_msgs/Pose", make("geometry_msgs/Point", *place, 0.0), make("geometry_msgs/Quaternion", *turn))
+    return make("geometry_msgs/PoseWithCovariance", at, whole.ravel())
+
+
+def odometry(time_s: float, track: str, place: np.ndarray, velocity: np.ndarray, frame: str = "map") -> Any:
+    """A track whose bow points to 0.7 rad, with its velocity along its own axes."""
+    heading, whole = 0.7, np.zeros((6, 6))
+    child_R_map = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    whole[:2, :2] = child_R_map @ STATE_COVARIANCE[2:, 2:] @ child_R_map.T
+    vector = make("geometry_msgs/Vector3", *(child_R_map @ velocity), 0.0)
+    twist = make("geometry_msgs/Twist", vector, make("geometry_msgs/Vector3", 0.0, 0.0, 0.0))
+    covered = make("geometry_msgs/TwistWithCovariance", twist, whole.ravel())
+    return make(
+        "nav_msgs/Odometry",
+        header(time_s, frame),
+        track,
+        pose(place, heading, STATE_COVARIANCE[:2, :2]),
+        covered,
+    )
+
+
+def array(time_s: float, tracks: dict[str, np.ndarray]) -> Any:
+    detections = []
+    for name, place in tracks.items():
+        known = pose(place, 0.0, STATE_COVARIANCE[:2, :2])
+        result = make("vision_msgs/ObjectHypothesisWithPose", make("vision_msgs/ObjectHypothesis", "boat", 1.0), known)
+        box = make("vision_msgs/BoundingBox3D", known.pose, make("geometry_msgs/Vector3", 0.0, 0.0, 0.0))
+        detections.append(make("vision_msgs/Detection3D", header(time_s), [result], box, name))
+    return make("vision_msgs/Detection3DArray", header(time_s), detections)
+
+
+def write_bag(folder: Path, topics: dict[str, tuple[str, list[Any]]], storage: str = "mcap") -> Path:
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    with Writer(folder, version=8, storage_plugin=plugin) as writer:
+        for topic, (kind, messages) in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for number, message in enumerate(messages):
+                writer.write(connection, number, STORE.serialize_cdr(message, kind))
+    return folder
+
+
+def odometries(frame: str = "map") -> list[Any]:
+    return [
+        odometry(time_s, name, PLACES_M[step, vessel], VELOCITIES_M_S[vessel], frame)
+        for step, time_s in enumerate(TIMES_S.tolist())
+        for name, vessel in zip("ab", TWO, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_of_odometry_equals_csv(storage: str, run: StoredRun, tmp_path: Path) -> None:
+    columns = {name: values for name, values in with_covariances(4).items() if not name.endswith("_m2_s")}
+    bag = write_bag(tmp_path / "bag", {"/tracks": (ODOMETRY, odometries())}, storage)
+    assert is_world(bag)
+    equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_of_arrays_equals_csv_without_velocity(storage: str, run: StoredRun, tmp_path: Path) -> None:
+    messages = [
+        array(time_s, {name: PLACES_M[step, vessel] for name, vessel in zip("ab", TWO, strict=True)})
+        for step, time_s in enumerate(TIMES_S.tolist())
+    ]
+    columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
+    bag = write_bag(tmp_path / "bag", {"/tracks": (ARRAYS, messages), "/odom": (ODOMETRY, odometries()[:2])}, storage)
+    equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
+
+
+def test_what_is_wrong_with_a_bag_is_said(run: StoredRun, tmp_path: Path) -> None:
+    def refused(name: str, said: str, topic: str | None = None, **topics: tuple[str, list[Any]]) -> None:
+        bag = write_bag(tmp_path / name, {f"/{key}": value for key, value in topics.items()})
+        with pytest.raises(InputError, match=said):
+            read_world_tracks(bag, run, topic)
+
+    good = ODOMETRY, odometries()[:4]
+    refused(
+        "frame",
+        r"/t message 1: frame_id must be 'map', the scene's axes \(got 'odom'\)",
+        t=(good[0], odometries("odom")),
+    )
+    refused("two", r"must have one topic of nav_msgs/msg/Odometry \(got 2: /s, /t\)", s=good, t=good)
+    refused(
+        "none", r"must have a topic of .* \(got /h \(std_msgs/msg/Header\)\)", h=("std_msgs/msg/Header", [header(0)])
+    )
+    refused("which", r"has no topic /u of .*\(known: /t\)", "/u", t=good)
+    late = [odometry(31.0, "a", PLACES_M[0, 1], VELOCITIES_M_S[1])]
+    refused("late", r"/t message 1: time 31 s is outside of the run", t=(ODOMETRY, late))
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "metadata.yaml").write_text("a: [", encoding="utf-8")
+    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
+        read_world_tracks(tmp_path / "broken", run)
+    damaged = write_bag(tmp_path / "damaged", {"/t": good}) / "damaged.mcap"
+    content = damaged.read_bytes()
+    third = len(content) // 3
+    damaged.write_bytes(content[:third] + b"\xff" * 400 + content[third + 400 :])
+    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
+        read_world_tracks(damaged.parent, run)
+    (tmp_path / "alone.mcap").write_bytes(b"")
+    with pytest.raises(InputError, match=r"metadata\.yaml is missing beside it: give the whole folder"):
+        read_world_tracks(tmp_path / "alone.mcap", run)
+
+
+def test_a_bag_without_rosbags_names_the_extra(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = write_bag(tmp_path / "bag", {"/t": (ODOMETRY, odometries()[:2])})
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    with pytest.raises(ModsimError, match=r'pip install "modsim3d\[ros\]"'):
+        read_world_tracks(bag, run)
