@@ -10,6 +10,7 @@ import typer
 from modsim3d.commands.progress import progress_bar
 from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, out_file
 from modsim3d.commands.terminal import say, tell_files, timed, warn
+from modsim3d.commands.tracks_option import TracksOption, opened_tracks, read_of_tracks
 
 
 def report_command(
@@ -20,6 +21,7 @@ def report_command(
     every: Annotated[
         int, typer.Option(min=1, metavar="K", help="Show every K-th step only; the tables count all steps.")
     ] = 1,
+    tracks: TracksOption = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -35,12 +37,19 @@ def report_command(
 
     with timed("opening the run"):
         opened = open_run(run)
-    read = read_of_run(run)
+    read = read_of_run(run) + read_of_tracks(tracks)
     tell_files(read)
+    followed = opened_tracks(tracks, opened)
     path = out_file(out, run / REPORT_FILE)
     with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
-        write_report(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
+
+        def advance(steps: int) -> None:
+            bar.update(task, advance=steps, refresh=True)
+
+        write_report(opened, path, every, advance, followed)
+    if followed is not None:
+        say(followed.sentence())
     if not opened.finished:
         warn(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
@@ -52,6 +61,7 @@ def rerun_command(
         Path | None, typer.Option(metavar="FILE", help="Rerun recording to write.", show_default="RUN/run.rrd")
     ] = None,
     every: Annotated[int, typer.Option(min=1, metavar="K", help="Record every K-th step only.")] = 1,
+    tracks: TracksOption = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -67,10 +77,15 @@ def rerun_command(
 
     with timed("opening the run"):
         opened = open_run(run)
-    read = read_of_run(run)
+    read = read_of_run(run) + read_of_tracks(tracks)
     tell_files(read)
+    followed = opened_tracks(tracks, opened)
     path = out_file(out, run / "run.rrd")
     with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
-        write_recording(opened, path, every, progress=lambda steps: bar.update(task, advance=steps, refresh=True))
+
+        def advance(steps: int) -> None:
+            bar.update(task, advance=steps, refresh=True)
+
+        write_recording(opened, path, every, advance, followed)
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")

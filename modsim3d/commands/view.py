@@ -20,6 +20,7 @@ from modsim3d.commands.shared import (
 )
 from modsim3d.commands.stopping import Stopped, stoppable
 from modsim3d.commands.terminal import open_console, say, tell_files, timed, warn
+from modsim3d.commands.tracks_option import TracksOption, opened_tracks, read_of_tracks
 from modsim3d.commands.view_options import Film, Style
 from modsim3d.commands.view_output import claimed_file, claimed_folder, film_format
 from modsim3d.errors import ModsimError, RendererError
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from modsim3d.runs.selection import Selection
     from modsim3d.runs.stored_run import StoredRun
     from modsim3d.view.films.plan import FilmPlan
+    from modsim3d.view.followed_tracks import FollowedTracks
     from modsim3d.view.shaded.render_style import RenderStyle
 
 
@@ -44,6 +46,7 @@ def view_command(
     to: options.To = None,
     every: options.Every = 1,
     only_with_vessels: options.OnlyWithVessels = False,
+    tracks: TracksOption = None,
     layers: options.LayerNames = None,
     look: options.Look = None,
     visibility: options.Visibility = None,
@@ -67,9 +70,11 @@ def view_command(
     from modsim3d.runs.stored_run import open_run
 
     _check_task(film, frame, map_, at, sheet)
+    _check_tracks(tracks, film, frame)
     style, boxes_on_scene = _style(film, look, visibility, night)
     opened = open_run(run)
-    tell_files(read_of_run(run))
+    tell_files(read_of_run(run) + read_of_tracks(tracks))
+    followed = opened_tracks(tracks, opened)
     if sheet:
         _draw_sheet(opened, overwrite)
     cameras = select_cameras(opened, camera or [])
@@ -80,7 +85,7 @@ def view_command(
     selection = _select(opened, cameras, frame, from_, to, every, only_with_vessels)
     _say_what_there_is(opened)
     kind = film or Film.detections
-    plan = _plan(selection, kind, layers, crop, width, style, boxes_on_scene)
+    plan = _plan(selection, kind, layers, crop, width, style, boxes_on_scene, followed)
     if frame is not None:
         _draw_picture(selection, plan, kind, out, overwrite)
     else:
@@ -95,6 +100,16 @@ def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None
         raise ModsimError(f"--at works with --map only; for one picture of a camera's image use --frame {at}")
     if map_ and (film is not None or frame is not None):
         raise ModsimError("--map draws one picture, at the time of --at; for a film of maps use --film map")
+
+
+def _check_tracks(tracks: Path | None, film: Film | None, frame: str | None) -> None:
+    """Check that tracks are drawn: in pictures with detections."""
+    if tracks is None:
+        return
+    if film is None and frame is None:
+        raise ModsimError("--tracks works with --film detections and all, and with --frame")
+    if film not in (None, Film.detections, Film.all):
+        raise ModsimError(f"--tracks works with --film detections and all, not with {film.value}")
 
 
 def _select(
@@ -173,6 +188,7 @@ def _plan(
     width: int | None,
     style: RenderStyle,
     boxes_on_scene: bool,
+    tracks: FollowedTracks | None,
 ) -> FilmPlan:
     from modsim3d.runs.outcomes import NOTHING_WRONG
     from modsim3d.view.films.plan import (
@@ -207,6 +223,7 @@ def _plan(
         boxes_on_scene,
         selection.run.steps,
         mistakes=mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
+        tracks=tracks,
     )
 
 

@@ -20,6 +20,16 @@ SEA: Colour = (38, 52, 64)
 SKY: Colour = (168, 186, 198)
 HORIZON: Colour = (226, 234, 238)
 TRUTH: Colour = (225, 225, 225)
+TRACKS: tuple[Colour, ...] = (
+    (119, 170, 221),
+    (238, 221, 136),
+    (68, 187, 153),
+    (255, 170, 187),
+    (153, 221, 255),
+    (187, 204, 51),
+    (170, 170, 0),
+)
+"""Of tracks by number: the light scheme of Tol (2021), "Colour Schemes", without orange, which is near ALARM."""
 OBSTACLE: Colour = (122, 122, 122)
 OBSTACLES: tuple[Colour, ...] = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))
 """Greys in turn, where obstacles are to be told apart."""
@@ -38,6 +48,11 @@ def vessel_colour(index: int) -> Colour:
     turn, hue = divmod(index, len(VESSELS))
     colour = VESSELS[hue]
     return (colour, mixed(colour, WHITE, TINT), mixed(colour, BLACK, SHADE))[turn % 3]
+
+
+def track_colour(number: int) -> Colour:
+    """The colour of a track, by the number that its tracker gave it."""
+    return TRACKS[number % len(TRACKS)]
 
 
 def obstacle_colour(index: int) -> Colour:

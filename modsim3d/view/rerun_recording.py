@@ -20,6 +20,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.outcome_words import NAMES, is_a
 
 COUNTS = {
@@ -34,11 +35,20 @@ SIGHT_STEPS = 250
 
 
 def write_recording(
-    run: StoredRun, out: Path, every: int = 1, progress: Callable[[int], None] = lambda steps: None
+    run: StoredRun,
+    out: Path,
+    every: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+    followed: FollowedTracks | None = None,
 ) -> None:
     """Write every K-th step of a run as an `.rrd` file with the time lines `step` and `time`.
 
-    `progress` is called with the number of steps that were written since its last call.
+    Args:
+        run: The run.
+        out: The file.
+        every: K.
+        progress: Called with the number of steps that were written since its last call.
+        followed: The tracks of a tracker; none if None.
 
     Raises:
         ModsimError: The Rerun SDK is not installed, or the run has no steps.
@@ -55,7 +65,7 @@ def write_recording(
     stream.set_log_time_enabled(False)  # the time of writing does not belong to the run
     with put_in_place(out) as partial:
         stream.save(partial)
-        _record(_Recorder(rerun, stream, run.scene), rows, np.arange(0, run.steps, every), progress)
+        _record(_Recorder(rerun, stream, run.scene, followed), rows, np.arange(0, run.steps, every), progress)
 
 
 def _record(recorder: _Recorder, rows: RunRows, steps: Indices, progress: Callable[[int], None]) -> None:
@@ -77,6 +87,7 @@ class _Recorder:
     sdk: Any
     stream: Any
     scene: Scene
+    followed: FollowedTracks | None = None
 
     def __post_init__(self) -> None:
         self._present = np.zeros(len(self.scene.vessels), dtype=bool)
@@ -152,8 +163,21 @@ class _Recorder:
             lines = columns.tethers[drawn][having(outcome, Outcome.OFF_VESSEL)]
             self.stream.log([*path, "off_vessel"], self.sdk.LineStrips2D(lines, colors=[palette.ALARM]))
             self.stream.log(["counts", name, "missed"], self.sdk.Scalars(float(missed.sum())))
+            if self.followed is not None:
+                self._tracks(self.followed, step * len(self.scene.cameras) + camera, name)
             for flag, count in COUNTS.items():
                 self.stream.log(["counts", name, count], self.sdk.Scalars(float(having(outcome, flag).sum())))
+
+    def _tracks(self, followed: FollowedTracks, frame: int, camera: str) -> None:
+        """Log the tracks in a frame, by its number, with the names of the vessels that they follow, and how many."""
+        rows, names = followed.rows_of(frame), (*self.scene.vessel_names, "nothing")
+        numbers, vessels = followed.tracks.track[rows].tolist(), followed.vessel[rows].tolist()
+        shown = list(zip(numbers, vessels, strict=True))
+        colours = [palette.ALARM if vessel == NOBODY else palette.track_colour(number) for number, vessel in shown]
+        tags = [f"#{number} on {names[vessel]}" for number, vessel in shown]
+        self._boxes(["world", "cameras", camera, "image", "tracks"], followed.tracks.boxes_px[rows], colours, tags)
+        for count, value in (("tracks", len(shown)), ("false_tracks", vessels.count(NOBODY))):
+            self.stream.log(["counts", camera, count], self.sdk.Scalars(float(value)))
 
     def _boxes(self, path: list[str], boxes_px: Any, colours: list[palette.Colour], tags: list[str]) -> None:
         boxes = self.sdk.Boxes2D(array=boxes_px, array_format=self.sdk.Box2DFormat.XYXY, colors=colours, labels=tags)

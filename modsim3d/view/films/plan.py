@@ -12,6 +12,7 @@ from modsim3d.runs.outcomes import NOTHING_WRONG, Outcome, frame_outcomes
 from modsim3d.runs.selection import Selection
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.maps.birds_eye import BirdsEye
 from modsim3d.view.maps.map_picture import map_height_px
 from modsim3d.view.pictures.layers import CORNERS, DETECTIONS, SCENE, Layers
@@ -46,6 +47,7 @@ class FilmPlan:
         steps: Number of steps of the run, for the tracks of a map.
         columns: Panels side by side; those of a camera, or the cameras, if None.
         mistakes: What is wrong with detections in the pictures, for the legend; see `mistakes_in`.
+        tracks: The tracks of a tracker, for pictures with the layer `tracks`; none if None.
     """
 
     kinds: tuple[str, ...]
@@ -58,6 +60,7 @@ class FilmPlan:
     steps: int = 0
     columns: int | None = None
     mistakes: Outcome = NOTHING_WRONG
+    tracks: FollowedTracks | None = None
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -76,7 +79,8 @@ class FilmPlan:
         """The places of panels and legend."""
         entries: list[Entry] = []
         if "detections" in self.kinds:
-            entries += detection_entries(self.layers_of("detections"), scene.annotation.mode, self.mistakes)
+            layers, tracker = self.layers_of("detections"), self.tracks.name if self.tracks else None
+            entries += detection_entries(layers, scene.annotation.mode, self.mistakes, tracker)
         if "ids" in self.kinds:
             entries += id_entries(scene.vessel_names, [obstacle.name for obstacle in scene.obstacles])
         elif set(self.kinds) & {"scene", "corners"}:

@@ -18,6 +18,7 @@ from modsim3d.view.maps.map_film import MapFilmRenderer
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.ids_picture import ids_picture
 from modsim3d.view.pictures.solids import open_id_renderer
+from modsim3d.view.pictures.track_marks import NO_TRACKS, FrameTracks
 from modsim3d.view.pictures.window import Window
 from modsim3d.view.shaded.render_style import RenderStyle
 from modsim3d.view.shaded.shaded_picture import ShadedPictureRenderer
@@ -57,7 +58,11 @@ class FilmRenderer:
         return self._layout.compose(self._head(step_frames), titles, panels)
 
     def _view(self, frame: Frame | None) -> CameraView | None:
-        return None if frame is None else CameraView.of(self._scene, frame)
+        if frame is None:
+            return None
+        followed = self._plan.tracks
+        tracks = NO_TRACKS if followed is None else FrameTracks.of(followed, self._scene, frame)
+        return CameraView.of(self._scene, frame, tracks)
 
     def _title(self, step_frames: StepFrames, place: int, kind: str) -> str:
         several = len(step_frames.frames) > 1 and kind != "map"

@@ -22,6 +22,7 @@ from modsim3d.view.pictures.layers import Layers
 from modsim3d.view.pictures.marks import draw_detection, draw_tether
 from modsim3d.view.pictures.plain import background, draw_horizon, fill_solids
 from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.track_marks import NO_TRACKS, FrameTracks, draw_tracks
 from modsim3d.view.pictures.window import Window
 
 DIM = 0.25
@@ -32,17 +33,18 @@ SHORT_BELOW_PX = 480
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """A frame, the solids before its camera, and the names of the scene's vessels in order of their colours."""
+    """A frame, the solids before its camera, the names of the scene's vessels in order of their colours, and tracks."""
 
     frame: Frame
     solids: Solids
     vessels: tuple[str, ...]
+    tracks: FrameTracks = NO_TRACKS
 
     @classmethod
-    def of(cls, scene: Scene, frame: Frame) -> CameraView:
-        """Add to a frame of a scene what stood before its camera."""
+    def of(cls, scene: Scene, frame: Frame, tracks: FrameTracks = NO_TRACKS) -> CameraView:
+        """Add to a frame of a scene what stood before its camera, and the tracks in it."""
         (camera,) = (camera for camera in scene.cameras if camera.name == frame.camera)
-        return cls(frame, Solids.at(scene, camera, frame.step), scene.vessel_names)
+        return cls(frame, Solids.at(scene, camera, frame.step), scene.vessel_names, tracks)
 
     @property
     def image_size_px(self) -> tuple[int, int]:
@@ -89,6 +91,8 @@ def frame_picture(
     if layers.wires or layers.points:
         _draw_shoeboxes(canvas, window, solids, layers)
     labels = _draw_truth(canvas, window, camera_view, layers) + _draw_detections(canvas, window, camera_view, layers)
+    if layers.tracks:
+        labels = draw_tracks(canvas, window, camera_view.tracks) + labels
     boxes = [window.corners(box) for box in camera_view.frame.truth.full_boxes_px] + [label.box for label in labels]
     draw_labels(canvas, sorted(labels, key=lambda label: label.colour != palette.ALARM), boxes)
     return picture

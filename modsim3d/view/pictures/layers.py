@@ -26,6 +26,7 @@ class Layers:
         false_positives: Detections that are not the one detection of a vessel.
         detections: Detections of vessels.
         mistakes: Marks of detections of a wrong class or with a bad box.
+        tracks: Tracks of a tracker, where there are some: boxes, numbers, and where their centres have been.
         labels: Class and confidence of detections, and the names of missed vessels.
     """
 
@@ -42,6 +43,7 @@ class Layers:
     false_positives: bool = False
     detections: bool = False
     mistakes: bool = False
+    tracks: bool = False
     labels: bool = False
 
     @classmethod
@@ -60,5 +62,7 @@ class Layers:
 
 CORNERS = Layers.of(["horizon", "wires", "points"])
 SCENE = Layers.of(["horizon", "silhouettes"])
-BOXES = ("full", "visible", "truth", "fractions", "missed", "false_positives", "detections", "mistakes", "labels")
-DETECTIONS = Layers.of(["horizon", "silhouettes", *BOXES])
+TRUTH = ("full", "visible", "truth", "fractions", "missed")
+DETECTIONS = Layers.of(
+    ["horizon", "silhouettes", *TRUTH, "false_positives", "detections", "mistakes", "tracks", "labels"]
+)

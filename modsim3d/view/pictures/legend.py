@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from PIL import Image
 
 from modsim3d.runs.outcomes import Outcome
 from modsim3d.view import palette
+from modsim3d.view.followed_tracks import TRAIL_S
 from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Canvas, font, text_size
@@ -28,11 +30,11 @@ class Entry:
 
     text: str
     colour: Colour
-    style: Literal["box", "dashed", "missed", "hatched", "filled"] | Outcome = "box"
+    style: Literal["box", "dashed", "missed", "hatched", "filled", "track"] | Outcome = "box"
 
 
-def detection_entries(layers: Layers, mode: int, mistakes: Outcome) -> list[Entry]:
-    """The legend of the boxes of some layers in an annotation mode, with the mistakes that are there."""
+def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str | None = None) -> list[Entry]:
+    """The legend of some layers in an annotation mode, with the mistakes that are there and the tracks of a tracker."""
     marks = [mark for mark in MARKS if layers.detections and layers.mistakes and mark & mistakes]
     shown = (
         (layers.truth, Entry("truth", palette.TRUTH)),
@@ -42,9 +44,20 @@ def detection_entries(layers: Layers, mode: int, mistakes: Outcome) -> list[Entr
         *((True, Entry(NAMES[mark], palette.VESSELS[0], mark)) for mark in marks),
         (layers.missed, Entry("missed", palette.ALARM, "missed")),
         (layers.false_positives, Entry(NAMES[Outcome.FALSE_POSITIVE], palette.ALARM, Outcome.FALSE_POSITIVE)),
+        *((layers.tracks, entry) for entry in _track_entries(tracker)),
         (layers.hatching, Entry("hidden", palette.VESSELS[1], "hatched")),
     )
     return [entry for drawn, entry in shown if drawn]
+
+
+def _track_entries(tracker: str | None) -> list[Entry]:
+    if tracker is None:
+        return []
+    return [
+        Entry(f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s", palette.TRACKS[0], "track"),
+        Entry("on a vessel that is hidden or not annotated", palette.TRACKS[0], "dashed"),
+        Entry("on nothing", palette.ALARM, "dashed"),
+    ]
 
 
 def vessel_entries(names: Sequence[str]) -> list[Entry]:
@@ -117,6 +130,9 @@ def _draw_sample(canvas: Canvas, box: Box, colour: Colour, style: str | Outcome)
         canvas.brackets((x0 + 3, y0 + 3, x1 - 3, y1 - 3), colour, 1.0)
     elif style == "dashed":
         canvas.dashed_box(box, colour, 0.75, 4.0)
+    elif style == "track":
+        canvas.box(box, colour, 2.0)
+        canvas.segments(np.array([[[(x0 + x1) / 2, (y0 + y1) / 2], [x1 + 4, y1 - 3]]]), colour, 1.0)
     elif style == Outcome.OFF_VESSEL:
         side = (x1 - x0) / 4
         vessel = (x1 - side, y0, x1, y0 + side)

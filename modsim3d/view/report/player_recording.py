@@ -22,7 +22,10 @@ from modsim3d.runs.outcomes import Outcome
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
+from modsim3d.view.followed_tracks import FollowedTracks
+from modsim3d.view.report.packing import Column, in_quanta, starts
 from modsim3d.view.report.silhouettes import NONE, silhouette_columns
+from modsim3d.view.report.track_columns import track_columns, track_facts
 
 FINEST_PX = 0.1
 UNKNOWN_FRACTION, WHOLE = 255, 250
@@ -31,8 +34,6 @@ ALIGNED_BYTES = 8
 """A typed array in the browser begins at a multiple of its item's size."""
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
 """What stands for the state and the horizon of a camera that has not taken a frame yet."""
-
-Column = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +55,10 @@ class Recording:
         return index, base64.b64encode(gzip.compress(b"".join(parts), compresslevel=9, mtime=0)).decode("ascii")
 
 
-def recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Recording:
-    """The recording of every K-th step.
+def recording(
+    rows: RunRows, every: int, progress: Callable[[int], None], followed: FollowedTracks | None = None
+) -> Recording:
+    """The recording of every K-th step, with tracks if there are some.
 
     A camera with a frame rate of its own shows the last frame that it took. Before its first one it shows an empty
     frame, which is stored after all others. `progress` is called with the number of steps done since its last call.
@@ -78,10 +81,14 @@ def recording(rows: RunRows, every: int, progress: Callable[[int], None]) -> Rec
         **_truth_columns(rows, frames, pages, quantum),
         **_detection_columns(rows, frames, pages, quantum),
     }
+    facts = _facts(scene, steps, quantum)
+    if followed is not None:
+        columns |= track_columns(followed, frames, pages, quantum)
+        facts["tracks"] = track_facts(followed)
     if len(frames) < numbered.size:  # some are shown more than once
         shown = np.where(numbered == NOBODY, len(frames), np.searchsorted(frames, numbered))
         columns |= {"frame": shown.astype(np.uint32), "taken": taken.ravel().astype(np.int32)}
-    return Recording(_facts(scene, steps, quantum), columns)
+    return Recording(facts, columns)
 
 
 def _truth_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -> dict[str, Column]:
@@ -156,19 +163,8 @@ def quantum_px(image_sizes_px: list[tuple[int, int]]) -> float:
     return max(FINEST_PX, max(max(size) for size in image_sizes_px) / (NONE - 1))
 
 
-def in_quanta(lengths_px: Array, quantum: float) -> NDArray[np.uint16]:
-    """Lengths in pixels as multiples of a quantum, `NONE` for NaN, of the same shape."""
-    counted = np.clip(np.rint(np.nan_to_num(lengths_px) / quantum), 0, NONE - 1)
-    return np.where(np.isnan(lengths_px), NONE, counted).astype(np.uint16)
-
-
 def in_250ths(fraction: Array) -> NDArray[np.uint8]:
     """Visible fractions in 250ths, of the same shape; NaN is `UNKNOWN_FRACTION`, and a part never rounds to 0 or 1."""
     counted = np.clip(np.rint(np.nan_to_num(fraction) * WHOLE), np.where(fraction > 0, 1, 0), WHOLE)
     counted = np.where((fraction < 1) & (counted == WHOLE), WHOLE - 1, counted)
     return np.where(np.isnan(fraction), UNKNOWN_FRACTION, counted).astype(np.uint8)
-
-
-def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
-    """The first row of each frame, and the number of rows, shape (frames + 1,); from each row's frame, shape (n,)."""
-    return np.searchsorted(frame, np.arange(frames + 1)).astype(np.uint32)

@@ -18,6 +18,7 @@ from modsim3d.errors import RunDirectoryError
 from modsim3d.outputs.placing import write_files
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages.page import heading, table
 from modsim3d.view.report.count_tables import (
     CAMERA_HEADER,
@@ -34,12 +35,17 @@ RELATED = {"verify.html": "verification", "compare.html": "comparison of sources
 """Pages that other commands write into a run directory, and what they are."""
 LOUD_SHARE = 0.1
 """A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
-SCRIPTS = ("recording.js", "picture.js", "moments.js", "timeline.js", "player.js")
-"""In the order in which they need each other; in the page they are one script."""
+SCRIPTS = ("recording.js", "picture.js", "moments.js", "timeline.js", "player.js", "start.js")
+TRACK_SCRIPTS = (*SCRIPTS[:-1], "track_picture.js", "lanes.js", "track_player.js")
+"""Without and with tracks, in the order in which they need each other; in the page they are one script."""
 
 
 def write_report(
-    run: StoredRun, out: Path | None = None, every: int = 1, progress: Callable[[int], None] = lambda steps: None
+    run: StoredRun,
+    out: Path | None = None,
+    every: int = 1,
+    progress: Callable[[int], None] = lambda steps: None,
+    followed: FollowedTracks | None = None,
 ) -> Path:
     """Write the page of a run and return its file; the same run gives the same bytes.
 
@@ -48,6 +54,7 @@ def write_report(
         out: The file; `report.html` in the run directory if None.
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
+        followed: The tracks of a tracker, for lanes below the timeline; none if None.
 
     Raises:
         RunDirectoryError: An interrupted run has kept nothing yet.
@@ -59,25 +66,30 @@ def write_report(
             "go on with modsim3d run --resume"
         )
     out = run.folder / REPORT_FILE if out is None else out
-    page = _page(run, every, out, progress)
+    page = _page(run, every, out, progress, followed)
     write_files({out: page})
     return out
 
 
-def _page(run: StoredRun, every: int, out: Path, progress: Callable[[int], None]) -> str:
+def _page(
+    run: StoredRun, every: int, out: Path, progress: Callable[[int], None], followed: FollowedTracks | None
+) -> str:
     rows = RunRows.of(run)
     counts = CountTables(rows)
-    frames = recording(rows, every, progress)
+    frames = recording(rows, every, progress, followed)
     index, columns = frames.packed()
-    script = "\n".join(_part(name) for name in SCRIPTS)
+    script = "\n".join(_part(name) for name in (TRACK_SCRIPTS if followed else SCRIPTS))
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     parts = {
         "title": html.escape(f"{run.scene.name}: report of a run"),
         "name": html.escape(run.scene.name),
         # No script but this one runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
-        "style": _part("style.css"),
+        "style": _part("style.css") + (_part("lanes.css") if followed else ""),
         "lead": html.escape(_lead(frames.facts)),
+        "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
+        "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
+        "track_key": " <kbd>K</kbd> tracks," if followed else "",
         "notes": _notes(run, every, out),
         "result": _result(counts.total),
         "tables": _tables(counts, run.settings),

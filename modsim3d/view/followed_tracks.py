@@ -1,0 +1,145 @@
+"""Tracks of a tracker as they are shown: which vessel each follows, where it switches, and where it has been."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.boxes import centres
+from modsim3d.errors import ModsimError
+from modsim3d.runs.files.columns import NOBODY
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracks.following import Following, follow
+from modsim3d.tracks.reading import read_tracks
+from modsim3d.tracks.similarity import Similarity
+from modsim3d.tracks.track_set import TrackSet
+from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracks.true_tracks import TrueTracks
+
+TRAIL_S = 2.0
+"""How far back the centres of a track's boxes are shown."""
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedTracks:
+    """The tracks of one tracker: k rows in order of frame and track.
+
+    Attributes:
+        name: What the tracker is called.
+        tracks: The tracks.
+        time_s: Time of each row, shape (k,).
+        vessel: Index of the vessel that each row follows, `NOBODY` for none, shape (k,).
+        unscored: Where that vessel is hidden or not annotated, so that no score counts the row, shape (k,).
+        switched: Where another track followed that appearance of the vessel last, shape (k,). Their number is that of
+            CLEAR MOT's identity switches (Bernardin & Stiefelhagen, 2008).
+        moved: Where the track followed another vessel last, shape (k,).
+    """
+
+    name: str
+    tracks: Tracks
+    time_s: Array
+    vessel: Indices
+    unscored: Mask
+    switched: Mask
+    moved: Mask
+
+    @classmethod
+    def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity | None = None) -> Self:
+        """Tracks held against the annotated truth of a run; compared by IoU if no similarity is given."""
+        tracks = track_set.tracks
+        following = follow(TrueTracks.of(rows), tracks, similarity or Similarity())
+        vessel = np.append(following.truth.vessel, NOBODY)[following.truth_row]
+        return cls(
+            track_set.name,
+            tracks,
+            rows.scene.times_s(0, rows.steps)[tracks.step],
+            vessel,
+            ~following.counted,
+            _switched(following),
+            _changed(tracks.identity, vessel, vessel != NOBODY),
+        )
+
+    @property
+    def false(self) -> Mask:
+        """Which rows follow nothing, shape (k,)."""
+        return np.equal(self.vessel, NOBODY)
+
+    @cached_property
+    def before(self) -> Indices:
+        """The row before of each row's track, `NOBODY` for its first, shape (k,)."""
+        order = np.argsort(self.tracks.identity, kind="stable")
+        same = np.diff(self.tracks.identity[order]) == 0
+        before = np.full(len(order), NOBODY)
+        before[order[1:][same]] = order[:-1][same]
+        return before
+
+    def rows_of(self, frame: int) -> slice:
+        """The rows of a frame, by its number."""
+        return slice(*np.searchsorted(self.tracks.frame, (frame, frame + 1)).tolist())
+
+    def trail_px(self, row: int) -> Array:
+        """Centres of the boxes of a row's track in the last seconds, the newest first, shape (n, 2)."""
+        trail, first_s = [row], self.time_s[row] - TRAIL_S
+        while (row := int(self.before[row])) != NOBODY and self.time_s[row] >= first_s:
+            trail.append(row)
+        return centres(self.tracks.boxes_px[trail])
+
+    def sentence(self) -> str:
+        """What there is, in one sentence."""
+        identity, count = self.tracks.identity, int(self.tracks.identity.max(initial=-1)) + 1
+        on_vessel = np.zeros(count, dtype=bool)
+        on_vessel[identity[~self.false]] = True
+        vessels = len(np.unique(self.vessel[~self.false]))
+        return (
+            f"Tracks of {self.name}: {_counted(count, 'track')} on {_counted(vessels, 'vessel')}, "
+            f"{_counted(int(self.switched.sum()), 'identity switch', 'identity switches')}, "
+            f"{_counted(int((~on_vessel).sum()), 'false track')}."
+        )
+
+
+def read_followed_tracks(path: Path, run: StoredRun, rows: RunRows | None = None) -> FollowedTracks:
+    """Read tracks of a finished run, and see which vessel each follows.
+
+    Args:
+        path: What `read_tracks` takes.
+        run: The run.
+        rows: Its rows; read if None.
+
+    Raises:
+        ModsimError: The run is not finished, or the tracks are wrong.
+    """
+    if not run.finished:
+        raise ModsimError(
+            f"{run.folder} holds an interrupted run, and tracks need a finished one: go on with modsim3d run --resume"
+        )
+    rows = RunRows.of(run) if rows is None else rows
+    return FollowedTracks.of(read_tracks(path, run, rows), rows)
+
+
+def _switched(following: Following) -> Mask:
+    """Rows of the tracks on which an appearance of a vessel is followed by another track than last."""
+    truth = following.truth
+    on = following.found & truth.scored
+    track = np.append(following.tracks.identity, NOBODY)[following.track_row]
+    switched = np.zeros(len(following.tracks), dtype=bool)
+    switched[following.track_row[_changed(truth.identity, track, on)]] = True
+    return switched
+
+
+def _changed(owner: Indices, partner: Indices, counted: Mask) -> Mask:
+    """Rows at which an owner has another partner than at its counted row before; rows in order of time, shape (n,)."""
+    rows = np.flatnonzero(counted)
+    order = rows[np.argsort(owner[rows], kind="stable")]
+    changed = np.zeros(len(owner), dtype=bool)
+    changed[order[1:]] = (np.diff(owner[order]) == 0) & (np.diff(partner[order]) != 0)
+    return changed
+
+
+def _counted(number: int, one: str, several: str | None = None) -> str:
+    return f"{number} {one if number == 1 else several or one + 's'}"

@@ -1,0 +1,157 @@
+// A lane per track of one camera, on the time axis of the timeline: which vessel it follows, its gaps, its switches.
+
+const LANE_PX = 13, LEAST_PX = 3, MARK_PX = 4, HALF_SEEN = 0.5;
+
+class Lanes {
+  constructor(panel, canvas, recording, timeline) {
+    Object.assign(this, { panel, canvas, recording, timeline, found: [], index: 0 });
+    this.context = canvas.getContext('2d');
+    panel.addEventListener('scroll', () => this.draw(this.index));
+  }
+
+  // The lanes of a camera in the order of first appearance, each in stretches of one vessel.
+  of(camera) {
+    return this.found[camera] ??= findLanes(this.recording, camera);
+  }
+
+  prepare(camera) {
+    const { timeline } = this, width = timeline.canvas.clientWidth;
+    this.lanes = this.of(camera);
+    this.summary = timeline.summary;
+    const whole = this.lanes.length * LANE_PX;
+    document.getElementById('lanesSpace').style.height = `${whole}px`;
+    this.high = Math.min(this.panel.clientHeight, whole);
+    this.ratio = window.devicePixelRatio || 1;
+    this.canvas.width = Math.round(width * this.ratio);
+    this.canvas.height = Math.round(this.high * this.ratio);
+    this.canvas.style.width = `${width}px`;
+    this.canvas.style.height = `${this.high}px`;
+  }
+
+  // Only the lanes in sight are drawn, however many there are.
+  draw(index) {
+    this.index = index;
+    if (!this.canvas.width || !this.canvas.height) return;
+    const { context, timeline } = this, top = this.panel.scrollTop;
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    context.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    Object.assign(context, { font: '11px system-ui, sans-serif', textBaseline: 'middle' });
+    this.states();
+    const stop = Math.min(this.lanes.length, Math.ceil((top + this.high) / LANE_PX));
+    for (let at = Math.floor(top / LANE_PX); at < stop; at++) this.lane(this.lanes[at], at * LANE_PX - top);
+    const x = timeline.x(index + 0.5);
+    for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
+      context.fillStyle = colourOf(colour);
+      context.fillRect(x - wide / 2, 0, wide, this.high);
+    }
+  }
+
+  // The performance states, pale, behind all lanes.
+  states() {
+    const { context, timeline, recording } = this, { state } = this.summary, { length, facts } = recording;
+    context.globalAlpha = 0.45;
+    for (let from = 0, to = 0; from < length; from = to) {
+      while (to < length && state[to] === state[from]) to++;
+      if (state[from] >= facts.states.length) continue; // no frame yet
+      context.fillStyle = facts.states.length > 1 ? stateColour(state[from], facts.states.length) : colourOf('--track');
+      context.fillRect(timeline.x(from), 0, timeline.x(to) - timeline.x(from), this.high);
+    }
+    context.globalAlpha = 1;
+  }
+
+  lane(lane, top) {
+    const { context, timeline, recording } = this, { facts } = recording, high = LANE_PX - 4;
+    timeline.text(context, this.title(lane), 0, top + LANE_PX / 2, timeline.left - 6);
+    for (const { from, to, vessel, pale } of lane.stretches) {
+      const left = timeline.x(from), wide = Math.max(timeline.x(to) - left, LEAST_PX);
+      context.fillStyle = trackColour(vessel, facts);
+      context.globalAlpha = pale ? 0.4 : 1;
+      context.fillRect(left, top + 1, wide, vessel === null ? high / 2 : high);
+      context.globalAlpha = 1;
+    }
+    context.fillStyle = colourOf('--ink');
+    for (const { from, to } of this.occlusions(lane)) {
+      context.fillRect(timeline.x(from), top + high + 1, Math.max(timeline.x(to) - timeline.x(from), 1), 2);
+    }
+    for (const { index, switched } of lane.marks) this.mark(timeline.x(index), top, switched);
+  }
+
+  title({ number, vessel }) {
+    return `${number} ${vessel === null ? 'false' : this.recording.facts.vessels[vessel].name}`;
+  }
+
+  // Where the vessel that the lane follows, or has followed last, is less than half seen.
+  occlusions(lane) {
+    if (lane.hidden) return lane.hidden;
+    const { length } = this.recording, { fraction } = this.summary, found = [], pieces = lane.stretches;
+    let vessel = null;
+    pieces.forEach((piece, i) => {
+      vessel = piece.vessel ?? vessel;
+      const stop = pieces[i + 1]?.from ?? piece.to;
+      for (let index = piece.from; vessel !== null && index < stop; index++) {
+        if (!(fraction[vessel * length + index] < HALF_SEEN)) continue;
+        if (found.at(-1)?.to === index) found.at(-1).to = index + 1;
+        else found.push({ from: index, to: index + 1 });
+      }
+    });
+    return lane.hidden = found;
+  }
+
+  // A triangle: filled where the vessel had another track before, hollow where only the track had another vessel.
+  mark(x, top, filled) {
+    const { context } = this;
+    context.beginPath();
+    context.moveTo(x - MARK_PX, top - 1);
+    context.lineTo(x + MARK_PX, top - 1);
+    context.lineTo(x, top + 2 * MARK_PX - 1);
+    context.closePath();
+    Object.assign(context, { lineWidth: 1.2, fillStyle: colourOf(filled ? '--alarm' : '--paper'), strokeStyle: colourOf('--ink') });
+    context.fill();
+    context.stroke();
+  }
+
+  // Scroll to the first lane with a box at a step, unless one is in sight.
+  reveal(index) {
+    const first = this.panel.scrollTop / LANE_PX, stop = first + this.high / LANE_PX - 1;
+    const there = this.lanes.flatMap((lane, at) => (this.at(lane, index) ? [at] : []));
+    if (there.length && !there.some((at) => at >= first && at <= stop)) this.panel.scrollTop = there[0] * LANE_PX;
+  }
+
+  laneAt(y) { return this.lanes[Math.floor((y + this.panel.scrollTop) / LANE_PX)] ?? null; }
+
+  // What a lane shows at a step; null where it has no box.
+  at(lane, index) { return lane.stretches.find(({ from, to }) => from <= index && index < to) ?? null; }
+
+  // In words.
+  say(lane, index) {
+    const { facts, length } = this.recording, here = this.at(lane, index), name = `track ${lane.number}`;
+    if (!here) return `${name}: no box`;
+    if (here.vessel === null) return `${name} follows nothing`;
+    const fraction = this.summary.fraction[here.vessel * length + index], words = [`${name} follows ${facts.vessels[here.vessel].name}`];
+    words.push(`${percent(fraction)} visible`);
+    const mark = lane.marks.find((each) => each.index === index);
+    if (mark?.switched) words.push(`switch: the vessel had another track before`);
+    if (mark?.moved) words.push(`switch: the track had another vessel before`);
+    return words.join(', ');
+  }
+}
+
+function findLanes(recording, camera) {
+  const { facts, length } = recording, lanes = new Map();
+  for (let index = 0, before = -1; index < length; index++) {
+    const frame = recording.frame(index, camera), again = frame === before;
+    before = frame;
+    for (const { lane: number, vessel, pale, switched, moved } of tracksAt(recording, index, camera)) {
+      if (!lanes.has(number)) lanes.set(number, { number: facts.tracks.numbers[number], stretches: [], marks: [], steps: new Map() });
+      const lane = lanes.get(number), last = lane.stretches.at(-1);
+      if (last?.to === index && last.vessel === vessel && last.pale === pale) last.to = index + 1;
+      else lane.stretches.push({ from: index, to: index + 1, vessel, pale });
+      if (!again && (switched || moved)) lane.marks.push({ index, switched, moved });
+      if (vessel !== null) lane.steps.set(vessel, (lane.steps.get(vessel) ?? 0) + 1);
+    }
+  }
+  for (const lane of lanes.values()) { // the vessel that it follows most
+    lane.vessel = [...lane.steps].reduce((best, each) => (each[1] > best[1] ? each : best), [null, 0])[0];
+  }
+  return [...lanes.values()];
+}

@@ -1,0 +1,161 @@
+"""The page of a run with tracks: a lane each, in the vessel's colour, with marks of switches."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d import cli
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.view import palette
+from modsim3d.view.followed_tracks import FollowedTracks
+from modsim3d.view.report.report import write_report
+from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
+from tests.view.report.test_page_in_browser import differ, pixels
+from tests.view.report.test_report import unpack
+
+SWAP, FALSE = 100, range(40, 60)
+LANE = "player.lanes.lanes.find(lane => lane.number === {})"
+
+
+@pytest.fixture(scope="module")
+def rows(run_folder: Path) -> RunRows:
+    return RunRows.of(open_run(run_folder))
+
+
+@pytest.fixture(scope="module")
+def pair(rows: RunRows) -> tuple[int, int]:
+    """Two vessels that the first camera sees before and after the swap."""
+    tracks = perfect(rows)
+    here = tracks.take(tracks.camera == 0)
+    seen = [set(here.track[here.step == step].tolist()) for step in (SWAP - 5, SWAP - 1, SWAP, SWAP + 5)]
+    a, b = sorted(set.intersection(*seen))[:2]
+    return a, b
+
+
+@pytest.fixture(scope="module")
+def followed(rows: RunRows, pair: tuple[int, int]) -> FollowedTracks:
+    return FollowedTracks.of(as_set(with_false(swapped(perfect(rows), *pair, SWAP), FALSE)), rows)
+
+
+@pytest.fixture(scope="module")
+def tracks_page(run_folder: Path, followed: FollowedTracks, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("tracks") / "tracks.html"
+    return write_report(open_run(run_folder), out, followed=followed)
+
+
+def test_each_track_of_the_camera_has_a_lane_in_the_order_in_which_they_begin(browser, tracks_page, followed):
+    browser.open(tracks_page)
+    for camera in (0, 1):
+        mine = followed.tracks.take(followed.tracks.camera == camera)
+        numbers, first = np.unique(mine.track, return_index=True)
+        expected = numbers[np.argsort(first, kind="stable")].tolist()
+        assert browser.run("player.lanes.lanes.map(lane => lane.number)") == expected
+        assert len(expected) > 2
+        browser.press("c")
+    assert followed.sentence() in browser.run("document.querySelector('header').textContent")
+
+
+def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_at_that_moment(browser, tracks_page, pair):
+    browser.open(tracks_page, hash="#step=0")
+    for step, vessel in ((SWAP - 3, pair[0]), (SWAP + 3, pair[1])):
+        browser.run("player.lanes.panel.scrollTop = 0")
+        at = browser.run(f"player.lanes.lanes.indexOf({LANE.format(pair[0])})")
+        x, y = browser.run(f"[player.timeline.x({step} + 0.5), ({at} + 0.4) * LANE_PX]".replace("LANE_PX", "13"))
+        np.testing.assert_array_equal(pixels(browser, "lanes")[int(y), int(x), :3], palette.vessel_colour(vessel))
+
+
+def test_a_swap_marks_both_lanes_and_nothing_else(browser, tracks_page, pair):
+    browser.open(tracks_page)
+    marked = browser.run(
+        "player.lanes.lanes.flatMap(({ number, marks }) => marks.map(({ index, switched, moved }) => "
+        "[number, index, switched, moved]))"
+    )
+    assert sorted(marked) == [[number, SWAP, True, True] for number in sorted(pair)]
+    assert "the vessel had another track" in browser.run(f"player.lanes.say({LANE.format(pair[0])}, {SWAP})")
+
+
+def test_a_false_track_is_a_lane_that_follows_nothing_for_as_long_as_it_lasts(browser, tracks_page):
+    browser.open(tracks_page)
+    (only,) = browser.run(f"{LANE.format(FALSE_TRACK)}.stretches")
+    assert [only["from"], only["to"], only["vessel"]] == [FALSE.start, FALSE.stop, None]
+    assert browser.run(f"player.lanes.say({LANE.format(FALSE_TRACK)}, {FALSE.stop})") == f"track {FALSE_TRACK}: no box"
+
+
+def test_click_on_a_lane_jumps_there_and_shows_its_vessel_and_hovering_says_whom_it_follows(browser, tracks_page, pair):
+    browser.open(tracks_page, hash="#step=0")
+    at, high = browser.run(f"[player.lanes.lanes.indexOf({LANE.format(pair[0])}), player.lanes.high]")
+    x, wide = browser.run(f"[player.timeline.x({SWAP + 3.5}), player.timeline.canvas.clientWidth]")
+    browser.click("#lanes", x / wide, (at + 0.5) * 13 / high)
+    assert browser.run("[player.index, player.followed]") == [SWAP + 3, pair[1]]
+    said = browser.run("document.querySelector('#laneHint').textContent")
+    assert f"step {SWAP + 3}:" in said
+    assert f"track {pair[0]} follows " in said
+
+
+def test_boxes_of_tracks_are_hidden_and_shown_by_key_and_by_mouse(browser, tracks_page):
+    browser.open(tracks_page, hash=f"#step={SWAP}")
+    with_boxes = pixels(browser)
+    browser.press("k")
+    assert differ(pixels(browser), with_boxes)
+    browser.click("#layer-tracks")
+    assert not differ(pixels(browser), with_boxes)
+    browser.press("ArrowRight")
+    assert browser.run("player.index") == SWAP + 1
+
+
+def test_the_panel_scrolls_to_where_a_track_is_and_draws_only_what_is_in_sight(browser, tracks_page):
+    browser.open(tracks_page, hash="#step=0")
+    browser.run(
+        "(({ lanes }) => { const [lane] = lanes.lanes, empty = { ...lane, stretches: [], marks: [] };"
+        " const short = { ...empty, stretches: [{ from: 9, to: 10, vessel: null, pale: false }] };"
+        " lanes.lanes.splice(0, Infinity, ...Array(500).fill(empty), short); lanes.prepare(0); })(player)"
+    )
+    assert browser.run("player.lanes.high") <= 320
+    browser.run("player.go(9)")
+    top, high, count = browser.run("[player.lanes.panel.scrollTop, player.lanes.high, player.lanes.lanes.length]")
+    assert top <= (count - 1) * 13 < top + high
+
+
+def test_every_kth_step_keeps_the_marks_of_the_steps_between(run_folder, followed, tmp_path, pair):
+    every = 7
+    _, columns = unpack(write_report(open_run(run_folder), tmp_path / "page.html", every=every, followed=followed))
+    frames, marked = np.diff(columns["trackStart"]), columns["trackFlags"] & 2 > 0
+    index = np.repeat(np.arange(len(frames)), frames)[marked] // 2  # of two cameras
+    assert index.tolist() == [-(-SWAP // every)] * 2
+
+
+def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
+    plain, with_tracks = (path.read_text(encoding="utf-8") for path in (page, tracks_page))
+    for part in ("lanes", "TrackPlayer", "Tracks of", "<kbd>K</kbd>", '"tracks"'):
+        assert part not in plain
+        assert part in with_tracks
+
+
+def call(monkeypatch, *arguments) -> int:
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code)
+
+
+def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_folder, rows, followed, tmp_path):
+    file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
+    assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", out, "--every", 20) == 0
+    assert followed.sentence() in " ".join(capsys.readouterr().out.split())
+    assert unpack(out)[0]["tracks"]["name"] == "made"
+    assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", file, "--overwrite") == 2
+    assert file.read_text(encoding="utf-8").startswith("camera,")
+
+
+def test_tracks_that_are_not_there_are_one_message(monkeypatch, capsys, run_folder, tmp_path):
+    missing = tmp_path / "nowhere"
+    assert call(monkeypatch, "report", run_folder, "--tracks", missing, "--out", tmp_path / "page.html") == 2
+    error = capsys.readouterr().err
+    assert str(missing) in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "page.html").exists()

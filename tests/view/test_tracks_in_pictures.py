@@ -1,0 +1,143 @@
+"""Tracks in pictures, films and Rerun."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from modsim3d import cli
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view import palette
+from modsim3d.view.films.layout import FilmLayout
+from modsim3d.view.followed_tracks import FollowedTracks
+from tests.scenes import crossing
+from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, write_csv
+from tests.view.test_run_rerun import read
+
+STEPS, WIDTH, STEP = 12, 1600, 9
+FRAME = ("--width", WIDTH, "--layers", "tracks")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("tracked")
+    run_scene(load_scene(str(crossing(folder, STEPS)), source="analytic"), folder / "run")
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def rows(run) -> RunRows:
+    return RunRows.of(open_run(run))
+
+
+@pytest.fixture(scope="module")
+def followed(rows) -> FollowedTracks:
+    """One track on each vessel and a false one all the time."""
+    return FollowedTracks.of(as_set(with_false(perfect(rows), range(STEPS))), rows)
+
+
+@pytest.fixture(scope="module")
+def tracks(rows, followed, tmp_path_factory) -> Path:
+    return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
+
+
+def call(monkeypatch, *arguments) -> int:
+    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    return int(stopped.value.code)
+
+
+def drawn(monkeypatch, run: Path, out: Path, *options) -> np.ndarray:
+    """The picture of a step under the head line, with two of its pixels for one of the image."""
+    assert call(monkeypatch, "view", run, "--frame", STEP, *FRAME, *options, "--out", out) == 0
+    with Image.open(out) as picture:
+        return np.asarray(picture)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
+
+
+def test_the_edge_of_a_tracks_box_has_the_tracks_colour_and_a_false_ones_that_of_mistakes(
+    monkeypatch, run, followed, tracks, tmp_path
+):
+    picture = drawn(monkeypatch, run, tmp_path / "a.png", "--tracks", tracks)
+    here = followed.rows_of(STEP)
+    assert here.stop - here.start >= 3
+    for number, (x0, y0, _, y1) in zip(followed.tracks.track[here], followed.tracks.boxes_px[here], strict=True):
+        colour = palette.ALARM if number == FALSE_TRACK else palette.track_colour(int(number))
+        left = picture[int(2 * y0) + 2 : int(2 * y1) - 2, int(2 * x0) + 2 : int(2 * x0) + 4]
+        share = (left == colour).all(axis=-1).mean()
+        assert share > (0.4 if number == FALSE_TRACK else 0.6), number  # a false one is dashed
+    assert not (picture == palette.TRACKS[6]).all(axis=-1).any()
+
+
+def test_a_track_leaves_a_trail_where_its_centre_was(monkeypatch, run, followed, tracks, tmp_path):
+    picture = drawn(monkeypatch, run, tmp_path / "a.png", "--tracks", tracks)
+    last = slice(*np.searchsorted(followed.tracks.frame, (STEP, STEP + 1)))
+    row = last.start + followed.tracks.track[last].tolist().index(2)
+    trail = followed.trail_px(row)
+    assert len(trail) == 3  # a step a second, two seconds back
+    for x, y in (trail[:-1] + trail[1:]) / 2:
+        around = picture[int(2 * y) - 2 : int(2 * y) + 3, int(2 * x) - 2 : int(2 * x) + 3]
+        assert (np.abs(around - palette.track_colour(2)).max(axis=-1) < 40).any()
+
+
+def test_pictures_without_the_layer_are_those_without_tracks(monkeypatch, run, tracks, tmp_path):
+    for name, options in {"a": (), "b": ("--tracks", tracks)}.items():
+        layers = ("--layers", "horizon,truth,detections,labels", "--width", 640)
+        arguments = ("--frame", STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
+        assert call(monkeypatch, "view", run, *arguments) == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, run, tracks, tmp_path):
+    options = ("--film", "detections", "--every", 4, "--width", 320, "--tracks", tracks)
+    for workers in (1, 2):
+        assert call(monkeypatch, "view", run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.gif") == 0
+    assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
+
+
+@pytest.mark.parametrize("task", [("--film", "ids"), ("--frame", 3, "--film", "scene"), ("--map",), ("--sheet",)])
+def test_tracks_are_refused_where_they_are_not_drawn(monkeypatch, capsys, run, tracks, tmp_path, task):
+    assert call(monkeypatch, "view", run, *task, "--tracks", tracks, "--overwrite") == 2
+    assert "--tracks works with --film detections and all" in capsys.readouterr().err
+
+
+def test_tracks_of_an_interrupted_run_are_refused(monkeypatch, capsys, tmp_path, tracks):
+    class Stop(Exception):
+        pass
+
+    def stop(steps: int) -> None:
+        raise Stop
+
+    scene = load_scene(str(crossing(tmp_path, 400)), source="analytic")
+    with pytest.raises(Stop):
+        run_scene(scene, tmp_path / "cut", progress=stop)
+    for command in ("report", "rerun"):
+        assert call(monkeypatch, command, tmp_path / "cut", "--tracks", tracks, "--out", tmp_path / "x") == 2
+        assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
+
+
+def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, run, rows, followed, tracks, tmp_path):
+    assert call(monkeypatch, "rerun", run, "--tracks", tracks, "--out", tmp_path / "a.rrd") == 0
+    found, names = read(tmp_path / "a.rrd"), [*rows.scene.vessel_names, "nothing"]
+    for step in range(STEPS):
+        here = followed.rows_of(step)
+        numbers, vessels = followed.tracks.track[here].tolist(), followed.vessel[here].tolist()
+        entity = found["/world/cameras/C0/image/tracks"][step]
+        assert entity["labels"] == [f"#{n} on {names[v]}" for n, v in zip(numbers, vessels, strict=True)]
+        centre = (followed.tracks.boxes_px[here, :2] + followed.tracks.boxes_px[here, 2:]) / 2
+        np.testing.assert_allclose(entity["centers"], centre, rtol=1e-5)
+        assert found["/counts/C0/tracks"][step]["scalars"] == [len(numbers)]
+        assert found["/counts/C0/false_tracks"][step]["scalars"] == [1]
+
+
+def test_rerun_without_tracks_has_none(monkeypatch, run, tmp_path):
+    assert call(monkeypatch, "rerun", run, "--out", tmp_path / "a.rrd") == 0
+    assert not [name for name in read(tmp_path / "a.rrd") if "tracks" in json.dumps(name)]
