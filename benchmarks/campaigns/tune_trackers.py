@@ -27,8 +27,8 @@ OUT = Path(__file__).resolve().parents[2] / "scenes" / "trackers"
 SEEDS = {"fairway": (1001, 1002, 1003)}
 """Traffic seeds of scenes that draw their traffic."""
 OTHER_SEED, OTHER_LOOKS = 1001, 2
-STEPS = {"fairway": 400, "strait": 300, "harbour": 200, "simulation_1": 500, "simulation_2": 1500, "simulation_3": 1000}
-DRAWS = 60
+STEPS = {"fairway": 400, "strait": 300, "harbour": 200, "simulation_1": 500, "simulation_2": 1000, "simulation_3": 600}
+DRAWS = 40
 REDRAWN = 0.3
 """Share of the best settings that are drawn anew in the second half."""
 Range = tuple[float, float] | tuple[int, int] | Sequence[object]
@@ -38,8 +38,8 @@ SPACES: dict[str, dict[str, Range]] = {
         "noise_share": (0.02, 0.3),
         "noise_x_px": (0.5, 60.0),
         "noise_y_px": (0.5, 30.0),
-        "velocity_change_px_s": (1.0, 30.0),
-        "first_speed_px_s": (5.0, 200.0),
+        "velocity_change_px_s": (1.0, 400.0),
+        "first_speed_px_s": (5.0, 600.0),
         "start_confidence": (0.2, 0.7),
         "confirm_hits": (1, 5),
         "lost_s": (0.5, 10.0),

@@ -132,7 +132,9 @@ class _LibraryTracker(Tracker):
         states: dict[int, Array] = {each.tracker_id: each.get_state_bbox() for each in tracklets}
         boxes_px = seen.boxes_px
         if self.boxes == "filtered":
-            boxes_px = np.array([states[track] for track in seen.track.tolist()]).reshape(-1, 4)
+            filtered = np.array([states[track] for track in seen.track.tolist()]).reshape(-1, 4)
+            whole = (sizes(filtered) > 0).all(axis=1, keepdims=True)  # a filter of corners may cross them
+            boxes_px = np.where(whole, filtered, boxes_px)
         away = [
             each.tracker_id
             for each in tracklets

@@ -21,6 +21,8 @@ _SIZE_NOISE = 1.5
 _SIZE_WALK = 0.2
 """Share by which a box's size changes in a second."""
 _FORBIDDEN = 1e6
+_FEWEST = 3
+"""Tracks with a detection from which the turn of the camera is taken."""
 _TIME_S = 1e-9
 """Times are differences of rounded ones: one that is as long as allowed is not longer."""
 
@@ -98,8 +100,10 @@ class ReferenceTracker(Tracker):
             free = np.ones(len(frame.boxes_px), dtype=bool)
             if known is not None:
                 known = self._alive(known, frame.time_s)
-                known = replace(known, motion=self._predicted(known.motion, frame.time_s - before_s))
-                track, found = self._assigned(known.motion, frame)
+                motion = self._predicted(known.motion, frame.time_s - before_s)
+                steadied = self._steadied(motion, frame)
+                track, found = self._assigned(steadied, frame)
+                known = replace(known, motion=steadied.with_rows(track, motion.take(track)))
                 known = self._corrected(known, frame, track, found)
                 free[found] = False
             fresh = np.flatnonzero(free & (frame.confidence >= self.start_confidence))
@@ -123,16 +127,23 @@ class ReferenceTracker(Tracker):
         return np.concatenate([noise_px, _SIZE_NOISE * noise_px], axis=1) ** 2
 
     def _predicted(self, motion: Motion, time_s: float) -> Motion:
-        walk = np.zeros_like(motion.place)
-        walk[:, 2:] = _SIZE_WALK * np.maximum(motion.place[:, 2:], 1)
+        walk = _SIZE_WALK * np.maximum(motion.place, 1) * [0, 0, 1, 1]
         return motion.predicted(time_s, np.repeat([self.velocity_change_px_s, 0.0], 2), walk)
+
+    def _steadied(self, motion: Motion, frame: SensedFrame) -> Motion:
+        """Moved by what all tracks are off by: the camera has turned."""
+        track, found = self._assigned(motion, frame)
+        if len(track) < _FEWEST:
+            return motion
+        off = np.median(centre_form(frame.boxes_px)[found, :2] - motion.place[track, :2], axis=0)
+        return replace(motion, place=motion.place + np.append(off, [0, 0]))
 
     def _assigned(self, motion: Motion, frame: SensedFrame) -> tuple[Indices, Indices]:
         """Rows of the tracks that have a detection, and of their detections."""
-        variance = (motion.place_variance + self._noise_px2(motion.place))[:, None, :2]
-        away = centre_form(frame.boxes_px)[:, :2] - motion.place[:, None, :2]
-        distance = np.sum(away**2 / variance, axis=-1)
-        near = distance <= -2 * np.log1p(-self.gate_probability)  # a quantile of chi-square with two degrees of freedom
+        variance = (motion.place_variance + self._noise_px2(motion.place))[:, None]
+        squared = (centre_form(frame.boxes_px) - motion.place[:, None]) ** 2 / variance
+        near = squared[..., :2].sum(axis=-1) <= -2 * np.log1p(-self.gate_probability)  # chi-square with two degrees
+        distance = squared.sum(axis=-1)
         track, found = linear_sum_assignment(np.where(near, distance + np.log(variance).sum(axis=-1), _FORBIDDEN))
         good = near[track, found]
         return track[good], found[good]

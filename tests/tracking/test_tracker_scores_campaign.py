@@ -1,0 +1,56 @@
+"""A small sample of the campaign `tracker_scores`, and its committed result."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.campaigns import tracker_scores
+from benchmarks.tracker_trials import mean_and_interval
+
+ROOT = Path(__file__).resolve().parents[2]
+CAMPAIGNS = ROOT / "docs" / "campaigns"
+
+
+@pytest.fixture(scope="module")
+def data() -> dict:
+    return json.loads((CAMPAIGNS / "tracker_scores.json").read_text(encoding="utf-8"))
+
+
+def test_the_committed_page_is_what_the_campaign_makes_of_its_figures(data: dict) -> None:
+    assert (CAMPAIGNS / "tracker_scores.md").read_text(encoding="utf-8") == tracker_scores.page(data)
+    assert not tracker_scores.problems(data)
+
+
+def test_the_readme_has_the_campaign_s_lines(data: dict) -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for line in tracker_scores.readme_table(data):
+        assert line in readme.splitlines()
+
+
+def test_scores_fall_with_the_miss_rate_and_reach_0_9_without_misses() -> None:
+    hota = {rate: tracker_scores.perfect_trial(("simulation_1", 5, rate, 120))[0]["hota"] for rate in (0.0, 0.2, 0.4)}
+    assert hota[0.0] > 0.9
+    assert hota[0.0] > hota[0.2] > hota[0.4]
+
+
+def test_an_interval_is_student_s() -> None:
+    """Of 1, 2, 3: mean 2, standard deviation 1, and the 97.5 % quantile of t with 2 degrees of freedom is 4.3027."""
+    found = mean_and_interval([1.0, None, 2.0, 3.0])
+    assert found["n"] == 3 and found["mean"] == 2
+    assert found["half"] == pytest.approx(4.302653 / np.sqrt(3), rel=1e-6)
+    assert mean_and_interval([5.0]) == {"n": 1, "mean": 5.0, "half": None}
+
+
+def test_detector_seeds_of_one_traffic_count_as_one() -> None:
+    rows = [{"traffic_seed": seed, "hota": value} for seed, value in ((1, 0.2), (1, 0.4), (2, 0.5), (2, 0.7))]
+    found = tracker_scores.nested(rows, "hota")
+    assert found["n"] == 2 and found["mean"] == pytest.approx(0.45)
+
+
+def test_detector_seeds_of_the_only_traffic_give_the_interval_of_this_traffic() -> None:
+    found = tracker_scores.nested([{"traffic_seed": 0, "hota": value} for value in (0.2, 0.4, 0.6)], "hota")
+    assert found["n"] == 3 and found["half"] is not None
