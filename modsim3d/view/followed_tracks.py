@@ -32,6 +32,7 @@ class FollowedTracks:
 
     Attributes:
         name: What the tracker is called.
+        similarity: How boxes were compared.
         tracks: The tracks.
         time_s: Time of each row, shape (k,).
         vessel: Index of the vessel that each row follows, `NOBODY` for none, shape (k,).
@@ -42,6 +43,7 @@ class FollowedTracks:
     """
 
     name: str
+    similarity: Similarity
     tracks: Tracks
     time_s: Array
     vessel: Indices
@@ -50,13 +52,14 @@ class FollowedTracks:
     moved: Mask
 
     @classmethod
-    def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity | None = None) -> Self:
-        """Tracks held against the annotated truth of a run; compared by IoU if no similarity is given."""
+    def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity) -> Self:
+        """Tracks held against the annotated truth of a run."""
         tracks = track_set.tracks
-        following = follow(TrueTracks.of(rows), tracks, similarity or Similarity())
+        following = follow(TrueTracks.of(rows), tracks, similarity)
         vessel = np.append(following.truth.vessel, NOBODY)[following.truth_row]
         return cls(
             track_set.name,
+            similarity,
             tracks,
             rows.scene.times_s(0, rows.steps)[tracks.step],
             vessel,
@@ -103,13 +106,13 @@ class FollowedTracks:
         )
 
 
-def read_followed_tracks(path: Path, run: StoredRun, rows: RunRows | None = None) -> FollowedTracks:
+def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> FollowedTracks:
     """Read tracks of a finished run, and see which vessel each follows.
 
     Args:
         path: What `read_tracks` takes.
         run: The run.
-        rows: Its rows; read if None.
+        similarity: How boxes are compared.
 
     Raises:
         ModsimError: The run is not finished, or the tracks are wrong.
@@ -118,8 +121,8 @@ def read_followed_tracks(path: Path, run: StoredRun, rows: RunRows | None = None
         raise ModsimError(
             f"{run.folder} holds an interrupted run, and tracks need a finished one: go on with modsim3d run --resume"
         )
-    rows = RunRows.of(run) if rows is None else rows
-    return FollowedTracks.of(read_tracks(path, run, rows), rows)
+    rows = RunRows.of(run)
+    return FollowedTracks.of(read_tracks(path, run, rows), rows, similarity)
 
 
 def _switched(following: Following) -> Mask:
