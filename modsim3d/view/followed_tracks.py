@@ -53,18 +53,25 @@ class FollowedTracks:
 
     @classmethod
     def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity) -> Self:
-        """Tracks held against the annotated truth of a run."""
+        """Tracks held against the annotated truth of a run.
+
+        Rows on vessels that are not scored are found first. The others are then matched without those vessels, as CLEAR
+        MOT's scores are, so that the switches are theirs.
+        """
         tracks = track_set.tracks
-        following = follow(TrueTracks.of(rows), tracks, similarity)
-        vessel = np.append(following.truth.vessel, NOBODY)[following.truth_row]
+        first = follow(TrueTracks.of(rows), tracks, similarity)
+        counted = first.counted
+        again = follow(first.truth.take(first.truth.scored), tracks.take(counted), similarity)
+        vessel, switched = _vessels(first), np.zeros(len(tracks), dtype=bool)
+        vessel[counted], switched[counted] = _vessels(again), _switched(again)
         return cls(
             track_set.name,
             similarity,
             tracks,
             rows.scene.times_s(0, rows.steps)[tracks.step],
             vessel,
-            ~following.counted,
-            _switched(following),
+            ~counted,
+            switched,
             _changed(tracks.identity, vessel, vessel != NOBODY),
         )
 
@@ -125,13 +132,17 @@ def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> 
     return FollowedTracks.of(read_tracks(path, run, rows), rows, similarity)
 
 
+def _vessels(following: Following) -> Indices:
+    """Index of the vessel that each row of the tracks follows, `NOBODY` for none."""
+    vessels: Indices = np.append(following.truth.vessel, NOBODY)[following.truth_row]
+    return vessels
+
+
 def _switched(following: Following) -> Mask:
     """Rows of the tracks on which an appearance of a vessel is followed by another track than last."""
-    truth = following.truth
-    on = following.found & truth.scored
     track = np.append(following.tracks.identity, NOBODY)[following.track_row]
     switched = np.zeros(len(following.tracks), dtype=bool)
-    switched[following.track_row[_changed(truth.identity, track, on)]] = True
+    switched[following.track_row[_changed(following.truth.identity, track, following.found)]] = True
     return switched
 
 
