@@ -10,7 +10,14 @@ import typer
 from modsim3d.commands.progress import progress_bar
 from modsim3d.commands.shared import OverwriteOption, QuietOption, RunArgument, VerboseOption, out_file
 from modsim3d.commands.terminal import say, tell_files, timed, warn
-from modsim3d.commands.tracks_option import TracksOption, opened_tracks, read_of_tracks
+from modsim3d.commands.tracks_option import (
+    ScaleOption,
+    SimilarityOption,
+    ThresholdOption,
+    TracksOption,
+    opened_tracks,
+    read_of_tracks,
+)
 
 
 def report_command(
@@ -22,6 +29,9 @@ def report_command(
         int, typer.Option(min=1, metavar="K", help="Show every K-th step only; the tables count all steps.")
     ] = 1,
     tracks: TracksOption = None,
+    similarity: SimilarityOption = None,
+    scale: ScaleOption = None,
+    threshold: ThresholdOption = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -39,7 +49,7 @@ def report_command(
         opened = open_run(run)
     read = read_of_run(run) + read_of_tracks(tracks)
     tell_files(read)
-    followed = opened_tracks(tracks, opened)
+    followed = opened_tracks(tracks, opened, similarity, scale, threshold)
     path = out_file(out, run / REPORT_FILE)
     with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
@@ -62,6 +72,9 @@ def rerun_command(
     ] = None,
     every: Annotated[int, typer.Option(min=1, metavar="K", help="Record every K-th step only.")] = 1,
     tracks: TracksOption = None,
+    similarity: SimilarityOption = None,
+    scale: ScaleOption = None,
+    threshold: ThresholdOption = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -79,7 +92,7 @@ def rerun_command(
         opened = open_run(run)
     read = read_of_run(run) + read_of_tracks(tracks)
     tell_files(read)
-    followed = opened_tracks(tracks, opened)
+    followed = opened_tracks(tracks, opened, similarity, scale, threshold)
     path = out_file(out, run / "run.rrd")
     with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))

@@ -20,7 +20,14 @@ from modsim3d.commands.shared import (
 )
 from modsim3d.commands.stopping import Stopped, stoppable
 from modsim3d.commands.terminal import open_console, say, tell_files, timed, warn
-from modsim3d.commands.tracks_option import TracksOption, opened_tracks, read_of_tracks
+from modsim3d.commands.tracks_option import (
+    ScaleOption,
+    SimilarityOption,
+    ThresholdOption,
+    TracksOption,
+    opened_tracks,
+    read_of_tracks,
+)
 from modsim3d.commands.view_options import Film, Style
 from modsim3d.commands.view_output import claimed_file, claimed_folder, film_format
 from modsim3d.errors import ModsimError, RendererError
@@ -47,6 +54,9 @@ def view_command(
     every: options.Every = 1,
     only_with_vessels: options.OnlyWithVessels = False,
     tracks: TracksOption = None,
+    similarity: SimilarityOption = None,
+    scale: ScaleOption = None,
+    threshold: ThresholdOption = None,
     layers: options.LayerNames = None,
     look: options.Look = None,
     visibility: options.Visibility = None,
@@ -74,7 +84,7 @@ def view_command(
     style, boxes_on_scene = _style(film, look, visibility, night)
     opened = open_run(run)
     tell_files(read_of_run(run) + read_of_tracks(tracks))
-    followed = opened_tracks(tracks, opened)
+    followed = opened_tracks(tracks, opened, similarity, scale, threshold)
     if sheet:
         _draw_sheet(opened, overwrite)
     cameras = select_cameras(opened, camera or [])

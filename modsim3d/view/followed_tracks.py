@@ -32,6 +32,7 @@ class FollowedTracks:
 
     Attributes:
         name: What the tracker is called.
+        similarity: How boxes were compared.
         tracks: The tracks.
         time_s: Time of each row, shape (k,).
         vessel: Index of the vessel that each row follows, `NOBODY` for none, shape (k,).
@@ -42,6 +43,7 @@ class FollowedTracks:
     """
 
     name: str
+    similarity: Similarity
     tracks: Tracks
     time_s: Array
     vessel: Indices
@@ -50,18 +52,26 @@ class FollowedTracks:
     moved: Mask
 
     @classmethod
-    def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity | None = None) -> Self:
-        """Tracks held against the annotated truth of a run; compared by IoU if no similarity is given."""
+    def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity) -> Self:
+        """Tracks held against the annotated truth of a run.
+
+        Rows on vessels that are not scored are found first. The others are then matched without those vessels, as CLEAR
+        MOT's scores are, so that the switches are theirs.
+        """
         tracks = track_set.tracks
-        following = follow(TrueTracks.of(rows), tracks, similarity or Similarity())
-        vessel = np.append(following.truth.vessel, NOBODY)[following.truth_row]
+        first = follow(TrueTracks.of(rows), tracks, similarity)
+        counted = first.counted
+        again = follow(first.truth.take(first.truth.scored), tracks.take(counted), similarity)
+        vessel, switched = _vessels(first), np.zeros(len(tracks), dtype=bool)
+        vessel[counted], switched[counted] = _vessels(again), _switched(again)
         return cls(
             track_set.name,
+            similarity,
             tracks,
             rows.scene.times_s(0, rows.steps)[tracks.step],
             vessel,
-            ~following.counted,
-            _switched(following),
+            ~counted,
+            switched,
             _changed(tracks.identity, vessel, vessel != NOBODY),
         )
 
@@ -103,13 +113,13 @@ class FollowedTracks:
         )
 
 
-def read_followed_tracks(path: Path, run: StoredRun, rows: RunRows | None = None) -> FollowedTracks:
+def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> FollowedTracks:
     """Read tracks of a finished run, and see which vessel each follows.
 
     Args:
         path: What `read_tracks` takes.
         run: The run.
-        rows: Its rows; read if None.
+        similarity: How boxes are compared.
 
     Raises:
         ModsimError: The run is not finished, or the tracks are wrong.
@@ -118,17 +128,21 @@ def read_followed_tracks(path: Path, run: StoredRun, rows: RunRows | None = None
         raise ModsimError(
             f"{run.folder} holds an interrupted run, and tracks need a finished one: go on with modsim3d run --resume"
         )
-    rows = RunRows.of(run) if rows is None else rows
-    return FollowedTracks.of(read_tracks(path, run, rows), rows)
+    rows = RunRows.of(run)
+    return FollowedTracks.of(read_tracks(path, run, rows), rows, similarity)
+
+
+def _vessels(following: Following) -> Indices:
+    """Index of the vessel that each row of the tracks follows, `NOBODY` for none."""
+    vessels: Indices = np.append(following.truth.vessel, NOBODY)[following.truth_row]
+    return vessels
 
 
 def _switched(following: Following) -> Mask:
     """Rows of the tracks on which an appearance of a vessel is followed by another track than last."""
-    truth = following.truth
-    on = following.found & truth.scored
     track = np.append(following.tracks.identity, NOBODY)[following.track_row]
     switched = np.zeros(len(following.tracks), dtype=bool)
-    switched[following.track_row[_changed(truth.identity, track, on)]] = True
+    switched[following.track_row[_changed(following.truth.identity, track, following.found)]] = True
     return switched
 
 

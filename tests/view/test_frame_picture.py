@@ -19,6 +19,7 @@ from modsim3d.view.pictures.layers import DETECTIONS, SCENE, Layers
 from modsim3d.view.pictures.legend import id_entries, letters
 from modsim3d.view.pictures.plain import background
 from modsim3d.view.pictures.solids import Solids
+from modsim3d.view.pictures.track_marks import FrameTracks
 from modsim3d.view.pictures.window import Window
 from tests.scenes import crossing
 
@@ -105,6 +106,11 @@ def test_each_layer_draws_something_and_only_when_it_is_on(camera_views, name):
         elif name == "mistakes":
             others = replace(camera_view.frame.detections, labels=("Buoy",) * len(camera_view.frame.detections))
             camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=others))
+        elif name == "tracks":
+            boxes = camera_view.frame.truth.full_boxes_px
+            none = np.zeros(len(boxes), dtype=bool)
+            tracks = FrameTracks(np.arange(len(boxes)), boxes, none, none, (np.empty((0, 2)),) * len(boxes))
+            camera_view = replace(camera_view, tracks=tracks)
         elif name == "false_positives":
             nobody = replace(camera_view.frame.detections, vessels=(None,) * len(camera_view.frame.detections))
             camera_view = replace(camera_view, frame=replace(camera_view.frame, detections=nobody))

@@ -15,6 +15,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracks.similarity import Similarity
 from modsim3d.view import palette
 from modsim3d.view.films.layout import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
@@ -41,7 +42,7 @@ def rows(run) -> RunRows:
 @pytest.fixture(scope="module")
 def followed(rows) -> FollowedTracks:
     """One track on each vessel and a false one all the time."""
-    return FollowedTracks.of(as_set(with_false(perfect(rows), range(STEPS))), rows)
+    return FollowedTracks.of(as_set(with_false(perfect(rows), range(STEPS))), rows, Similarity())
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.arrays import Indices
-from modsim3d.view.followed_tracks import TRAIL_S, FollowedTracks
+from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.packing import Column, in_quanta, starts
 from modsim3d.view.report.silhouettes import NONE
 
@@ -41,7 +41,7 @@ def track_facts(followed: FollowedTracks) -> dict[str, Any]:
         "name": followed.name,
         "numbers": followed.tracks.track[first].tolist(),
         "flags": {"UNSCORED": UNSCORED, "SWITCHED": SWITCHED, "MOVED": MOVED},
-        "trail": TRAIL_S,
+        "rule": f"{followed.similarity} below {followed.similarity.least:g}",
     }
 
 

@@ -59,7 +59,7 @@ class TrackPlayer extends Player {
     const add = (inside, text) => parts.push(element('span', {}, laneSymbol(inside), text));
     add(`<path d="M2 5h26v9H2z" fill="${colour}"/>`, 'track, in the colour of the vessel that it follows');
     add(`<path d="M2 5h26v9H2z" fill="${colour}" opacity="0.4"/>`, 'on a vessel that is wholly hidden or not annotated: counts neither way');
-    add(`<path d="M2 5h26v5H2z" fill="${FALSE_TRACK}"/>`, 'follows nothing (IoU below 0.5 with every vessel)');
+    add(`<path d="M2 5h26v5H2z" fill="${FALSE_TRACK}"/>`, `follows nothing (${this.recording.facts.tracks.rule} with every vessel that is free)`);
     add(`<path d="M2 13h26v3H2z" fill="${colourOf('--ink')}"/>`, 'its vessel is less than half visible');
     add(`<path d="M10 3h10l-5 11z" fill="${colourOf('--alarm')}" stroke="${colourOf('--ink')}"/>`, 'identity switch: the vessel had another track before');
     add(`<path d="M10 3h10l-5 11z" fill="${colourOf('--paper')}" stroke="${colourOf('--ink')}"/>`, 'the track had another vessel before');

@@ -11,6 +11,7 @@ import pytest
 from modsim3d import cli
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
+from modsim3d.tracks.similarity import Similarity
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
@@ -39,7 +40,7 @@ def pair(rows: RunRows) -> tuple[int, int]:
 
 @pytest.fixture(scope="module")
 def followed(rows: RunRows, pair: tuple[int, int]) -> FollowedTracks:
-    return FollowedTracks.of(as_set(with_false(swapped(perfect(rows), *pair, SWAP), FALSE)), rows)
+    return FollowedTracks.of(as_set(with_false(swapped(perfect(rows), *pair, SWAP), FALSE)), rows, Similarity())
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +151,22 @@ def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_fo
     assert unpack(out)[0]["tracks"]["name"] == "made"
     assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", file, "--overwrite") == 2
     assert file.read_text(encoding="utf-8").startswith("camera,")
+
+
+def test_how_boxes_are_compared_is_an_option_and_in_the_legend(
+    monkeypatch, browser, run_folder, rows, followed, tmp_path
+):
+    file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
+    options = ("--similarity", "centre", "--scale", 150, "--threshold", 0.3, "--every", 20)
+    assert call(monkeypatch, "report", run_folder, "--tracks", file, *options, "--out", out) == 0
+    browser.open(out)
+    legend = browser.run("document.querySelector('#legend').textContent")
+    assert "1 - distance of centres / 150 px below 0.3" in legend
+
+
+def test_how_boxes_are_compared_needs_tracks(monkeypatch, capsys, run_folder, tmp_path):
+    assert call(monkeypatch, "report", run_folder, "--threshold", 0.3, "--out", tmp_path / "page.html") == 2
+    assert "are for --tracks" in capsys.readouterr().err
 
 
 def test_tracks_that_are_not_there_are_one_message(monkeypatch, capsys, run_folder, tmp_path):
