@@ -77,6 +77,16 @@ def tracks_of(rows: RunRows, tracker: str, settings: Mapping[str, object] | None
     return tracked(named, sequences_of(rows, cameras), cameras, rows.scene)
 
 
+def tracks_lost_when_hidden(rows: RunRows) -> Tracks:
+    """The true boxes, with a new track after each stretch in which a vessel is wholly hidden."""
+    truth = TrueTracks.of(rows)
+    order = np.lexsort((truth.frame, truth.identity))
+    hidden = ~truth.scored[order]
+    begins = (np.diff(truth.identity[order], prepend=-1) != 0) | (np.diff(hidden, prepend=True).astype(bool) & ~hidden)
+    seen = order[~hidden]
+    return Tracks.of(truth.cameras, truth.frame[seen], np.cumsum(begins)[~hidden], truth.boxes_px[seen])
+
+
 def scores(rows: RunRows, tracks: Tracks, *, annotated: bool = False) -> dict[str, Any]:
     """What the tables are made of; against the annotated truth in place of the full one if that is asked for."""
     truth: TruthName = "annotated" if annotated else "full"

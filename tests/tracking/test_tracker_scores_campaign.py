@@ -31,10 +31,16 @@ def test_the_readme_has_the_campaign_s_lines(data: dict) -> None:
         assert line in readme.splitlines()
 
 
-def test_scores_fall_with_the_miss_rate_and_reach_0_9_without_misses() -> None:
-    hota = {rate: tracker_scores.perfect_trial(("simulation_1", 5, rate, 120))[0]["hota"] for rate in (0.0, 0.2, 0.4)}
-    assert hota[0.0] > 0.9
-    assert hota[0.0] > hota[0.2] > hota[0.4]
+def test_scores_fall_with_the_miss_rate() -> None:
+    every = [tracker_scores.miss_trial(("simulation_1", 5, rate, 100)) for rate in (0.0, 0.4)]
+    for sound, missing in zip(*every, strict=True):
+        assert sound["hota"] > missing["hota"]
+
+
+def test_the_reference_reaches_0_9_behind_a_perfect_detector() -> None:
+    reference, lost_when_hidden = tracker_scores.perfect_trial(("simulation_2", 0, 150))
+    assert reference["hota"] > tracker_scores.PERFECT_LEAST
+    assert lost_when_hidden["deta"] == 1
 
 
 def test_an_interval_is_student_s() -> None:
