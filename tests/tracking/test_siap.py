@@ -31,6 +31,12 @@ def test_one_vessel_followed_all_the_time() -> None:
     assert siap(scored) == Siap(1, 1, 0, 5, 0, 1)
 
 
+def test_the_last_bits_of_times_are_in_no_share() -> None:
+    truth = [(k, vessel, box(100 * vessel)) for vessel in range(3) for k in range(7 + vessel)]
+    tracks = [(k, vessel, place) for k, vessel, place in truth]
+    assert siap(hand_made(truth, tracks, 12, step_s=0.1, rules=RULES)).siap_longest_track_share == 1
+
+
 def test_a_second_track_on_a_vessel_is_ambiguous_and_not_spurious() -> None:
     """4 vessel-frames with 6 tracks, one more track far off; distances 0 (four times) and 6 (twice)."""
     truth = [(k, 0, box()) for k in range(4)]
