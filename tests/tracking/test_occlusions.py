@@ -103,3 +103,5 @@ def test_the_last_bits_of_times_decide_nothing() -> None:
     spans_s = np.array([4.4 - 2.4, 2.0, 2.001, np.nan])
     assert spans_s[0] > 2
     assert within(spans_s, 2).tolist() == [True, True, False, False]
+    since_1970_s = 1_700_000_000.2 - 1_700_000_000.1
+    assert since_1970_s > 0.1 and within(np.array([since_1970_s]), 0.1).all()

@@ -20,8 +20,8 @@ BEFORE_S = 1.0
 AFTER_S = 2.0
 """The track after is the first that follows the vessel within this time after its occlusion."""
 
-_TIME_DECIMALS = 9
-"""Differences of times are rounded to so many decimals before they are compared."""
+_TIME_DECIMALS = 6
+"""Differences of times are rounded to so many decimals before they are compared: seconds since 1970 have no more."""
 
 
 @dataclass(frozen=True)
