@@ -50,6 +50,14 @@ def test_a_track_goes_to_the_nearest_vessel() -> None:
     assert siap(hand_made(truth, [(0, 7, box()), (1, 7, box(8))], 2, rules=RULES)) == Siap(2 / 3, 1, 0, 1, 0, 2 / 3)
 
 
+def test_of_two_vessels_as_near_as_each_other_a_track_goes_to_the_one_that_it_follows() -> None:
+    """The smaller vessel lies in the middle of the larger one in frame 1."""
+    truth = [
+        (k, vessel, place) for k in range(3) for vessel, place in ((0, box()), (1, box(5 + 50 * (k != 1), 5, 10, 10)))
+    ]
+    assert siap(hand_made(truth, truth, 3, rules=RULES)) == Siap(1, 1, 0, 0, 0, 1)
+
+
 def test_another_track_is_a_change_and_halves_the_longest_stretch() -> None:
     """10 s, track 7 for 6 s, then track 8 for 4 s."""
     truth = [(k, 0, box()) for k in range(20)]

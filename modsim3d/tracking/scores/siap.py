@@ -71,7 +71,8 @@ def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
     first, stop = (np.searchsorted(truth.frame, tracks.frame[rows], side=side) for side in ("left", "right"))
     vessel, track = ranges(first, stop - first), np.repeat(rows, stop - first)
     alike = similarity(truth.boxes_px[vessel], tracks.boxes_px[track])
-    order = np.lexsort((vessel, ~truth.scored[vessel], -alike, track))
+    other = scored.following.truth_row[track] != vessel  # decides where two vessels are as similar as each other
+    order = np.lexsort((vessel, other, ~truth.scored[vessel], -alike, track))
     order = order[alike[order] >= similarity.least - np.finfo(float).eps]
     _, best = np.unique(track[order], return_index=True)
     vessel, track = vessel[order[best]], track[order[best]]
