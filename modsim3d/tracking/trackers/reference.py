@@ -21,8 +21,8 @@ _SIZE_NOISE = 1.5
 _SIZE_WALK = 0.2
 """Share by which a box's size changes in a second."""
 _FORBIDDEN = 1e6
-_TIME_S = 1e-9
-"""Times are differences of rounded ones: one that is as long as allowed is not longer."""
+_TIME_S = 1e-6
+"""Times are differences of rounded ones, maybe since 1970: one that is as long as allowed is not longer."""
 
 
 @dataclass(frozen=True, eq=False)
