@@ -293,9 +293,9 @@ def page(data: dict[str, Any]) -> str:
         "## A perfect detector",
         "",
         "`reference` where the detector makes no error, with truth `annotated` and settings for exact boxes. *Lost "
-        "when hidden* are tracks that are right in every other way: they have the true boxes, and a new number after "
-        "each stretch in which the vessel is wholly hidden. What is missing to 1 there are long occlusions, after which no "
-        f"box tells who comes out. `{DRAWN}` is over {data['miss_seeds']} traffic seeds.",
+        "when hidden* are tracks that are right in every other way: they have the true boxes, and a new number "
+        "after each stretch in which the vessel is wholly hidden. What is missing to 1 there are long occlusions, "
+        f"after which no box tells who comes out. `{DRAWN}` is over {data['miss_seeds']} traffic seeds.",
         "",
         "| Scene | HOTA | DetA | AssA | ID switches | Lost when hidden: HOTA | AssA |",
         "|---|---|---|---|---|---|---|",

@@ -14,6 +14,8 @@ from modsim3d.runs.run_rows import RunRows
 TruthName = Literal["annotated", "full"]
 DEFAULT_GAP_S = 2.0
 """After so long outside the image a vessel that comes back is a new identity."""
+_TIME_S = 1e-6
+"""Times are differences of rounded ones: an absence as long as the gap is no longer one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ def appearances(rows: RunRows, gap_s: float) -> Indices:
         frame_of_camera[here] = np.searchsorted(taken, rows.truth_frame[here])
     order = np.lexsort((step, rows.truth_vessel, camera))
     other = (np.diff(camera[order]) != 0) | (np.diff(rows.truth_vessel[order]) != 0)
-    away = (np.diff(frame_of_camera[order]) > 1) & (np.diff(times_s[step[order]]) > gap_s)
+    away = (np.diff(frame_of_camera[order]) > 1) & (np.diff(times_s[step[order]]) > gap_s + _TIME_S)
     found = np.zeros(len(order), dtype=np.int64)
     found[order[1:]] = np.cumsum(other | away)
     return found

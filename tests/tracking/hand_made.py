@@ -34,12 +34,15 @@ def box(x: float = 0, y: float = 0, width: float = 20, height: float = 20) -> Bo
 
 
 class Seen(NamedTuple):
-    """A vessel in an image; a plain (frame, vessel, box) will do for one that is all visible."""
+    """A vessel in an image; a plain (frame, vessel, box) will do for one that is all visible.
+
+    Where `visible` is None the vessel is too small for any pixel.
+    """
 
     frame: int
     vessel: int
     box: Box
-    visible: float = 1.0
+    visible: float | None = 1.0
     in_frame: float = 1.0
     depth_m: float = 150.0
 
@@ -108,7 +111,7 @@ def tracks_of(tracks: Iterable[tuple], cameras: int = 1) -> Tracks:
 
 def _truth_row(scene: Scene, seen: Seen) -> dict[str, object]:
     names = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
-    pixels = (seen.box[2] - seen.box[0]) * (seen.box[3] - seen.box[1])
+    pixels = 0.0 if seen.visible is None else (seen.box[2] - seen.box[0]) * (seen.box[3] - seen.box[1])
     full = {f"full_{name}": float(value) for name, value in zip(names, seen.box, strict=True)}
     visible = {f"visible_{name}": float(value) for name, value in zip(names, seen.box, strict=True)}
     return {
@@ -118,12 +121,12 @@ def _truth_row(scene: Scene, seen: Seen) -> dict[str, object]:
         "vessel": scene.vessels[seen.vessel].name,
         "label": scene.vessels[seen.vessel].label,
         "silhouette_px": float(pixels),
-        "visible_px": float(seen.visible * pixels),
-        "visible_fraction": float(seen.visible),
+        "visible_px": float((seen.visible or 0) * pixels),
+        "visible_fraction": seen.visible if seen.visible is None else float(seen.visible),
         "in_frame_fraction": float(seen.in_frame),
         "depth_m": float(seen.depth_m),
         "occluded_by": [],
-        "annotated": seen.visible > 0,
+        "annotated": bool(seen.visible),
         "detected": False,
     }
 

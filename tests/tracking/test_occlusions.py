@@ -17,7 +17,7 @@ VISIBLE = (1, 1, 1, 0.5, 0.3, 0.2, 0, 1, 1, 1, 1, 1, 1, 1)
 """Of one vessel in 14 frames, 0.5 s apart: it is occluded from 2 to 3.5 s."""
 
 
-def seen(tracks: Sequence[tuple[int, int]], visible: Sequence[float] = VISIBLE) -> Scored:
+def seen(tracks: Sequence[tuple[int, int]], visible: Sequence[float | None] = VISIBLE) -> Scored:
     """A vessel, and tracks on it as (frame, track)."""
     truth = [Seen(k, 0, A, fraction) for k, fraction in enumerate(visible)]
     return hand_made(truth, [(frame, track, A) for frame, track in tracks], 14, step_s=0.5)
@@ -69,6 +69,14 @@ def test_no_track_is_judged_by_an_occlusion_after_which_the_vessel_is_gone() -> 
     assert survival(scored) == Survival(1, 0, None)
 
 
+def test_a_frame_in_which_the_vessel_has_no_pixel_neither_ends_an_occlusion_nor_shows_the_vessel() -> None:
+    through = (1, 1, 1, 1, 0.2, None, 0, None, 1, 1, 1, 1, 1, 1)
+    (found,) = occlusions(seen([(k, 1) for k in (*range(4), *range(8, 14))], through))
+    assert (found.start_s, found.end_s, found.least_visible_fraction, found.survived) == (2, 3.5, 0, True)
+    never_again = (1, 1, 1, 1, 0.2, *(None,) * 9)
+    assert survival(seen([(k, 1) for k in range(4)], never_again)) == Survival(1, 0, None)
+
+
 def test_occlusions_of_two_vessels_in_two_cameras_are_apart() -> None:
     # Vessel 0 in camera 0 and vessel 1 in camera 1 are occluded at once; only the track of the first stays.
     boxes = (A, box(200))
@@ -95,3 +103,5 @@ def test_the_last_bits_of_times_decide_nothing() -> None:
     spans_s = np.array([4.4 - 2.4, 2.0, 2.001, np.nan])
     assert spans_s[0] > 2
     assert within(spans_s, 2).tolist() == [True, True, False, False]
+    since_1970_s = 1_700_000_000.2 - 1_700_000_000.1
+    assert since_1970_s > 0.1 and within(np.array([since_1970_s]), 0.1).all()

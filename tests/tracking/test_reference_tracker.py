@@ -109,6 +109,13 @@ def test_a_track_coasts_for_its_time_and_ends_after_its_own():
     assert numbers(long)[19:22] == [[], [], [1]]  # seen at 2.0 s again
 
 
+def test_a_track_coasts_as_long_whatever_the_last_bits_of_times_since_1970_are():
+    for begin in range(20):
+        times_s = 1_700_000_000 + np.arange(begin, begin + 5) * 0.1 - 1_700_000_000
+        frames = without(straight(times_s, [[100, 200]], [[0, 0]]), 2, 3, 4)
+        assert numbers(followed(frames, replaced(coast_s=0.2))) == [[], [0], [0], [0], []]
+
+
 def test_times_need_not_be_regular():
     times_s = np.cumsum(np.random.default_rng(1).uniform(0.02, 0.5, 60))
     answers = followed(straight(times_s, [[100, 200], [100, 300]], [[60, 5], [40, -5]]))

@@ -31,6 +31,12 @@ def test_one_vessel_followed_all_the_time() -> None:
     assert siap(scored) == Siap(1, 1, 0, 5, 0, 1)
 
 
+def test_the_last_bits_of_times_are_in_no_share() -> None:
+    truth = [(k, vessel, box(100 * vessel)) for vessel in range(3) for k in range(7 + vessel)]
+    tracks = [(k, vessel, place) for k, vessel, place in truth]
+    assert siap(hand_made(truth, tracks, 12, step_s=0.1, rules=RULES)).siap_longest_track_share == 1
+
+
 def test_a_second_track_on_a_vessel_is_ambiguous_and_not_spurious() -> None:
     """4 vessel-frames with 6 tracks, one more track far off; distances 0 (four times) and 6 (twice)."""
     truth = [(k, 0, box()) for k in range(4)]
@@ -42,6 +48,14 @@ def test_a_track_goes_to_the_nearest_vessel() -> None:
     """The matching would keep the track on vessel 0, which is 8 px away; vessel 1 is 2 px away."""
     truth = [(0, 0, box()), (1, 0, box()), (1, 1, box(10))]
     assert siap(hand_made(truth, [(0, 7, box()), (1, 7, box(8))], 2, rules=RULES)) == Siap(2 / 3, 1, 0, 1, 0, 2 / 3)
+
+
+def test_of_two_vessels_as_near_as_each_other_a_track_goes_to_the_one_that_it_follows() -> None:
+    """The smaller vessel lies in the middle of the larger one in frame 1."""
+    truth = [
+        (k, vessel, place) for k in range(3) for vessel, place in ((0, box()), (1, box(5 + 50 * (k != 1), 5, 10, 10)))
+    ]
+    assert siap(hand_made(truth, truth, 3, rules=RULES)) == Siap(1, 1, 0, 0, 0, 1)
 
 
 def test_another_track_is_a_change_and_halves_the_longest_stretch() -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from modsim3d.errors import ModsimError
+from modsim3d.geometry.closest_approach import HullTracks
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.scores.rules import SetDistance
@@ -218,6 +219,16 @@ def test_estimates_between_steps_are_held_against_the_place_at_their_own_time(ro
     scores = score_world(rows, tracks_of([(CROSSER, seen[:-1] + 0.2), (ANCHORED, TIMES_S - 0.1)]))
     assert values(scores, "rmse_m", "rmse_m_s") == pytest.approx([0, 0], abs=1e-9)
     assert scores.keys()["pairs"] == scored.sum() - 1
+
+
+def test_a_vessel_is_where_it_appears_whatever_the_last_bits_of_times_since_1970_are() -> None:
+    times_s = (1_700_000_000 + 0.05 * np.arange(40)) - 1_700_000_000
+    for step in range(1, 40):
+        centres_m = np.where(np.arange(40)[:, None, None] < step, np.nan, [[[3.0, 4.0]]])
+        hulls = HullTracks(times_s, centres_m, centres_m[..., 0], np.ones((1, 2)))
+        truth = WorldTruth(("a",), (), hulls, np.isfinite(centres_m[..., 0]))
+        found = truth.positions_at(np.array([0.05 * step]), np.array([0]))
+        np.testing.assert_allclose(found, [[3, 4]])
 
 
 def test_a_tracker_slower_than_the_steps_is_there_at_each(rows: RunRows, scored: Any) -> None:

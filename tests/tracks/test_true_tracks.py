@@ -12,6 +12,8 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.scene import Scene
 from modsim3d.tracks.true_tracks import TrueTracks
+from tests.tracking.hand_made import box
+from tests.tracking.hand_made import rows_of as rows_by_hand
 
 BOAT = {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": "Vessel"}
 CAMERA = {
@@ -51,6 +53,13 @@ def test_a_vessel_that_was_outside_the_image_for_longer_than_the_gap_is_a_new_id
     truth = TrueTracks.of(rows, gap_s=2)
     assert len(np.unique(truth.identity)) == identities
     assert len(np.unique(TrueTracks.of(rows, gap_s=0).identity)) == (1 if away_s == 1 else 2)
+
+
+def test_an_absence_as_long_as_the_gap_is_none_whatever_the_last_bits_of_times_are() -> None:
+    for frame in range(20):
+        rows = rows_by_hand([(frame, 0, box()), (frame + 10, 0, box())], 31, step_s=0.2)
+        assert TrueTracks.of(rows, gap_s=2).identity.tolist() == [0, 0]
+        assert TrueTracks.of(rows, gap_s=1.999).identity.tolist() == [0, 1]
 
 
 def test_a_hidden_vessel_keeps_its_identity_and_is_not_scored(tmp_path: Path) -> None:

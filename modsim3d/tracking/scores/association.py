@@ -52,7 +52,7 @@ class Clear:
         motp: Mean similarity of the matches.
         id_switches: How often a vessel is followed by another track than the one before.
         fragmentations: How often a vessel is followed again after it was not. As in TrackEval, a frame without any
-            track interrupts none.
+            track interrupts none, and one in which the vessel is hidden does, so perfect tracks have some.
         mostly_tracked: Number of identities that are followed in more than 80 % of their frames.
         partly_tracked: Number of those in between.
         mostly_lost: Number of those that are followed in less than 20 %.

@@ -20,8 +20,8 @@ BEFORE_S = 1.0
 AFTER_S = 2.0
 """The track after is the first that follows the vessel within this time after its occlusion."""
 
-_TIME_DECIMALS = 9
-"""Differences of times are rounded to so many decimals before they are compared."""
+_TIME_DECIMALS = 6
+"""Differences of times are rounded to so many decimals before they are compared: seconds since 1970 have no more."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Survival:
     Attributes:
         occlusions: Their number.
         occlusions_judged: Number of those that a track could survive: one followed the vessel in the last second
-            before, and the vessel is in the image in the two seconds after.
+            before, and the vessel is scored in the two seconds after.
         occlusions_survived: Share of these after which the same track is the first to follow the vessel.
     """
 
@@ -44,6 +44,8 @@ class Survival:
 class Occlusion:
     """Consecutive frames of an appearance in which less than half of the vessel is visible.
 
+    Frames in which the vessel is too small for any pixel are passed over: nothing can be said of them.
+
     Attributes:
         camera: Name of the camera.
         vessel: Name of the vessel.
@@ -54,8 +56,8 @@ class Occlusion:
         followed_before: Whether a track followed the vessel in the last second before.
         track_before: Number of that track; None without one.
         track_after: Number of the first track that follows the vessel within two seconds after; None without one.
-        survived: Whether that is the same; None if no track followed the vessel before, or if the vessel is not in the
-            image in the two seconds after.
+        survived: Whether that is the same; None if no track followed the vessel before, or if the vessel is not scored
+            in the two seconds after.
     """
 
     camera: str
@@ -82,7 +84,7 @@ class Spans:
         end_s: Time of the camera's next frame after the last one, shape (m,).
         before: Place at which the track before last followed the vessel, `NOBODY` for none, shape (m,).
         after: Place at which the track after first follows it, `NOBODY` for none, shape (m,).
-        stays: Whether the vessel is in the image within two seconds after, shape (m,).
+        stays: Whether the vessel is scored within two seconds after, shape (m,).
     """
 
     histories: Histories
@@ -98,14 +100,15 @@ class Spans:
     def of(cls, scored: Scored) -> Spans:
         """All occlusions that begin in a frame that counts."""
         each = Histories.of(scored)
+        known = np.cumsum(~np.isnan(each.visible_fraction))  # a vessel without a pixel has no visible fraction
         occluded = np.flatnonzero(each.visible_fraction < OCCLUDED_BELOW)
-        found = runs(each.identity[occluded], occluded)
+        found = runs(each.identity[occluded], known[occluded])
         first, last = occluded[found.first], occluded[found.last]
         first, last = first[each.counted[first]], last[each.counted[first]]
         start_s = each.time_s[first]
         end_s = each.time_s[last] + frame_lengths_s(scored, each.frame[last])
         before, after = each.last_before(each.followed)[first], each.first_after(each.followed)[last]
-        next_one = each.first_after(np.ones(len(each.row), dtype=bool))[last]
+        next_one = each.first_after(scored.following.truth.scored[each.row])[last]
         times_s = np.append(each.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
         return cls(
             each,
@@ -162,7 +165,7 @@ def occlusions(scored: Scored) -> tuple[Occlusion, ...]:
     truth_row = spans.histories.row[spans.first]
     frame, vessel = following.truth.frame[truth_row], following.truth.vessel[truth_row]
     least = [
-        float(np.min(spans.histories.visible_fraction[a : b + 1]))
+        float(np.nanmin(spans.histories.visible_fraction[a : b + 1]))
         for a, b in zip(spans.first.tolist(), spans.last.tolist(), strict=True)
     ]
     found = [

@@ -11,6 +11,9 @@ from modsim3d.boxes import centres
 from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
 from modsim3d.tracking.scores.scored import Scored
 
+_TIME_DECIMALS = 9
+"""Sums of times in another order differ in their last bits: they are rounded to so many decimals."""
+
 
 @dataclass(frozen=True)
 class Siap:
@@ -57,7 +60,7 @@ def siap(scored: Scored) -> Siap:
         _ratio(spurious, len(vessel) + spurious),
         _ratio(float(np.hypot(error_px[:, 0], error_px[:, 1]).sum()), len(vessel)),
         _ratio(changes, float(length_s[np.unique(place[vessel])].sum())),
-        _ratio(longest_s, float(length_s.sum())),
+        _ratio(round(longest_s, _TIME_DECIMALS), round(float(length_s.sum()), _TIME_DECIMALS)),
     )
 
 
@@ -68,7 +71,8 @@ def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
     first, stop = (np.searchsorted(truth.frame, tracks.frame[rows], side=side) for side in ("left", "right"))
     vessel, track = ranges(first, stop - first), np.repeat(rows, stop - first)
     alike = similarity(truth.boxes_px[vessel], tracks.boxes_px[track])
-    order = np.lexsort((vessel, ~truth.scored[vessel], -alike, track))
+    other = scored.following.truth_row[track] != vessel  # decides where two vessels are as similar as each other
+    order = np.lexsort((vessel, other, ~truth.scored[vessel], -alike, track))
     order = order[alike[order] >= similarity.least - np.finfo(float).eps]
     _, best = np.unique(track[order], return_index=True)
     vessel, track = vessel[order[best]], track[order[best]]

@@ -140,7 +140,7 @@ class _LibraryTracker(Tracker):
             for each in tracklets
             if each.tracker_id in labels
             and each.tracker_id not in seen.track
-            and each.time_since_update_seconds <= self.coast_s + 1e-9
+            and each.time_since_update_seconds <= self.coast_s + 1e-6
             and (sizes(states[each.tracker_id]) > 0).all()
         ]
         assert seen.label is not None
