@@ -28,7 +28,7 @@ def score_command(
     run: FinishedRunArgument,
     tracks: Annotated[
         list[Path],
-        typer.Argument(metavar="TRACKS...", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
+        typer.Argument(metavar="TRACKS", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
     ],
     truth: Annotated[
         Literal["annotated", "full"],
@@ -149,6 +149,7 @@ def _print_breakdown(scores: RunScores) -> None:
         bin_rows(best.scores.breakdown),
         header=BIN_HEADER,
         right=range(2, len(BIN_HEADER)),
+        breaks=(lambda cell: cell.replace("vessel-frames", "vessel-\nframes"),),
     )
 
 
