@@ -158,7 +158,21 @@ def _print_seeds(scores: RunScores) -> None:
 
     if scores.seeds is not None:
         console = open_console()
-        print_table(console, "detector seeds", seed_rows(scores), header=SEED_HEADER, right=(2, 3, 4))
+        print_table(
+            console,
+            "detector seeds",
+            seed_rows(scores),
+            header=SEED_HEADER,
+            right=(2, 3, 4),
+            breaks=(
+                lambda cell: cell.replace("standard deviation", "standard\ndeviation"),
+                lambda cell: (
+                    cell.replace("standard deviation", "standard\ndeviation")
+                    .replace(" of the", "\nof the")
+                    .replace(" … ", " …\n")
+                ),
+            ),
+        )
         print_prose(console, seeds_in_words(scores), "dim")
 
 
