@@ -28,7 +28,7 @@ def score_command(
     run: FinishedRunArgument,
     tracks: Annotated[
         list[Path],
-        typer.Argument(metavar="TRACKS...", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
+        typer.Argument(metavar="TRACKS", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
     ],
     truth: Annotated[
         Literal["annotated", "full"],
@@ -149,6 +149,7 @@ def _print_breakdown(scores: RunScores) -> None:
         bin_rows(best.scores.breakdown),
         header=BIN_HEADER,
         right=range(2, len(BIN_HEADER)),
+        breaks=(lambda cell: cell.replace("vessel-frames", "vessel-\nframes"),),
     )
 
 
@@ -157,7 +158,21 @@ def _print_seeds(scores: RunScores) -> None:
 
     if scores.seeds is not None:
         console = open_console()
-        print_table(console, "detector seeds", seed_rows(scores), header=SEED_HEADER, right=(2, 3, 4))
+        print_table(
+            console,
+            "detector seeds",
+            seed_rows(scores),
+            header=SEED_HEADER,
+            right=(2, 3, 4),
+            breaks=(
+                lambda cell: cell.replace("standard deviation", "standard\ndeviation"),
+                lambda cell: (
+                    cell.replace("standard deviation", "standard\ndeviation")
+                    .replace(" of the", "\nof the")
+                    .replace(" … ", " …\n")
+                ),
+            ),
+        )
         print_prose(console, seeds_in_words(scores), "dim")
 
 

@@ -134,9 +134,12 @@ def _print_stacked(
         if space >= GAP:
             head = f"{head}{' ' * space}{row[at_edge]}"
             rest.remove(at_edge)
-    _print_line(console, [(head, style)])
+    if head:  # a row may go on with the group of the row before
+        _print_line(console, [(head, style)])
     pieces = [
-        f"{header[column]} {row[column]}" if header else row[column] for column in rest if row[column] not in EMPTY
+        f"{header[column]} {row[column]}".strip() if header else row[column]
+        for column in rest
+        if row[column] not in EMPTY
     ]
     for line in _packed(pieces, console.width - INDENT):
         _print_line(console, [(" " * INDENT + line, row_style)])

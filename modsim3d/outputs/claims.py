@@ -88,6 +88,7 @@ def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
         raise OutputError(f"{path} is a link that leads to itself: choose another name")
     check_not_read(path, inputs)
     if not path.exists():
+        _check_folder(path)
         return
     if path.is_dir():
         raise OutputError(f"{path} is a folder: choose another name")
@@ -95,6 +96,13 @@ def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
         raise OutputError(f"{path} is not a regular file, and only such files are written: choose another name")
     if not overwrite:
         raise OutputError(f"{path} exists: use --overwrite, or choose another name")
+
+
+def _check_folder(path: Path) -> None:
+    """Check that no file is in the place of a folder that a file would be written into."""
+    there = next((parent for parent in path.parents if parent.exists()), None)
+    if there is not None and not there.is_dir():
+        raise OutputError(f"{there} is a file, and {path.name} is to be written into a folder: choose another name")
 
 
 def check_not_read(path: Path, inputs: Iterable[Path]) -> None:

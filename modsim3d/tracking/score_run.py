@@ -234,15 +234,18 @@ def _read(
             in_world.append((path, read_world_tracks(path, run)))
         else:
             in_images.append((path, read_tracks(path, run, rows)))
-    return _told_apart(in_images), in_world
+    return (
+        [(path, replace(each, name=name)) for (path, each), name in zip(in_images, _names(in_images), strict=True)],
+        [(path, replace(each, name=name)) for (path, each), name in zip(in_world, _names(in_world), strict=True)],
+    )
 
 
-def _told_apart(found: list[tuple[Path | None, TrackSet]]) -> list[tuple[Path | None, TrackSet]]:
-    """Track sets of one name called by their paths, or by their numbers where they have none."""
+def _names(found: Sequence[tuple[Path | None, TrackSet | WorldTracks]]) -> list[str]:
+    """What tables call tracks: those of one name by their paths, or by their numbers where they have none."""
     names = [each.name for _, each in found]
     return [
-        (path, replace(each, name=f"{path or f'{each.name} {index + 1}'}") if names.count(each.name) > 1 else each)
-        for index, (path, each) in enumerate(found)
+        f"{path or f'{name} {index + 1}'}" if names.count(name) > 1 else name
+        for index, ((path, _), name) in enumerate(zip(found, names, strict=True))
     ]
 
 

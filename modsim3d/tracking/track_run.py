@@ -10,14 +10,14 @@ from time import perf_counter
 import numpy as np
 
 from modsim3d.display import key_table
-from modsim3d.outputs.claims import check_free
+from modsim3d.outputs.claims import claimed
 from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
 from modsim3d.runs.files.replacing import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.stored_tracks import track_paths, write_tracks
+from modsim3d.tracks.stored_tracks import track_paths, write_claimed_tracks
 from modsim3d.tracks.track_set import Origin, TrackSet
 from modsim3d.tracks.tracks import Tracks
 
@@ -114,17 +114,16 @@ def track_run(
     """
     run, folder = opened_run(run), as_path(folder, "folder", "a folder for tracks")
     run.finished_tables.check_checksums()
-    for path in track_paths(folder):
-        check_free(path, overwrite, [*read_of_run(run.folder), run.folder])
-    given = {} if settings is None else settings
-    named = named_tracker(tracker, given, run.scene.name)
-    origin, cameras = named.origin, tuple(range(len(run.scene.cameras)))
-    sequences = camera_sequences(run, cameras)
-    started = perf_counter()
-    tracks = tracked(named, sequences, cameras, run.scene, progress)
-    seconds = perf_counter() - started
-    track_set = TrackSet(_name(named, given), tracks, origin)
-    write_tracks(folder, run, track_set, overwrite)
+    with claimed(track_paths(folder), overwrite=overwrite, inputs=[*read_of_run(run.folder), run.folder]):
+        given = {} if settings is None else settings
+        named = named_tracker(tracker, given, run.scene.name)
+        origin, cameras = named.origin, tuple(range(len(run.scene.cameras)))
+        sequences = camera_sequences(run, cameras)
+        started = perf_counter()
+        tracks = tracked(named, sequences, cameras, run.scene, progress)
+        seconds = perf_counter() - started
+        track_set = TrackSet(_name(named, given), tracks, origin)
+        write_claimed_tracks(folder, run, track_set)
     parts = {
         sequence.camera.name: (sequence, tracks.take(tracks.camera == camera))
         for sequence, camera in zip(sequences, cameras, strict=True)

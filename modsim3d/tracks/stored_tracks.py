@@ -86,6 +86,17 @@ def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: b
         OutputError: The files are there and are not to be overwritten, or cannot be written.
         ModsimError: It is not known how the tracks were made.
     """
+    with claimed(track_paths(folder), overwrite=overwrite, inputs=read_of_run(run.folder)):
+        write_claimed_tracks(folder, run, track_set)
+
+
+def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> None:
+    """The same where the caller has claimed the files, before the work.
+
+    Raises:
+        OutputError: The files cannot be written.
+        ModsimError: It is not known how the tracks were made.
+    """
     if track_set.origin is None:
         raise ModsimError(
             f"the tracks '{track_set.name}' have no origin: only those that modsim3d has made are written"
@@ -103,8 +114,7 @@ def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: b
         "files": {TABLE: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}},
     }
     text = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
-    with claimed(track_paths(folder), overwrite=overwrite, inputs=read_of_run(run.folder)):
-        write_files({folder / TABLE: content, folder / FACTS: text})
+    write_files({folder / TABLE: content, folder / FACTS: text})
 
 
 def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:

@@ -40,6 +40,32 @@ def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(
     assert set(found["trackers"][0]) > {"hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "by_class"}
 
 
+def test_where_vessels_are_lost_is_a_table_at_80_columns(
+    modsim3d: Modsim3d, run: Path, tracks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = modsim3d("score", run, tracks).out.splitlines()
+    first = lines.index("where reference loses vessels")
+    names, more = lines[first + 1 : first + 3]
+    assert names.split() == ["by", "vessel-", "recall", "association", "survived"] and more.split() == ["frames"]
+    table = lines[first + 3 : lines.index("", first)]
+    assert table[0].split()[:3] == ["visible", "fraction", "1"] and all(len(line) <= 80 for line in table)
+
+
+def test_detector_seeds_are_a_table_at_80_columns(
+    modsim3d: Modsim3d, run: Path, tracks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = modsim3d("score", run, tracks, "--seeds", 2).out.splitlines()
+    first = lines.index("detector seeds")
+    assert lines[first + 1].split()[:4] == ["tracker", "score", "mean", "standard"]
+    assert lines[first + 2].split()[0] == "deviation"
+
+
+def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
+    assert "{RUN} {TRACKS}..." in modsim3d("score", "-h").out
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

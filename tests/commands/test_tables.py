@@ -142,3 +142,8 @@ def test_a_long_path_stands_on_a_line_of_its_own() -> None:
     print_path(console, "run directory", Path("runs/first"))
     print_path(console, "run directory", path)
     assert file.getvalue() == f"run directory  runs/first\nrun directory\n{path}\n"
+
+
+def test_a_row_without_a_name_has_no_empty_line_and_no_space_for_a_column_without_a_name() -> None:
+    lines = printed(16, "", [("visible", "all", "10"), ("", "half", "2")], header=("by", "", "recall of boxes"))
+    assert lines == ["visible", "    all", "    recall of", "    boxes 10", "    half", "    recall of", "    boxes 2"]

@@ -134,3 +134,13 @@ def test_settings_that_no_file_holds_are_refused(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(registry, "load_plugin", lambda *_: (Strange, plugin))
     with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0: its settings cannot be written as JSON"):
         _ = named_tracker("mine", {}, "strait").origin
+
+
+def test_a_library_that_is_not_installed_is_named_with_the_command_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Toy", ("no-such-library",)))
+    with pytest.raises(
+        ModsimError, match=r"'sort' needs the library no-such-library: pip install \"modsim3d\[trackers\]\""
+    ):
+        _ = named_tracker("sort", {}, "strait").origin

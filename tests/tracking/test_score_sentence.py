@@ -81,8 +81,8 @@ def lengths(*counts: tuple[int, int]) -> tuple[LengthBin, ...]:
 @pytest.mark.parametrize(
     ("lengths", "said"),
     [
-        ((), "No vessel that it followed came out of an occlusion."),
-        (lengths((0, 0)), "No vessel that it followed came out of an occlusion."),
+        ((), "No vessel that it followed went into an occlusion and came out of it."),
+        (lengths((0, 0)), "No vessel that it followed went into an occlusion and came out of it."),
         (lengths((1, 1)), "It keeps its vessel through the only occlusion."),
         (lengths((1, 0)), "It keeps its vessel through 0 of 1 occlusion."),
         (lengths((2, 2), (3, 3)), "It keeps its vessel through all 5 occlusions."),

@@ -106,6 +106,24 @@ def test_what_is_there_is_refused_before_the_work(run: StoredRun, tmp_path: Path
     assert (tracks / "tracks.parquet").read_bytes() != before
 
 
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("file", "file is a file, and tracks.parquet is to be"),
+        ("file/deep", "file is a file"),
+        ("/proc/t", "cannot be"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_to_is_refused_before_the_work(
+    run: StoredRun, tmp_path: Path, place: str, said: str
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    frames: list[int] = []
+    with pytest.raises(OutputError, match=said):
+        modsim3d.track_run(run, tmp_path / place, tracker="sort", progress=frames.append)
+    assert frames == [] and (tmp_path / "file").read_text() == "mine"
+
+
 @pytest.mark.parametrize("place", ["", "tracks", "scene/tracks"])
 def test_nothing_is_written_into_the_run(run: StoredRun, place: str) -> None:
     before = sorted(run.folder.rglob("*"))

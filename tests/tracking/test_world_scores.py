@@ -14,6 +14,8 @@ from modsim3d.errors import ModsimError
 from modsim3d.geometry.closest_approach import HullTracks
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracking.report.score_page import score_page
+from modsim3d.tracking.score_run import score_run
 from modsim3d.tracking.scores.rules import SetDistance
 from modsim3d.tracking.world.encounters import Quartiles, quartiles
 from modsim3d.tracking.world.errors import OverVessels, nees
@@ -291,3 +293,15 @@ def test_a_run_and_its_rows_have_the_same_scores(run: StoredRun, rows: RunRows, 
     assert score_world(run, perfect(scored)).keys() == score_world(rows, perfect(scored)).keys()
     assert run.scene.vessel_names == NAMES
     np.testing.assert_allclose(WorldTruth.of(rows).hulls.centres_m, PLACES_M)
+
+
+def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run: StoredRun, tmp_path: Path) -> None:
+    rows = [f"{time_s},a,{x},{y}" for time_s, (x, y) in zip(TIMES_S[:9], _crosser_m(TIMES_S[:9]), strict=True)]
+    (tmp_path / "one.csv").write_text("\n".join(["time_s,track,w1_m,w2_m", *rows]) + "\n")
+    page = score_page(score_run(run, tmp_path / "one.csv"))
+    assert "one.csv: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
+    assert page.count('<tr class="bad"><td>anchored</td>') == page.count('<tr class="bad">') == 1
+
+
+def _crosser_m(times_s: Any) -> Any:
+    return STARTS_M[CROSSER] + times_s[:, None] * VELOCITIES_M_S[CROSSER]

@@ -187,7 +187,7 @@ def test_only_some_of_many_wrong_lines_are_shown(read):
 @pytest.mark.parametrize(
     ("header", "what"),
     [
-        ("a,b", "line 1 must name the columns"),
+        ("camera;step;track", "line 1 must name the columns, with commas between them: camera,step,track,x_min_px,"),
         ("", "line 1 must name the columns"),
         ("a" * 200_000, "line 1 must name the columns"),
         (

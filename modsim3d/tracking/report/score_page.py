@@ -38,6 +38,8 @@ from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
 
 FILES = ("score.json", "score.html")
+CLOSE = "padding-right: 0.4rem"
+"""Style of the columns of bars, so that those of four trackers and a reference fit on a page."""
 GROUP_TITLES = {"phase": "Before, during and after an occlusion", "occlusion": "By length of the occlusion, s"}
 
 
@@ -137,7 +139,8 @@ def _bin_table(bins: Mapping[str, Mapping[str, Bin]], of_occlusions: bool) -> st
     per = ("survived", "recall") if of_occlusions else ("recall", "association")
     spans = "".join(f'<th colspan="{len(per)}">{html.escape(name)}</th>' for name in bins)
     counts = ("occlusions", "vessel-frames") if of_occlusions else ("vessel-frames",)
-    head = "".join(f'<th class="number">{name}</th>' for name in (*counts, *(per * len(bins))))
+    head = "".join(f'<th class="number">{name}</th>' for name in counts)
+    head += "".join(f'<th class="number" style="{CLOSE}">{name}</th>' for name in per * len(bins))
     lines = [f"<tr><th></th>{'<th></th>' * len(counts)}{spans}</tr>", f"<tr><th></th>{head}</tr>"]
     for name, row in first.items():
         cells = [f'<td class="number">{row.occlusions}</td>'] if of_occlusions else []
@@ -157,7 +160,7 @@ def _bar(share: float | None, text: str) -> str:
     width = 100 * min(max(share or 0.0, 0.0), 1.0)
     shade = f"color-mix(in srgb, {charts.COLOURS[0]} 35%, transparent)"
     fill = f"linear-gradient(to right, {shade} {width:.0f}%, transparent {width:.0f}%)"
-    return f'<td class="number" style="background: {fill}; min-width: 5rem">{text}</td>'
+    return f'<td class="number" style="background: {fill}; min-width: 3.5rem; {CLOSE}">{text}</td>'
 
 
 def _parts(scores: RunScores) -> list[str]:

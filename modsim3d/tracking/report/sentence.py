@@ -87,7 +87,7 @@ def _losses(lengths: Sequence[LengthBin]) -> list[str]:
     """Where vessels are lost: the length of occlusion of which the smallest share is survived."""
     every, survived = sum(each.occlusions for each in lengths), sum(each.survived for each in lengths)
     if not every:
-        return ["No vessel that it followed came out of an occlusion."]
+        return ["No vessel that it followed went into an occlusion and came out of it."]
     if survived == every:
         return [f"It keeps its vessel through {'the only occlusion' if every == 1 else f'all {every} occlusions'}."]
     many = [each for each in lengths if each.occlusions >= LEAST_OCCLUSIONS]

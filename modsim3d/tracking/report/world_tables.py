@@ -68,10 +68,25 @@ def world_sections(scores: RunScores) -> list[str]:
     body.append(page.paragraph(world_rules(scores.world[0]), "soft"))
     for each in scores.world:
         rows = encounter_rows(each.scores.encounters)
-        never = {place for place, met in enumerate(each.scores.encounters) if met.established_s is None}
-        body.append(page.paragraph(f"{each.name}: {counted(len(rows), 'encounter')} with own ship."))
+        body.append(page.paragraph(_encounters_in_words(each)))
+        never = {place for place, met in enumerate(each.scores.encounters) if _is_missed(met)}
         body += [page.table(rows, ENCOUNTER_HEADER, never)] if rows else []
     return body
+
+
+def _is_missed(met: MetVessel) -> bool:
+    """Whether a camera saw the vessel, and no track ever followed it."""
+    return met.seen_s is not None and met.established_s is None
+
+
+def _encounters_in_words(each: WorldTrackScores) -> str:
+    """How many vessels met own ship, and which of them the table of encounters marks."""
+    met = each.scores.encounters
+    if not met:
+        return f"{each.name}: no vessel came nearer to own ship."
+    passed = sum(one.passed for one in met)
+    said = f"{each.name}: {counted(len(met), 'vessel')} came nearer to own ship, and {passed} passed her in this run."
+    return f"{said} Red: a camera saw the vessel, and no track followed it." if any(map(_is_missed, met)) else said
 
 
 def world_data(scores: RunScores) -> list[dict[str, Any]]:

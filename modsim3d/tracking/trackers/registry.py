@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from pydantic import ValidationError
@@ -45,7 +45,11 @@ class NamedTracker:
 
     @property
     def origin(self) -> Origin:
-        """How its tracks are made."""
+        """How its tracks are made.
+
+        Raises:
+            ModsimError: A library that it needs is not installed, or its settings cannot be written as JSON.
+        """
         settings = _as_json(self.tracker, str(self))
         packages = _ALWAYS + (() if self.plugin else BUILT_IN[self.name].packages)
         return Origin(
@@ -53,8 +57,14 @@ class NamedTracker:
             settings=settings,
             chosen=self.chosen,
             package=self.plugin.package if self.plugin else f"modsim3d {version('modsim3d')}",
-            versions={package: version(package) for package in packages},
+            versions={package: self._version(package) for package in packages},
         )
+
+    def _version(self, package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            raise ModsimError(f'{self} needs the library {package}: pip install "modsim3d[trackers]"') from None
 
 
 def named_tracker(name: str, settings: Mapping[str, object], scene: str | None) -> NamedTracker:

@@ -56,8 +56,9 @@ def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
         InputError: They are not.
     """
     if not any(name in _COLUMNS for name in names):
-        needed = f"camera, step, track, {', '.join(CORNERS.names)}"
-        raise InputError(source, [f"line 1 must name the columns, such as {needed} (got {shown(','.join(names))})"])
+        needed = f"camera,step,track,{','.join(CORNERS.names)}"
+        got = shown(",".join(names))
+        raise InputError(source, [f"line 1 must name the columns, with commas between them: {needed} (got {got})"])
     problems = [f"line 1: the column '{name}' is there twice" for name in dict.fromkeys(names) if names.count(name) > 1]
     problems += [f"line 1: unknown column '{name}' ({_hint(name)})" for name in names if name not in _COLUMNS]
     if "camera" not in names and len(rows.scene.cameras) > 1:

@@ -25,6 +25,9 @@ figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border:
 figcaption { color: var(--soft); font-size: 0.95rem; }
 """
 
+UNKNOWN = "–"
+"""What stands for a number that is not known."""
+
 
 def page(title: str, body: Iterable[str]) -> str:
     """A whole page from the HTML of its parts."""
@@ -48,18 +51,23 @@ def heading(text: str) -> str:
 
 
 def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), bad: Container[int] = ()) -> str:
-    """A table of rows under a header; numbers and what stands above them are set to the right, bad rows stand out."""
-    below = rows[0] if rows else [""] * len(header)
+    """A table of rows under a header; numbers and what stands above them are set to the right, bad rows stand out.
+
+    A dash for an unknown number stands where the numbers of its column do.
+    """
+    shown = [next((cell for cell in column if cell != UNKNOWN), UNKNOWN) for column in zip(*rows, strict=False)]
+    below = shown if rows else [""] * len(header)
     head = "".join(_cell(name, under, "th") for name, under in zip(header, below, strict=False))
     lines = [f"<tr>{head}</tr>"] if header else []
     for index, row in enumerate(rows):
-        lines.append(('<tr class="bad">' if index in bad else "<tr>") + "".join(map(_cell, row)) + "</tr>")
+        cells = (_cell(text, first if text == UNKNOWN else text) for text, first in zip(row, shown, strict=False))
+        lines.append(('<tr class="bad">' if index in bad else "<tr>") + "".join(cells) + "</tr>")
     return "<table>\n" + "\n".join(lines) + "\n</table>"
 
 
-def _cell(text: str, number: str | None = None, tag: str = "td") -> str:
-    """A cell, set to the right if `number`, or else its own text, looks like a number."""
-    kind = ' class="number"' if (text if number is None else number).lstrip("-−")[:1].isdigit() else ""
+def _cell(text: str, number: str, tag: str = "td") -> str:
+    """A cell, set to the right if `number` looks like a number."""
+    kind = ' class="number"' if number.lstrip("-−")[:1].isdigit() else ""
     return f"<{tag}{kind}>{html.escape(text)}</{tag}>"
 
 
