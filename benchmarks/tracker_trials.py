@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.stats import t as student_t
 
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.run import run_scene
@@ -18,10 +17,11 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.detector_seeds import detector_runs
+from modsim3d.tracking.intervals import half_interval
 from modsim3d.tracking.oracle import oracle_tracks
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.continuity import continuity
-from modsim3d.tracking.scores.occlusions import Occlusion, occlusions
+from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, Occlusion, occlusions
 from modsim3d.tracking.scores.rules import Rules
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.set_distances import gospa
@@ -36,8 +36,7 @@ IOU = Rules(truth="full")
 CENTRE = Rules(truth="full", similarity=Similarity("centre", scale_px=150))
 ORACLES = {"oracle association, smoothed": True, "oracle association, raw boxes": False}
 """Name of each reference, and whether it is smoothed."""
-OCCLUSION_EDGES_S = (0.0, 1.0, 3.0, 10.0, np.inf)
-"""Edges of the lengths of occlusions."""
+OCCLUSION_EDGES_S = (0.0, *LENGTH_EDGES_S, np.inf)
 
 
 def looks(
@@ -145,6 +144,4 @@ def perfect_detector(labels: Sequence[str], miss_rate: float = 0.0) -> dict[str,
 def mean_and_interval(values: Sequence[float | None]) -> dict[str, Any]:
     """Number, mean, and half the 95 % interval of the mean by Student's t; None where there is none."""
     known = np.array([value for value in values if value is not None], dtype=float)
-    count = len(known)
-    half = float(student_t.ppf(0.975, count - 1) * known.std(ddof=1) / count**0.5) if count > 1 else None
-    return {"n": count, "mean": float(known.mean()) if count else None, "half": half}
+    return {"n": len(known), "mean": float(known.mean()) if len(known) else None, "half": half_interval(known)}

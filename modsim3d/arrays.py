@@ -1,4 +1,4 @@
-"""Names for the types of arrays, and two functions on arrays that many rooms use."""
+"""Names for the types of arrays, and three functions on arrays that many rooms use."""
 
 from __future__ import annotations
 
@@ -22,3 +22,9 @@ def ranges(first: Indices, count: Indices) -> Indices:
     before = np.cumsum(count) - count
     numbers: Indices = np.arange(int(count.sum())) + np.repeat(first - before, count)
     return numbers
+
+
+def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:
+    """First row of each of k numbers in an ascending column, and how often it is there, shapes (k,)."""
+    first, stop = (np.searchsorted(column, wanted, side=side) for side in ("left", "right"))
+    return first, stop - first

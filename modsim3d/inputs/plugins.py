@@ -23,7 +23,7 @@ class Plugin:
 
     Attributes:
         group: Entry point group.
-        name: Name in scene files.
+        name: What scene files and commands call it.
         package: Name and version of the package.
     """
 
@@ -46,8 +46,8 @@ def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) 
 
     Args:
         group: Entry point group.
-        name: Name in the scene file.
-        path: Where the scene file has this name, for errors.
+        name: What the scene file or the command calls it.
+        path: The key or option that names it, for errors.
         built_in: Names that need no plug-in, for the hint at an unknown name.
 
     Raises:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from scipy.stats import t as student_t
 
 from modsim3d.arrays import Array
 from modsim3d.errors import ModsimError
@@ -19,17 +18,19 @@ from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps,
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
-from modsim3d.tracking.report.numbers import Keys
+from modsim3d.tracking.intervals import half_interval
+from modsim3d.tracking.oracle.references import reference_tracks
+from modsim3d.tracking.report.numbers import Keys, keys_of
+from modsim3d.tracking.scores.rules import Rules
+from modsim3d.tracking.scores.scoring import score_tracks
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.track_set import TrackSet
-from modsim3d.tracks.tracks import Tracks
 from modsim3d.truth.truth_record import Truth
 
 SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa")
 """The scores whose spread is told."""
 LEAST_SEEDS, MOST_SEEDS = 2, 1000
-_CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,8 @@ class Spread:
     @property
     def interval(self) -> tuple[float, float] | None:
         """The 95 % interval of the mean, by Student's t."""
-        if self.mean is None or self.deviation is None:
-            return None
-        count = len(self.known)
-        half = float(student_t.ppf((1 + _CONFIDENCE) / 2, count - 1)) * self.deviation / count**0.5
-        return self.mean - half, self.mean + half
+        mean, half = self.mean, half_interval(self.known)
+        return None if mean is None or half is None else (mean - half, mean + half)
 
 
 @dataclass(frozen=True)
@@ -78,10 +76,6 @@ class SeedSpread:
 
     seeds: tuple[int, ...]
     spreads: dict[str, dict[str, Spread]]
-
-
-Score = Callable[[RunRows, Tracks], Keys]
-"""Scores tracks of a run of the same truth."""
 
 
 def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[Path]) -> None:
@@ -128,9 +122,8 @@ def spread_over_seeds(
     run: StoredRun,
     track_sets: Sequence[TrackSet],
     count: int,
-    score: Score,
-    references: Callable[[RunRows], dict[str, Tracks]],
-    progress: Callable[[int], None] = lambda seeds: None,
+    rules: Rules,
+    progress: Callable[[int], None],
 ) -> SeedSpread:
     """Run detector, tracker and scores again with other seeds of the detector.
 
@@ -138,8 +131,7 @@ def spread_over_seeds(
         run: A finished run.
         track_sets: Tracks whose tracker is known; see `check_seeds`.
         count: Number of seeds.
-        score: What scores tracks.
-        references: The tracks that stand beside those of trackers, by name.
+        rules: By which tracks are scored.
         progress: Called with the number of seeds done since its last call.
     """
     cameras = tuple(range(len(run.scene.cameras)))
@@ -150,9 +142,10 @@ def spread_over_seeds(
         for each in track_sets:
             assert each.origin is not None  # check_seeds has seen it
             named = named_tracker(each.origin.tracker, each.origin.settings, run.scene.name)
-            found.setdefault(each.name, []).append(score(rows, tracked(named, sequences, cameras, rows.scene)))
-        for name, tracks in references(rows).items():
-            found.setdefault(name, []).append(score(rows, tracks))
+            tracks = tracked(named, sequences, cameras, rows.scene)
+            found.setdefault(each.name, []).append(keys_of(score_tracks(rows, tracks, rules)))
+        for name, tracks in reference_tracks(rows, rules).items():
+            found.setdefault(name, []).append(keys_of(score_tracks(rows, tracks, rules)))
         seeds.append(seed)
         progress(1)
     spreads = {

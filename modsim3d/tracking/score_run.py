@@ -16,7 +16,7 @@ from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.files.replacing import read_of_run
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
-from modsim3d.tracking.oracle.association import oracle_tracks
+from modsim3d.tracking.oracle.references import reference_tracks
 from modsim3d.tracking.report.numbers import keys_of
 from modsim3d.tracking.scores.rules import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import Scores, score_tracks
@@ -25,16 +25,11 @@ from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.reading_world import is_world, read_world_tracks
 from modsim3d.tracks.similarity import Similarity, SimilarityName
 from modsim3d.tracks.track_set import TrackSet
-from modsim3d.tracks.tracks import Tracks
-from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TrueTracks, TruthName
+from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 from modsim3d.tracks.world_tracks import WorldTracks
 
 if TYPE_CHECKING:
     from modsim3d.tracking.detector_seeds import SeedSpread
-
-SMOOTHED, RAW = "smoothed", "raw"
-REFERENCES = {SMOOTHED: "oracle association, smoothed", RAW: "oracle association, raw boxes"}
-"""What the references are called: the detections of the run, each with the vessel that it came from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +51,7 @@ class TrackScores:
 
 @dataclass(frozen=True, eq=False)
 class WorldTrackScores:
-    """The scores of one tracker on the sea.
+    """The scores of one tracker in the world.
 
     Attributes:
         name: What tables call it.
@@ -83,7 +78,7 @@ class RunScores:
         references: The scores of the run's own detections with perfect association: `smoothed`, and with `raw` boxes.
             They are references and no ceilings: a tracker that smooths better may exceed them.
         seeds: Scores over detector seeds; None unless asked for.
-        world: The trackers on the sea.
+        world: The trackers in the world.
     """
 
     run: StoredRun
@@ -182,7 +177,7 @@ def score_run(
     if gate_m is not None and not in_world:
         raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
-        from modsim3d.tracking.detector_seeds import check_seeds
+        from modsim3d.tracking.detector_seeds import check_seeds, spread_over_seeds
 
         check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
@@ -197,15 +192,9 @@ def score_run(
         rules,
         tuple(sorted(scored, key=lambda each: -(keys_of(each.scores)["hota"] or 0.0))),
         {name: score_tracks(rows, each, rules) for name, each in references.items()},
-        _over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
+        spread_over_seeds(run, [each for _, each in in_images], seeds, rules, progress) if seeds is not None else None,
         world,
     )
-
-
-def reference_tracks(rows: RunRows, rules: Rules) -> dict[str, Tracks]:
-    """The detections of a run with perfect association, smoothed and raw."""
-    truth = TrueTracks.of(rows, rules.truth, rules.gap_s)
-    return {name: oracle_tracks(rows, truth, smoothed=name == SMOOTHED) for name in REFERENCES}
 
 
 def _read(
@@ -247,18 +236,3 @@ def _names(found: Sequence[tuple[Path | None, TrackSet | WorldTracks]]) -> list[
         f"{path or f'{name} {index + 1}'}" if names.count(name) > 1 else name
         for index, ((path, _), name) in enumerate(zip(found, names, strict=True))
     ]
-
-
-def _over_seeds(
-    run: StoredRun, track_sets: Sequence[TrackSet], count: int, rules: Rules, progress: Callable[[int], None]
-) -> SeedSpread:
-    from modsim3d.tracking.detector_seeds import spread_over_seeds
-
-    return spread_over_seeds(
-        run,
-        track_sets,
-        count,
-        lambda rows, tracks: keys_of(score_tracks(rows, tracks, rules)),
-        lambda rows: reference_tracks(rows, rules),
-        progress,
-    )

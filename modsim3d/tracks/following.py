@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modsim3d.arrays import Array, Indices, Mask
+from modsim3d.arrays import Array, Indices, Mask, extents
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.tracks.similarity import Similarity
 from modsim3d.tracks.tracks import Tracks
@@ -60,9 +60,9 @@ def follow(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -> Followi
     track_row, truth_row = np.full(len(truth), NOBODY), np.full(len(tracks), NOBODY)
     before: dict[int, dict[int, int]] = {}  # camera: track that followed each identity in the camera's frame before
     frames = np.union1d(truth.frame, tracks.frame)
-    truth_edges, track_edges = (_edges(each.frame, frames) for each in (truth, tracks))
-    for index, frame in enumerate(frames.tolist()):
-        a, b = np.arange(*truth_edges[index]), np.arange(*track_edges[index])
+    places = (column.tolist() for each in (truth, tracks) for column in extents(each.frame, frames))
+    for frame, first_truth, vessels, first_track, boxes in zip(frames.tolist(), *places, strict=True):
+        a, b = first_truth + np.arange(vessels), first_track + np.arange(boxes)
         if not len(a) or not len(b):
             continue  # as in TrackEval: such a frame lies between two frames and is not the one before
         last = before.get(frame % truth.cameras, {})
@@ -89,9 +89,3 @@ def best_pairs(alike: Array, least: float, kept: Mask) -> tuple[Indices, Indices
     i, j = linear_sum_assignment(score, maximize=True)
     good = enough[i, j]
     return i[good], j[good]
-
-
-def _edges(column: Indices, frames: Indices) -> list[tuple[int, int]]:
-    """First row of each frame and the row after its last, in an ascending column of frames."""
-    first, stop = (np.searchsorted(column, frames, side=side).tolist() for side in ("left", "right"))
-    return list(zip(first, stop, strict=True))

@@ -11,7 +11,7 @@ from modsim3d.tracks.files.csv_tracks import read_csv_tracks
 from modsim3d.tracks.files.diagnosis import check_reading
 from modsim3d.tracks.files.file_rows import FileRows, tracks_of
 from modsim3d.tracks.files.mot_tracks import read_mot_tracks
-from modsim3d.tracks.files.text_table import source_of
+from modsim3d.tracks.files.text_table import name_of, source_of
 from modsim3d.tracks.stored_tracks import TRACK_FILES, read_stored_tracks
 from modsim3d.tracks.track_set import TrackSet
 
@@ -61,4 +61,4 @@ def _name(path: Path) -> str:
     whole = path.resolve()
     if whole.name == "data" and whole.is_dir():
         return whole.parent.name
-    return whole.name if whole.is_dir() else whole.name.removesuffix(".gz").rsplit(".", 1)[0]
+    return whole.name if whole.is_dir() else name_of(whole)

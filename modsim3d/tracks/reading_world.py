@@ -1,10 +1,11 @@
-"""Tracks on the sea from files."""
+"""Tracks in the world from files."""
 
 from __future__ import annotations
 
 from modsim3d.errors import InputError
 from modsim3d.paths import StrPath, as_path
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracks.files.text_table import source_of
 from modsim3d.tracks.world_bag import read_world_bag
 from modsim3d.tracks.world_csv import IN_SCENE, ON_EARTH, header, read_world_csv
 from modsim3d.tracks.world_rows import checked
@@ -17,7 +18,7 @@ IN_IMAGE = "x_min_px"
 
 
 def is_world(path: StrPath) -> bool:
-    """Whether a file or folder has tracks on the sea: a ROS 2 bag, or CSV with places on the sea and no boxes."""
+    """Whether a file or folder has tracks in the world: a ROS 2 bag, or CSV with places in the world and no boxes."""
     path = as_path(path, "path", "tracks")
     if path.is_dir():
         return (path / BAG_FILE).is_file()
@@ -31,7 +32,7 @@ def is_world(path: StrPath) -> bool:
 
 
 def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -> WorldTracks:
-    """Read tracks on the sea.
+    """Read tracks in the world.
 
     Args:
         path: A CSV file, or the folder of a ROS 2 bag.
@@ -46,10 +47,10 @@ def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -
     run.check_has_steps()
     if path.suffix.lower() in BAG_ENDINGS and path.is_file():
         if not (path.parent / BAG_FILE).is_file():
-            raise InputError(f"tracks {path}", [f"{BAG_FILE} is missing beside it: give the whole folder of the bag"])
+            raise InputError(source_of(path), [f"{BAG_FILE} is missing beside it: give the whole folder of the bag"])
         path = path.parent
     if path.is_dir():
         return checked(read_world_bag(path, run, topic), run)
     if topic is not None:
-        raise InputError(f"tracks {path}", ["a topic is for a ROS 2 bag"])
+        raise InputError(source_of(path), ["a topic is for a ROS 2 bag"])
     return checked(read_world_csv(path, run), run)

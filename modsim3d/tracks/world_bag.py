@@ -1,4 +1,4 @@
-"""Tracks on the sea from a ROS 2 bag: `vision_msgs/Detection3DArray` or `nav_msgs/Odometry`, in the frame `map`."""
+"""Tracks in the world from a ROS 2 bag: `vision_msgs/Detection3DArray` or `nav_msgs/Odometry`, in the frame `map`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from modsim3d.arrays import Array
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.validation import nearest, shown
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracks.files.text_table import source_of
 from modsim3d.tracks.world_rows import WorldRows
 
 MAP = "map"
@@ -61,7 +62,7 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
         InputError: It cannot be read, has no such topic or several, or another frame.
         ModsimError: rosbags is not installed.
     """
-    source = f"tracks {path}"
+    source = source_of(path)
     found = list(_estimates(path, source, topic))
     start = float(run.scene.timestamps(0, 1)[0])
     covariance = np.full((len(found), 4, 4), np.nan)

@@ -1,4 +1,4 @@
-"""Tracks on the sea from CSV, with the names of columns that the export of a run has. docs/world_tracks.md has them."""
+"""Tracks in the world from CSV, whose columns have the names of a run's export. docs/world_tracks.md has them."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from modsim3d.inputs.opening import open_input
 from modsim3d.inputs.validation import shown
 from modsim3d.runs.files.columns import numbers
 from modsim3d.runs.stored_run import StoredRun
+from modsim3d.tracks.files.text_table import name_of, source_of
 from modsim3d.tracks.world_rows import MOST_DEG, WorldRows
 
 STATE = ("w1", "w2", "v1", "v2")
@@ -67,7 +68,7 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
     Raises:
         InputError: It cannot be read, or its columns are not those of tracks.
     """
-    source = f"tracks {path}"
+    source = source_of(path)
     columns = header(path)
     groups = _groups(source, columns)
     table = _table(path, source, columns)
@@ -84,7 +85,7 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
         degrees = np.column_stack([column(name) for name in ON_EARTH])
     return WorldRows(
         source=source,
-        name=path.name,
+        name=name_of(path),
         place=lambda row: f"row {row + 2}",
         track=[text or "" for text in table["track"].to_pylist()],
         time_s=_times_s(source, column, groups, run),

@@ -1,4 +1,4 @@
-"""What a file of tracks on the sea says, before it is known to be plausible."""
+"""What a file of tracks in the world says, before it is known to be plausible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracks of vessels on the sea, in the axes of a scene."""
+"""Tracks of vessels in the world, in the axes of a scene."""
 
 from __future__ import annotations
 

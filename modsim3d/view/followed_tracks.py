@@ -11,6 +11,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.boxes import centres
+from modsim3d.display import counted
 from modsim3d.errors import ModsimError
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.runs.run_rows import RunRows
@@ -107,9 +108,9 @@ class FollowedTracks:
         on_vessel[identity[~self.false]] = True
         vessels = len(np.unique(self.vessel[~self.false]))
         return (
-            f"Tracks of {self.name}: {_counted(count, 'track')} on {_counted(vessels, 'vessel')}, "
-            f"{_counted(int(self.switched.sum()), 'identity switch', 'identity switches')}, "
-            f"{_counted(int((~on_vessel).sum()), 'false track')}."
+            f"Tracks of {self.name}: {counted(count, 'track')} on {counted(vessels, 'vessel')}, "
+            f"{counted(int(self.switched.sum()), 'identity switch', 'identity switches')}, "
+            f"{counted(int((~on_vessel).sum()), 'false track')}."
         )
 
 
@@ -153,7 +154,3 @@ def _changed(owner: Indices, partner: Indices, counted: Mask) -> Mask:
     changed = np.zeros(len(owner), dtype=bool)
     changed[order[1:]] = (np.diff(owner[order]) == 0) & (np.diff(partner[order]) != 0)
     return changed
-
-
-def _counted(number: int, one: str, several: str | None = None) -> str:
-    return f"{number} {one if number == 1 else several or one + 's'}"

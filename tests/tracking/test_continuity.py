@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.continuity import Continuity, continuity, establishment, false_track_lengths_s
+from modsim3d.tracking.scores.continuity import Continuity, continuity, false_track_lengths_s
 from modsim3d.tracking.scores.frame_times import frame_lengths_s
 from tests.tracking.hand_made import box, hand_made
 
@@ -58,12 +57,7 @@ def test_the_wait_of_a_vessel_that_is_never_followed_is_in_no_mean() -> None:
     found = continuity(scored)
     assert (found.appearances, found.established, found.established_share) == (3, 2, 2 / 3)
     assert (found.time_to_establish_s, found.longest_time_to_establish_s) == (2, 3)
-    assert (found.track_breaks, found.lost, found.lost_s) == (0, 1, 1)
-    first = establishment(scored)
-    assert first.identity.tolist() == [0, 1, 2]
-    assert first.first_step.tolist() == [0, 0, 0]
-    assert first.followed_step.tolist() == [3, 1, NOBODY]
-    np.testing.assert_array_equal(first.time_s, [3, 1, np.nan])
+    assert (found.track_breaks, found.lost, found.lost_s, found.tracks_per_vessel) == (0, 1, 1, 1)
 
 
 def test_hidden_frames_are_no_break() -> None:

@@ -45,7 +45,7 @@ EXACT = SmootherNoise(noise_share=0, noise_x_px=0, noise_y_px=0, size_noise=0, v
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("noisy") / "run"
-    run_scene(load_scene("strait", steps=90, seed=3), folder)
+    run_scene(load_scene("strait", steps=60, seed=3, source="analytic"), folder)
     return RunRows.of(open_run(folder))
 
 

@@ -14,8 +14,10 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from modsim3d.errors import InputError
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.track_run import track_run
 from tests.scenes import crossing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,9 +60,10 @@ def test_the_tracker_has_ten_lines() -> None:
     assert len([line for line in tracker.splitlines() if line]) == 10
 
 
-def test_an_installed_tracker_runs_by_its_name_with_its_settings(run: Path, site: Path, tmp_path: Path) -> None:
-    line = ("track", run, "--tracker", "overlap", "--json", "--out")
-    done = modsim3d(site, *line, tmp_path / "a")
+def test_an_installed_tracker_runs_by_its_name_with_its_settings(
+    run: Path, site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = modsim3d(site, "track", run, "--tracker", "overlap", "--json", "--out", tmp_path / "a")
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -70,8 +73,9 @@ def test_an_installed_tracker_runs_by_its_name_with_its_settings(run: Path, site
     tracks = pq.read_table(tmp_path / "a" / "tracks.parquet")
     assert len(tracks) == len(detections) == said["counts"]["boxes"] == said["counts"]["detections"]
     assert 0 < said["counts"]["tracks"] < len(tracks)
-    strict = modsim3d(site, *line, tmp_path / "b", "--set", "least_iou=1.1")
-    assert json.loads(strict.stdout)["counts"]["tracks"] == len(tracks), "no two boxes are the same"
-    wrong = modsim3d(site, *line, tmp_path / "c", "--set", "least=1")
-    assert wrong.returncode == 2 and "least: unknown key (did you mean 'least_iou'?)" in wrong.stderr
+    monkeypatch.syspath_prepend(site)
+    strict = track_run(run, tmp_path / "b", tracker="overlap", settings={"least_iou": 1.1})
+    assert strict.counts.tracks == len(tracks), "no two boxes are the same"
+    with pytest.raises(InputError, match=r"least: unknown key \(did you mean 'least_iou'\?\)"):
+        track_run(run, tmp_path / "c", tracker="overlap", settings={"least": 1})
     assert not (tmp_path / "c").exists()

@@ -91,6 +91,7 @@ def test_a_spread_is_the_textbook_one() -> None:
     spread = Spread((1.0, None, 2.0, 3.0))
     assert (spread.mean, spread.deviation) == (2.0, 1.0)
     assert spread.interval == pytest.approx((2 - 2.48414, 2 + 2.48414), abs=1e-5)
+    assert Spread((1.0, 3.0)).deviation == pytest.approx(2**0.5)
     assert (Spread((None,)).mean, Spread((1.0,)).deviation, Spread((1.0,)).interval) == (None, None, None)
 
 
@@ -131,7 +132,7 @@ def test_tracks_in_the_world_have_a_table_of_their_own(run: StoredRun, tmp_path:
     path.write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
     scores = score_run(run, path)
     assert scores.trackers == () and scores.references == {}
-    assert scores.conclusion == "fused.csv follows no vessel in the world."
+    assert scores.conclusion == "fused follows no vessel in the world."
     assert "Tracks in the world" in score_page(scores)
     assert score_data(scores)["world"][0]["rmse_m"] is None
 

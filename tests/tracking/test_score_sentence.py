@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from modsim3d.tracking.report.numbers import number, percent
-from modsim3d.tracking.report.sentence import LengthBin, Told, conclusion
+from modsim3d.tracking.report.score_tables import survived_of
+from modsim3d.tracking.report.sentence import LengthBin, TrackerOutcome, conclusion
+from modsim3d.tracking.scores.breakdown import Bin
 
 Numbers = dict[str, float | int | None]
 SHORT, LONG = LengthBin("of 0 to 1 s", 10, 9), LengthBin("longer than 10 s", 9, 2)
@@ -15,8 +17,8 @@ def keys(hota: float | None, followed: int = 71, missed: int = 29, false: int = 
     return {"hota": hota, "true_positives": followed, "misses": missed, "false_positives": false}
 
 
-def told(name: str, lengths: tuple[LengthBin, ...] = (), **scores: float | None) -> Told:
-    return Told(name, keys(**{"hota": 0.52, **scores}), lengths)  # type: ignore[arg-type]
+def told(name: str, lengths: tuple[LengthBin, ...] = (), **scores: float | None) -> TrackerOutcome:
+    return TrackerOutcome(name, keys(**{"hota": 0.52, **scores}), lengths)  # type: ignore[arg-type]
 
 
 REFERENCE = keys(0.78)
@@ -66,12 +68,12 @@ def test_tracks_that_follow_nothing_are_called_false(false: int, has: str) -> No
 
 def test_without_vessels_nothing_could_be_followed() -> None:
     empty = keys(None, 0, 0)
-    assert conclusion([Told("sort", empty, ())], empty) == (
+    assert conclusion([TrackerOutcome("sort", empty, ())], empty) == (
         "There is no vessel to follow in this run, and sort has no track."
     )
-    said = conclusion([Told("sort", keys(0.0, 0, 0, 3), ())], empty)
+    said = conclusion([TrackerOutcome("sort", keys(0.0, 0, 0, 3), ())], empty)
     assert said == "There is no vessel to follow in this run, and sort reports 3 boxes, all false."
-    assert "can only be false" in conclusion([Told("sort", empty, ()), Told("b", empty, ())], empty)
+    assert "can only be false" in conclusion([TrackerOutcome("sort", empty, ()), TrackerOutcome("b", empty, ())], empty)
 
 
 def lengths(*counts: tuple[int, int]) -> tuple[LengthBin, ...]:
@@ -98,3 +100,9 @@ def test_a_share_is_0_or_100_percent_only_if_it_is() -> None:
         *("0 %", "under 1 %", "50 %", "over 99 %", "100 %", "–")
     ]
     assert [number(-0.25, 2), number(None), number(1234.0, 0)] == ["−0.25", "–", "1,234"]
+
+
+def test_survived_occlusions_of_a_bin_are_told_as_a_number_of_those_that_could_be() -> None:
+    assert survived_of(Bin("3 to 10", 40, 0.5, 0.4, occlusions=5, judged=3, survived=2 / 3)) == "2 of 3"
+    assert survived_of(Bin("3 to 10", 40, 0.5, 0.4, occlusions=5, judged=0)) == "–"
+    assert survived_of(Bin("before", 40, 0.5, 0.4)) == ""

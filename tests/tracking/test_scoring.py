@@ -89,6 +89,7 @@ def test_a_track_without_a_label_is_refused_by_class() -> None:
 def test_runs_without_vessels_or_tracks_have_scores_too(truth, tracks) -> None:
     found = scores_of(truth, tracks, 2, BY_CLASS).as_json()
     assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
+    assert [*found.get("by_class", {})] == [LABELS[0]] * (len(truth) + len(tracks))
 
 
 def test_the_json_is_made_of_what_json_knows(miss_in_haze: Scores) -> None:

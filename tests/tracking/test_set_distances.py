@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from modsim3d.errors import ModsimError
 from modsim3d.tracking.scores.rules import LARGEST_CUTOFF, Rules, SetDistance
 from modsim3d.tracking.scores.scored import Scored
-from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, gospa_over_cutoffs, ospa
+from modsim3d.tracking.scores.set_distances import Gospa, Ospa, gospa, ospa
 from tests.tracking.hand_made import box, hand_made
 
 RULES = Rules(set_distance=SetDistance(cutoff=10))
@@ -37,10 +39,9 @@ def test_a_larger_power_gives_parts_as_powers() -> None:
 
 def test_cutoffs_around_an_error_turn_it_into_a_miss_and_a_false_track(four_frames: Scored) -> None:
     """With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0."""
-    low, same, high = gospa_over_cutoffs(four_frames, (0.4, 1, 2))
-    assert low == (4, Gospa(2, 0, 1, 1))
-    assert same == (10, gospa(four_frames))
-    assert high == (20, Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2))
+    low, high = (gospa(replace(four_frames, rules=Rules(set_distance=SetDistance(cutoff)))) for cutoff in (4, 20))
+    assert low == Gospa(2, 0, 1, 1)
+    assert high == Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
 
 
 def test_a_track_on_a_vessel_that_is_hidden_costs_nothing() -> None:

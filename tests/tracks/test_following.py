@@ -37,6 +37,14 @@ def test_a_track_keeps_its_vessel_although_another_box_is_more_alike() -> None:
     assert found.track_row.tolist() == [0, 1]  # IoU 7/13 with track 7, 9/11 with track 8
 
 
+@pytest.mark.parametrize("between", [([(1, 1, 0.0)], []), ([], [(1, 7, 0.0)])], ids=["no track", "no vessel"])
+def test_a_frame_without_tracks_or_without_vessels_makes_no_track_forget_its_vessel(between) -> None:
+    (vessels, others), last = between, [(2, 7, 3.0), (2, 8, 1.0)]
+    truth = true_tracks([(0, 1, 0), *vessels, (2, 1, 0)])
+    found = follow(truth, given := tracks([(0, 7, 0), *others, *last]), Similarity())
+    assert given.track[found.track_row[-1]] == 7
+
+
 def test_a_track_that_is_no_longer_alike_enough_loses_its_vessel() -> None:
     truth = true_tracks([(0, 1, 0), (1, 1, 0)])
     found = follow(truth, tracks([(0, 7, 0), (1, 7, 4), (1, 8, 1)]), Similarity())

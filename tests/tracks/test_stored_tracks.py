@@ -49,7 +49,7 @@ def replace_table(folder, table):
     change_facts(folder, lambda facts: facts.update(files=listed))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.data())
 def test_tracks_are_read_back_as_they_were_written(small_run, small_rows, data):
     frames, labels = small_rows.frames, small_rows.scene.detector.labels

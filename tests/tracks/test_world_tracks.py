@@ -1,4 +1,4 @@
-"""Tracks on the sea, read from CSV and from ROS 2 bags."""
+"""Tracks in the world, read from CSV and from ROS 2 bags."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def equal(one: WorldTracks, other: WorldTracks, places_m: float = 0.0) -> None:
 
 def test_csv_is_read_by_track_and_time(run: StoredRun, tmp_path: Path) -> None:
     tracks = read_world_tracks(write_csv(tmp_path / "t.csv", rows()), run)
-    assert tracks.track_names == ("a", "b") and tracks.name == "t.csv"
+    assert tracks.track_names == ("a", "b") and tracks.name == "t"
     np.testing.assert_array_equal(tracks.time_s, np.tile(TIMES_S, 2))
     np.testing.assert_allclose(tracks.position_m, np.concatenate([PLACES_M[:, vessel] for vessel in TWO]))
     assert np.isnan(tracks.covariance).all()

@@ -11,6 +11,7 @@ import orjson
 from modsim3d.display import counted
 from modsim3d.outputs.placing import write_files
 from modsim3d.paths import StrPath, as_path
+from modsim3d.tracking.oracle.references import RAW, REFERENCES
 from modsim3d.tracking.report.numbers import MEANINGS, number, rules_in_words
 from modsim3d.tracking.report.score_json import score_data
 from modsim3d.tracking.report.score_tables import (
@@ -28,11 +29,11 @@ from modsim3d.tracking.report.score_tables import (
     score_rows,
     seed_rows,
     seeds_in_words,
-    survival,
+    survived_and_judged,
     survived_of,
 )
 from modsim3d.tracking.report.world_tables import world_sections
-from modsim3d.tracking.score_run import RAW, REFERENCES, RunScores, TrackScores
+from modsim3d.tracking.score_run import RunScores, TrackScores
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.scoring import Scores
 from modsim3d.view.pages import charts, page
@@ -127,7 +128,7 @@ def _breakdowns(scores: RunScores) -> list[str]:
     parts = []
     for index, group in enumerate(shown[0][1].breakdown):
         bins = {name: {each.bin: each for each in found.breakdown[index].rows} for name, found in shown}
-        title = GROUP_TITLES.get(group.name, f"By {GROUP_NAMES.get(group.name, group.name)}")
+        title = GROUP_TITLES.get(group.name, f"By {GROUP_NAMES[group.name]}")
         parts += [f"<h3>{html.escape(title)}</h3>", page.paragraph(group.explanation, "soft")]
         parts.append(_bin_table(bins, group.name == "occlusion") if group.rows else page.paragraph("There are none."))
     return parts
@@ -176,7 +177,7 @@ def _occlusions(tracker: TrackScores) -> list[str]:
     found: Scores = tracker.scores
     if not found.occlusions:
         return [page.paragraph(f"{tracker.name}: no vessel is occluded.")]
-    survived, judged = survival(found.occlusions)
+    survived, judged = survived_and_judged(found.occlusions)
     said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found.occlusions), 'occlusion')} in all"
     failed = {index for index, each in enumerate(found.occlusions) if each.survived is False}
     table = page.table(occlusion_rows(found.occlusions), OCCLUSION_HEADER, failed)

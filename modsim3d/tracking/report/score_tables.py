@@ -7,16 +7,15 @@ from itertools import pairwise
 from typing import Any
 
 from modsim3d.display import counted
+from modsim3d.tracking.oracle.references import RAW, REFERENCES, SMOOTHED
 from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN, keys_of, number, percent
-from modsim3d.tracking.report.sentence import LengthBin, Told, conclusion
+from modsim3d.tracking.report.sentence import LengthBin, TrackerOutcome, conclusion
 from modsim3d.tracking.report.world_tables import world_conclusion
-from modsim3d.tracking.score_run import RAW, REFERENCES, SMOOTHED, RunScores
+from modsim3d.tracking.score_run import RunScores
 from modsim3d.tracking.scores.breakdown import Bin, Breakdown
-from modsim3d.tracking.scores.occlusions import Occlusion
+from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, Occlusion
 from modsim3d.tracking.scores.scoring import Scores, SubsetScores
 
-LENGTH_EDGES_S = (0.0, 1.0, 3.0, 10.0, float("inf"))
-"""Lengths of occlusions between which they are told apart."""
 HEADER = ("tracker", *(name for name, _, _ in COLUMNS), "occlusions survived")
 SEED_HEADER = ("tracker", "score", "mean", "standard deviation", "95 % of the mean")
 HIDDEN_HEADER = ("tracker", "vessel-frames", "followed", "by the track from before")
@@ -57,12 +56,12 @@ def named_scores(scores: RunScores) -> list[tuple[str, Scores]]:
 
 def score_cells(scores: Scores) -> tuple[str, ...]:
     """The scores of one line."""
-    keys, (survived, judged) = keys_of(scores), survival(scores.occlusions)
+    keys, (survived, judged) = keys_of(scores), survived_and_judged(scores.occlusions)
     cells = tuple(number(keys[key], decimals) for _, key, decimals in COLUMNS)
     return (*cells, f"{survived} of {judged}" if judged else UNKNOWN)
 
 
-def survival(occlusions: Sequence[Occlusion]) -> tuple[int, int]:
+def survived_and_judged(occlusions: Sequence[Occlusion]) -> tuple[int, int]:
     """How many occlusions tracks survived, and of how many."""
     judged = [each.survived for each in occlusions if each.survived is not None]
     return sum(judged), len(judged)
@@ -71,8 +70,8 @@ def survival(occlusions: Sequence[Occlusion]) -> tuple[int, int]:
 def length_bins(occlusions: Sequence[Occlusion]) -> tuple[LengthBin, ...]:
     """Occlusions by length, those that a track could survive."""
     bins = []
-    for low, high in pairwise(LENGTH_EDGES_S):
-        survived, judged = survival([each for each in occlusions if low <= each.length_s < high])
+    for low, high in pairwise((0, *LENGTH_EDGES_S, float("inf"))):
+        survived, judged = survived_and_judged([each for each in occlusions if low <= each.length_s < high])
         name = f"longer than {low:g} s" if high == float("inf") else f"of {low:g} to {high:g} s"
         bins.append(LengthBin(name, judged, survived))
     return tuple(bins)
@@ -93,8 +92,11 @@ def conclusion_of(scores: RunScores) -> str:
     """The outcome: of the best tracker in the images, and of each in the world."""
     said = []
     if scores.trackers:
-        told = [Told(each.name, keys_of(each.scores), length_bins(each.scores.occlusions)) for each in scores.trackers]
-        said.append(conclusion(told, keys_of(scores.references[SMOOTHED])))
+        outcomes = [
+            TrackerOutcome(each.name, keys_of(each.scores), length_bins(each.scores.occlusions))
+            for each in scores.trackers
+        ]
+        said.append(conclusion(outcomes, keys_of(scores.references[SMOOTHED])))
     if scores.world:
         said.append(world_conclusion(scores))
     return " ".join(said)
@@ -159,7 +161,7 @@ def bin_rows(groups: Breakdown) -> list[tuple[str, ...]]:
     """A line for each bin of a breakdown, under `BIN_HEADER`."""
     return [
         (
-            GROUP_NAMES.get(group.name, group.name) if place == 0 else "",
+            GROUP_NAMES[group.name] if place == 0 else "",
             each.bin,
             f"{each.vessel_frames:,}",
             number(each.recall, 2),

@@ -28,7 +28,7 @@ class LengthBin:
 
 
 @dataclass(frozen=True)
-class Told:
+class TrackerOutcome:
     """What the sentence about one tracker is made of.
 
     Attributes:
@@ -42,7 +42,7 @@ class Told:
     lengths: tuple[LengthBin, ...]
 
 
-def conclusion(trackers: Sequence[Told], reference: Keys) -> str:
+def conclusion(trackers: Sequence[TrackerOutcome], reference: Keys) -> str:
     """The outcome.
 
     Args:
@@ -59,7 +59,7 @@ def conclusion(trackers: Sequence[Told], reference: Keys) -> str:
     return " ".join([first, *_losses(best.lengths)])
 
 
-def _subject(trackers: Sequence[Told]) -> str:
+def _subject(trackers: Sequence[TrackerOutcome]) -> str:
     best = trackers[0]
     if len(trackers) == 1:
         return f"{best.name} follows"
@@ -99,7 +99,7 @@ def _losses(lengths: Sequence[LengthBin]) -> list[str]:
     ]
 
 
-def _nothing_expected(trackers: Sequence[Told]) -> str:
+def _nothing_expected(trackers: Sequence[TrackerOutcome]) -> str:
     said = "There is no vessel to follow in this run"
     false = _false(trackers[0].keys)
     if len(trackers) > 1:
@@ -107,7 +107,7 @@ def _nothing_expected(trackers: Sequence[Told]) -> str:
     return f"{said}, and {trackers[0].name} {f'reports {_boxes(false)}, all false' if false else 'has no track'}."
 
 
-def _nothing_followed(trackers: Sequence[Told]) -> str:
+def _nothing_followed(trackers: Sequence[TrackerOutcome]) -> str:
     missed = f"{_boxes(_expected(trackers[0].keys))} of vessels should be followed"
     if len(trackers) > 1:
         return f"None of the {len(trackers)} trackers follows a vessel; {missed}."

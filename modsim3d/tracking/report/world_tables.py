@@ -33,7 +33,7 @@ ENCOUNTER_HEADER = (
 def world_rows(scores: RunScores) -> list[tuple[str, ...]]:
     """A line for each tracker, under `WORLD_HEADER`."""
     return [
-        (each.name, *(number(each.scores.keys()[key], decimals) for _, key, decimals in WORLD_COLUMNS))
+        (each.name, *(number(each.scores.flat()[key], decimals) for _, key, decimals in WORLD_COLUMNS))
         for each in scores.world
     ]
 
@@ -98,7 +98,7 @@ def world_data(scores: RunScores) -> list[dict[str, Any]]:
             "gate_m": each.scores.gate_m,
             "gospa_c_m": each.scores.set_distance.cutoff,
             "gospa_p": each.scores.set_distance.power,
-            **each.scores.keys(),
+            **each.scores.flat(),
             "each_encounter": [asdict(met) for met in each.scores.encounters],
         }
         for each in scores.world
@@ -109,7 +109,7 @@ def world_conclusion(scores: RunScores) -> str:
     """The outcome of tracks in the world, a sentence for each tracker."""
     said = []
     for each in scores.world:
-        keys = each.scores.keys()
+        keys = each.scores.flat()
         rmse, share = keys["rmse_m"], keys["followed_share"]
         if rmse is None:
             said.append(f"{each.name} follows no vessel in the world.")

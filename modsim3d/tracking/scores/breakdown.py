@@ -15,7 +15,7 @@ import numpy as np
 from modsim3d.arrays import Array, Indices, Mask, ranges
 from modsim3d.boxes import areas
 from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.occlusions import Spans, Survival, within
+from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, Spans, Survival, within
 from modsim3d.tracking.scores.scored import Scored
 
 NEAR_S = 2.0
@@ -160,7 +160,7 @@ def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:
     """The vessel-frames by phase of an occlusion, and those during one by its length."""
     spans = Spans.of(scored)
     during, phase = _phases(scored, spans)
-    names, length = _intervals(spans.length_s, (1, 3, 10))
+    names, length = _intervals(spans.length_s, LENGTH_EDGES_S)
     of_row = np.append(length, NOBODY)[during]  # the last is that of NOBODY
     bins = (
         followed.bin(name, of_row == index, spans.survival(length == index))

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
-from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, stretches
 from modsim3d.tracking.scores.scored import Scored
 
 _HOUR_S = 3600.0
@@ -66,43 +65,27 @@ class Continuity:
     false_tracks_per_hour: float | None
 
 
-class Establishment(NamedTuple):
-    """When each appearance was followed first: v rows.
-
-    Attributes:
-        identity: Number of the identity in the truth, shape (v,).
-        first_step: Step of the first scored frame, shape (v,).
-        followed_step: Step of the first scored frame in which it is followed, `NOBODY` if never, shape (v,).
-        time_s: From the one to the other, NaN if never, shape (v,).
-    """
-
-    identity: Indices
-    first_step: Indices
-    followed_step: Indices
-    time_s: Array
-
-
 class _Appearances(NamedTuple):
     """Scored frames of vessels by identity and frame: n rows.
 
     Attributes:
-        row: Row of the vessel in the matching.
         identity: Number of the identity.
+        time_s: Time of the frame since the first step.
         followed: Whether it is followed.
         length_s: Time that the frame stands for.
     """
 
-    row: Indices
     identity: Indices
+    time_s: Array
     followed: Mask
     length_s: Array
 
 
 def continuity(scored: Scored) -> Continuity:
     """Continuity of the tracks of scored vessels, and false tracks."""
-    rows, first = _appearances(scored), establishment(scored)
-    waits_s = first.time_s[~np.isnan(first.time_s)]
-    appearances, established = len(first.identity), len(waits_s)
+    rows = _appearances(scored)
+    waits_s = _times_to_establish_s(rows)
+    appearances, established = len(np.unique(rows.identity)), len(waits_s)
     breaks_s, lost_s, established_s = _times_not_followed(rows)
     false_s = false_track_lengths_s(scored)
     vessels, tracks = scored.pairs
@@ -129,17 +112,13 @@ def continuity(scored: Scored) -> Continuity:
     )
 
 
-def establishment(scored: Scored) -> Establishment:
-    """When each appearance was followed first."""
-    rows, by_step = _appearances(scored), scored.by_step
-    frame = scored.following.truth.frame[rows.row]
+def _times_to_establish_s(rows: _Appearances) -> Array:
+    """From the first frame of each established appearance to the first in which it is followed, shape (e,)."""
     identity, start = np.unique(rows.identity, return_index=True)
-    established, at = np.unique(rows.identity[rows.followed], return_index=True)
-    followed_step = np.full(len(identity), NOBODY)
-    followed_step[np.searchsorted(identity, established)] = frame[rows.followed][at] // by_step
-    first_step = frame[start] // by_step
-    wait_s = scored.times_s[followed_step] - scored.times_s[first_step]
-    return Establishment(identity, first_step, followed_step, np.where(followed_step == NOBODY, np.nan, wait_s))
+    established, followed = np.unique(rows.identity[rows.followed], return_index=True)
+    first_s = rows.time_s[start][np.searchsorted(identity, established)]
+    waits_s: Array = rows.time_s[rows.followed][followed] - first_s
+    return waits_s
 
 
 def false_track_lengths_s(scored: Scored) -> Array:
@@ -155,8 +134,9 @@ def false_track_lengths_s(scored: Scored) -> Array:
 def _appearances(scored: Scored) -> _Appearances:
     truth, rows = scored.following.truth, scored.truth_rows
     rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
-    length_s = frame_lengths_s(scored, truth.frame[rows])
-    return _Appearances(rows, truth.identity[rows], scored.following.found[rows], length_s)
+    frame = truth.frame[rows]
+    times_s, lengths_s = scored.times_s[frame // scored.by_step], frame_lengths_s(scored, frame)
+    return _Appearances(truth.identity[rows], times_s, scored.following.found[rows], lengths_s)
 
 
 def _times_not_followed(rows: _Appearances) -> tuple[Array, Array, float]:
@@ -169,8 +149,8 @@ def _times_not_followed(rows: _Appearances) -> tuple[Array, Array, float]:
     np.minimum.at(first, group[rows.followed], place[rows.followed])
     np.maximum.at(last, group[rows.followed], place[rows.followed])
     missed = np.flatnonzero(~rows.followed & (place > first[group]) & (place < last[group]))
-    stretches, before_s = runs(group[missed], missed), np.append(0, np.cumsum(rows.length_s))
-    breaks_s = before_s[missed[stretches.last] + 1] - before_s[missed[stretches.first]]
+    found, before_s = stretches(group[missed], missed), np.append(0, np.cumsum(rows.length_s))
+    breaks_s = before_s[missed[found.last] + 1] - before_s[missed[found.first]]
     after = (place > last[group]) & (last[group] >= 0)
     lost_s = _sums(group[after], rows.length_s[after], count)
     lost_s = lost_s[np.bincount(group[after], minlength=count) > 0]

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array
 from modsim3d.boxes import errors_between
 from modsim3d.tracking.scores.scored import Scored
 
 _LEAST_CONDITION = 1e-12
-"""A covariance whose smallest eigenvalue is below this share of its largest is taken as singular."""
 
 
 @dataclass(frozen=True)
@@ -42,34 +41,17 @@ class Errors:
     singular_covariances: int
 
 
-@dataclass(frozen=True, eq=False)
-class IdentityErrors:
-    """Errors of each followed identity, for intervals over vessels or runs: v rows.
-
-    Attributes:
-        identity: Number of the identity in the truth, shape (v,).
-        pairs: Number of its pairs, shape (v,).
-        mean_square_px2: Mean squared distance of the centres, shape (v,).
-        nees: Mean NEES, NaN without covariances and infinite where one is singular, shape (v,).
-    """
-
-    identity: Indices
-    pairs: Indices
-    mean_square_px2: Array
-    nees: Array
-
-
 def errors(scored: Scored) -> Errors:
     """Errors over all pairs.
 
-    Errors of consecutive frames are correlated, so the chi-square interval of NEES does not hold over frames; take an
-    interval over vessels (`identity_errors`) or runs.
+    Errors of consecutive frames are correlated, so the chi-square interval of NEES does not hold over frames: take an
+    interval over runs.
     """
-    error_px, nees = _pair_errors(scored)
+    error_px, squares = _pair_errors(scored)
     if not len(error_px):
         return Errors(0, None, None, None, None, None, None, 0, 0)
     distance = np.hypot(error_px[:, 0], error_px[:, 1])
-    given = nees[~np.isnan(nees)]
+    given = squares[~np.isnan(squares)]
     mean = float(given.mean()) if len(given) and np.isfinite(given).all() else None
     return Errors(
         len(error_px),
@@ -84,30 +66,26 @@ def errors(scored: Scored) -> Errors:
     )
 
 
-def identity_errors(scored: Scored) -> IdentityErrors:
-    """Errors over the pairs of each identity."""
-    error_px, nees = _pair_errors(scored)
-    vessels, _ = scored.pairs
-    identity, row, pairs = np.unique(scored.following.truth.identity[vessels], return_inverse=True, return_counts=True)
-    square = np.bincount(row, (error_px[:, :2] ** 2).sum(axis=1), len(identity))
-    given = ~np.isnan(nees)
-    counts = np.bincount(row[given], minlength=len(identity))
-    sums = np.bincount(row[given], nees[given], len(identity))
-    means = np.divide(sums, counts, out=np.full(len(identity), np.nan), where=counts > 0)
-    return IdentityErrors(identity, pairs, square / np.maximum(pairs, 1), means)
-
-
-def normalised_squares(error: Array, covariance: Array) -> Array:
-    """NEES of each of k errors: e' P⁻¹ e (Bar-Shalom et al. (2001), section 5.4.2), in d dimensions, shape (k,).
+def nees(errors: Array, covariances: Array) -> Array:
+    """Normalised estimation errors squared e' P⁻¹ e (Bar-Shalom et al. (2001), equation 5.4.2-1), shape (k,).
 
     Jessen & Mohr (2023) misplace the transpose in equation 2.2, and leave out 1/n in that of ANEES, 2.3.
 
     Args:
-        error: Estimate minus truth, shape (k, d).
-        covariance: P, shape (k, d, d).
+        errors: Estimate minus truth, shape (k, d).
+        covariances: P, positive definite, shape (k, d, d). NaN in either gives NaN.
+    """
+    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
+    found = np.full(len(errors), np.nan)
+    wanted = errors[known, :, None]
+    found[known] = (wanted * np.linalg.solve(covariances[known], wanted)).sum(axis=(1, 2))
+    return found
 
-    Returns:
-        NaN where the covariance is not finite; infinite where it is not positive definite.
+
+def nees_or_infinity(error: Array, covariance: Array) -> Array:
+    """NEES of k errors whose covariances may be singular: infinite where they are not positive definite, shape (k,).
+
+    The smallest eigenvalue must be above 10⁻¹² of the largest. Where the covariance is unknown, so is NEES: NaN.
     """
     squares = np.full(len(error), np.nan)
     given = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
@@ -115,7 +93,7 @@ def normalised_squares(error: Array, covariance: Array) -> Array:
     regular = (spread[:, 0] > 0) & (spread[:, 0] >= _LEAST_CONDITION * spread[:, -1])
     squares[given[~regular]] = np.inf
     good = given[regular]
-    squares[good] = (error[good] * np.linalg.solve(covariance[good], error[good][..., None])[..., 0]).sum(axis=1)
+    squares[good] = nees(error[good], covariance[good])
     return squares
 
 
@@ -124,7 +102,7 @@ def _pair_errors(scored: Scored) -> tuple[Array, Array]:
     vessels, tracks = scored.pairs
     following = scored.following
     error_px = errors_between(following.tracks.boxes_px[tracks], following.truth.boxes_px[vessels])
-    return error_px, normalised_squares(error_px[:, :2], following.tracks.covariance_px2[tracks])
+    return error_px, nees_or_infinity(error_px[:, :2], following.tracks.covariance_px2[tracks])
 
 
 def _root_mean_square(values: Array) -> float:

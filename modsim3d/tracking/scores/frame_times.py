@@ -30,7 +30,7 @@ def frame_lengths_s(scored: Scored, frames: Indices) -> Array:
     return found
 
 
-class Runs(NamedTuple):
+class Stretches(NamedTuple):
     """Stretches of rows that follow each other: r of them.
 
     Attributes:
@@ -42,7 +42,7 @@ class Runs(NamedTuple):
     last: Indices
 
 
-def runs(group: Indices, place: Indices) -> Runs:
+def stretches(group: Indices, place: Indices) -> Stretches:
     """Stretches in which the group stays and the place grows by 1 from row to row.
 
     Args:
@@ -51,5 +51,5 @@ def runs(group: Indices, place: Indices) -> Runs:
     """
     ends = np.flatnonzero((np.diff(group) != 0) | (np.diff(place) != 1)) + 1
     if not len(group):
-        return Runs(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
-    return Runs(np.append(0, ends), np.append(ends, len(group)) - 1)
+        return Stretches(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+    return Stretches(np.append(0, ends), np.append(ends, len(group)) - 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.runs.files.columns import NOBODY
-from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, stretches
 from modsim3d.tracking.scores.histories import Histories
 from modsim3d.tracking.scores.scored import Scored
 
@@ -17,6 +17,8 @@ OCCLUDED_BELOW = 0.5
 """A vessel is occluded while less than this share of its silhouette in the image is visible."""
 BEFORE_S = 1.0
 """The track before is the last that followed the vessel within this time before its occlusion."""
+LENGTH_EDGES_S = (1, 3, 10)
+"""Between these, occlusions are told apart by length."""
 AFTER_S = 2.0
 """The track after is the first that follows the vessel within this time after its occlusion."""
 
@@ -102,7 +104,7 @@ class Spans:
         each = Histories.of(scored)
         known = np.cumsum(~np.isnan(each.visible_fraction))  # a vessel without a pixel has no visible fraction
         occluded = np.flatnonzero(each.visible_fraction < OCCLUDED_BELOW)
-        found = runs(each.identity[occluded], known[occluded])
+        found = stretches(each.identity[occluded], known[occluded])
         first, last = occluded[found.first], occluded[found.last]
         first, last = first[each.counted[first]], last[each.counted[first]]
         start_s = each.time_s[first]

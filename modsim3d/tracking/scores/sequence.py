@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, ranges
+from modsim3d.arrays import Array, Indices, extents, ranges
 from modsim3d.errors import ModsimError
 from modsim3d.tracking.scores.scored import Scored
 
@@ -37,8 +37,8 @@ def sequence(scored: Scored) -> Data:
     truth, tracks = scored.truth, scored.tracks
     frames = np.union1d(truth.frame, tracks.frame)
     frames = frames[np.lexsort((frames, frames % scored.by_step))]
-    truth_first, truth_count = _extents(truth.frame, frames)
-    track_first, track_count = _extents(tracks.frame, frames)
+    truth_first, truth_count = extents(truth.frame, frames)
+    track_first, track_count = extents(tracks.frame, frames)
     truth_id, track_id = (np.unique(each, return_inverse=True)[1] for each in (truth.identity, tracks.identity))
     return {
         "num_timesteps": len(frames),
@@ -63,12 +63,6 @@ def _similarities(scored: Scored, truth: tuple[Indices, Indices], tracks: tuple[
     parts = _cut(alike, *_places(truth_count * track_count))
     shapes = zip(truth_count.tolist(), track_count.tolist(), strict=True)
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-
-
-def _extents(column: Indices, frames: Indices) -> tuple[Indices, Indices]:
-    """First row of each frame in an ascending column of frames, and the number of its rows, shapes (F,)."""
-    first, stop = (np.searchsorted(column, frames, side=side) for side in ("left", "right"))
-    return first, stop - first
 
 
 def _places(counts: Indices) -> tuple[Indices, Indices]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import numpy as np
-
-from modsim3d.arrays import Array
+from modsim3d.arrays import Array, extents
 from modsim3d.boxes import centres
 from modsim3d.tracking.scores.point_sets import distances, mean_gospa, mean_ospa
 from modsim3d.tracking.scores.scored import Scored
@@ -38,29 +35,14 @@ class Ospa:
     ospa: float | None
 
 
-class AtCutoff(NamedTuple):
-    """GOSPA with one cutoff, in pixels."""
-
-    cutoff_px: float
-    gospa: Gospa
-
-
 def gospa(scored: Scored) -> Gospa:
     """GOSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0.
 
     The formula is that of `gospa_frame`. Parts are means of p-th powers: with p = 1 they add up to GOSPA.
     """
-    return _gospa(scored, scored.rules.set_distance.cutoff)
-
-
-def gospa_over_cutoffs(scored: Scored, factors: Sequence[float] = (0.5, 1, 2)) -> tuple[AtCutoff, ...]:
-    """GOSPA with the rules' cutoff times each factor.
-
-    A larger cutoff charges more for a missed vessel and a false track, and takes errors for errors that a smaller one
-    takes for a miss and a false track.
-    """
-    cutoffs = [scored.rules.set_distance.cutoff * factor for factor in factors]
-    return tuple(AtCutoff(cutoff, _gospa(scored, cutoff)) for cutoff in cutoffs)
+    rule = scored.rules.set_distance
+    parts = mean_gospa(_frames(scored), rule.cutoff, rule.power)
+    return Gospa(*parts) if parts else Gospa(None, None, None, None)
 
 
 def ospa(scored: Scored) -> Ospa:
@@ -72,19 +54,10 @@ def ospa(scored: Scored) -> Ospa:
     return Ospa(mean_ospa(_frames(scored), rule.cutoff, rule.power))
 
 
-def _gospa(scored: Scored, cutoff_px: float) -> Gospa:
-    parts = mean_gospa(_frames(scored), cutoff_px, scored.rules.set_distance.power)
-    return Gospa(*parts) if parts else Gospa(None, None, None, None)
-
-
 def _frames(scored: Scored) -> Iterator[Array]:
     """Distances in pixels of the vessels' and the tracks' centres in each frame, shapes (n, m)."""
     vessels, tracks = scored.truth, scored.tracks
     a_px, b_px = centres(vessels.boxes_px), centres(tracks.boxes_px)
-    edges = [
-        np.searchsorted(each.frame, scored.frames, side=side).tolist()
-        for each in (vessels, tracks)
-        for side in ("left", "right")
-    ]
-    for a, b, c, d in zip(*edges, strict=True):
-        yield distances(a_px[a:b], b_px[c:d])
+    places = (column.tolist() for each in (vessels, tracks) for column in extents(each.frame, scored.frames))
+    for a, n, b, m in zip(*places, strict=True):
+        yield distances(a_px[a : a + n], b_px[b : b + m])

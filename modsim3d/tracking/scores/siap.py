@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices, ranges
+from modsim3d.arrays import Array, Indices, extents, ranges
 from modsim3d.boxes import centres
-from modsim3d.tracking.scores.frame_times import frame_lengths_s, runs
+from modsim3d.tracking.scores.frame_times import frame_lengths_s, stretches
 from modsim3d.tracking.scores.scored import Scored
 
 _TIME_DECIMALS = 9
@@ -68,8 +68,8 @@ def _assigned(scored: Scored) -> tuple[Indices, Indices, int]:
     """Rows of the scored vessels to which tracks are assigned and of these, shapes (a,); number of tracks to none."""
     truth, tracks, similarity = scored.following.truth, scored.following.tracks, scored.following.similarity
     rows = np.flatnonzero(np.isin(tracks.frame, scored.frames))
-    first, stop = (np.searchsorted(truth.frame, tracks.frame[rows], side=side) for side in ("left", "right"))
-    vessel, track = ranges(first, stop - first), np.repeat(rows, stop - first)
+    first, count = extents(truth.frame, tracks.frame[rows])
+    vessel, track = ranges(first, count), np.repeat(rows, count)
     alike = similarity(truth.boxes_px[vessel], tracks.boxes_px[track])
     other = scored.following.truth_row[track] != vessel  # decides where two vessels are as similar as each other
     order = np.lexsort((vessel, other, ~truth.scored[vessel], -alike, track))
@@ -94,10 +94,10 @@ def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
     tracked, place = np.unique(np.column_stack([identity, frame]), axis=0, return_inverse=True)
     place = place.reshape(-1)
     group, place = _by_track(identity, track, place)
-    stretches = runs(group, place)
+    found = stretches(group, place)
     reach = np.arange(len(tracked))  # the place up to which a track that is there at a place stays
-    lengths = stretches.last - stretches.first + 1
-    np.maximum.at(reach, place, np.repeat(place[stretches.last], lengths))
+    lengths = found.last - found.first + 1
+    np.maximum.at(reach, place, np.repeat(place[found.last], lengths))
     held, at = 0, 0
     while at < len(reach):  # to take the track that stays longest is best; each turn is one held track, not one row
         held, at = held + 1, int(reach[at]) + 1
@@ -116,10 +116,10 @@ def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Arra
     vessel = np.zeros(len(length_s), dtype=np.int64)
     vessel[place] = identity
     group, place = _by_track(identity, track, place)
-    stretches, before_s = runs(group, place), np.append(0, np.cumsum(length_s))
-    stretch_s = before_s[place[stretches.last] + 1] - before_s[place[stretches.first]]
+    found, before_s = stretches(group, place), np.append(0, np.cumsum(length_s))
+    stretch_s = before_s[place[found.last] + 1] - before_s[place[found.first]]
     longest_s = np.zeros(int(identity.max(initial=-1)) + 1)
-    np.maximum.at(longest_s, vessel[place[stretches.first]], stretch_s)
+    np.maximum.at(longest_s, vessel[place[found.first]], stretch_s)
     return float(longest_s.sum())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -40,10 +41,10 @@ class Answers:
         Raises:
             ModsimError: One is not what a tracker answers.
         """
-        columns = [_columns(answer, lambda text, at=at: problem(at, text)) for at, answer in enumerate(answers)]  # type: ignore[misc]
+        columns = [_columns(answer, partial(problem, at)) for at, answer in enumerate(answers)]
         counts = [len(each[0]) for each in columns]
         self.frame: Indices = np.repeat(np.arange(len(columns)), counts)
-        empty = _columns(TrackedFrame.empty(), lambda text: problem(0, text))
+        empty = _columns(TrackedFrame.empty(), partial(problem, 0))
         self.track, self.boxes_px, self.label, self.confidence, self.covariance_px2 = (
             np.concatenate(parts) for parts in zip(empty, *columns, strict=True)
         )

@@ -66,8 +66,9 @@ class ReferenceTracker(Tracker):
     A Kalman filter with constant velocity follows the centre of each box, with the true times of the frames; width and
     height are random walks. Detections within the gate (Mahalanobis distance of the centres) are assigned to tracks so
     that most tracks get one, and then the likelihood is largest (global nearest neighbour; Blackman & Popoli (1999),
-    section 6.4). Classes are not looked at: a track has the class with the most confidence behind it. The defaults are
-    a compromise over five shipped scenes: noise and motion in pixels should be those of the scene.
+    section 6.4). What the tracks of a frame are off by together is taken for a turn of the camera. Classes are not
+    looked at: a track has the class with the most confidence behind it. The defaults are a compromise over five shipped
+    scenes: noise and motion in pixels should be those of the scene.
 
     Attributes:
         noise_share: Standard deviation of a detected centre, as a share of the box's width and height.

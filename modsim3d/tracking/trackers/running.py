@@ -46,8 +46,8 @@ def tracked(
     found = [Answers([], 0, lambda at, text: ModsimError(text))]
     frames = [np.empty(0, dtype=np.int64)]
     for sequence, camera in zip(sequences, cameras, strict=True):
-        following = _Following(named, sequence, tuple(labels))
-        answers = Answers(list(following.answers(progress)), len(labels), following.problem)
+        feed = _CameraFeed(named, sequence, tuple(labels))
+        answers = Answers(list(feed.answers(progress)), len(labels), feed.problem)
         found.append(answers.numbered())
         frames.append(sequence.steps[answers.frame] * count + camera)
     columns = ("track", "boxes_px", "label", "confidence", "covariance_px2")
@@ -56,7 +56,7 @@ def tracked(
     )
 
 
-class _Following:
+class _CameraFeed:
     """A tracker and the frames of one camera, which it is given one by one."""
 
     def __init__(self, named: NamedTracker, sequence: CameraSequence, labels: tuple[str, ...]) -> None:

@@ -1,1 +1,1 @@
-"""Scores of tracks on the sea, in metres, and of encounters with own ship."""
+"""Scores of tracks in the world, in metres, and of encounters with own ship."""

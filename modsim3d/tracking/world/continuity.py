@@ -1,4 +1,4 @@
-"""How much of the time vessels on the sea are followed, by how many tracks, and tracks of nothing."""
+"""How much of the time vessels are followed in the world, by how many tracks, and tracks of nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of tracks on the sea: for each vessel first, then over vessels."""
+"""Errors of tracks in the world: for each vessel first, then over vessels."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy import special
 
 from modsim3d.arrays import Array, Indices
+from modsim3d.tracking.intervals import half_interval
+from modsim3d.tracking.scores.errors import nees
 from modsim3d.tracking.world.following import WorldFollowing
-
-LEVEL = 0.95
-"""Of the intervals."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +33,10 @@ class OverVessels:
     def of(cls, values: Array) -> Self:
         """The mean of the values of n vessels, shape (n,); NaN for a vessel that has none."""
         values = values[np.isfinite(values)]
-        count = len(values)
-        if count < 2:
-            return cls(float(values[0]) if count else None, None, None, count)
-        mean = float(values.mean())
-        wide = float(special.stdtrit(count - 1, (1 + LEVEL) / 2) * values.std(ddof=1) / np.sqrt(count))
-        return cls(mean, mean - wide, mean + wide, count)
+        mean, half = float(values.mean()) if len(values) else None, half_interval(values)
+        if mean is None or half is None:
+            return cls(mean, None, None, len(values))
+        return cls(mean, mean - half, mean + half, len(values))
 
 
 @dataclass(frozen=True)
@@ -86,20 +82,6 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
         nees_state=OverVessels.of(by_vessel(whole)),
         pairs=len(row),
     )
-
-
-def nees(errors: Array, covariances: Array) -> Array:
-    """Normalised estimation errors squared e' P⁻¹ e (Bar-Shalom et al. (2001), equation 5.4.2-1), shape (m,).
-
-    Args:
-        errors: Shape (m, d).
-        covariances: Positive definite, shape (m, d, d). NaN in either gives NaN.
-    """
-    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
-    found = np.full(len(errors), np.nan)
-    wanted = errors[known, :, None]
-    found[known] = (wanted * np.linalg.solve(covariances[known], wanted)).sum(axis=(1, 2))
-    return found
 
 
 def mean_by(group: Indices, values: Array, groups: int) -> Array:

@@ -1,4 +1,4 @@
-"""Which track follows which vessel on the sea, step by step."""
+"""Which track follows which vessel in the world, step by step."""
 
 from __future__ import annotations
 

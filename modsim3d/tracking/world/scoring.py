@@ -1,4 +1,4 @@
-"""All scores of tracks on the sea."""
+"""All scores of tracks in the world."""
 
 from __future__ import annotations
 
@@ -28,11 +28,9 @@ _DIMENSIONS = {"nees": 2, "nees_velocity": 2, "nees_state": 4}
 
 @dataclass(frozen=True)
 class WorldScores:
-    """Scores of tracks on the sea.
+    """Scores of tracks in the world.
 
     Attributes:
-        name: What tables call the tracks.
-        traffic: Which traffic they were scored on, as `Scene.traffic` says.
         gate_m: A track farther from a vessel than that does not follow it.
         set_distance: c in metres and p of GOSPA.
         errors: Of tracks that follow a vessel.
@@ -41,8 +39,6 @@ class WorldScores:
         encounters: The vessels that met own ship, in the order of the vessels.
     """
 
-    name: str
-    traffic: str
     gate_m: float
     set_distance: SetDistance
     errors: WorldErrors
@@ -50,7 +46,7 @@ class WorldScores:
     continuity: WorldContinuity
     encounters: tuple[MetVessel, ...]
 
-    def keys(self) -> dict[str, float | int | None]:
+    def flat(self) -> dict[str, float | int | None]:
         """All numbers by their names, flat, as JSON has them. docs/world_tracks.md says what they mean."""
         errors, continuity = self.errors, self.continuity
         nees = {"nees": errors.nees, "nees_velocity": errors.nees_velocity, "nees_state": errors.nees_state}
@@ -96,7 +92,7 @@ def score_world(
     set_distance: SetDistance = IN_METRES,
     encounter_m: float = ENCOUNTER_M,
 ) -> WorldScores:
-    """Score tracks on the sea against the vessels of a run.
+    """Score tracks in the world against the vessels of a run.
 
     Args:
         run: The run, or its rows.
@@ -114,8 +110,6 @@ def score_world(
     rows = run if isinstance(run, RunRows) else RunRows.of(run)
     following = follow_in_world(WorldTruth.of(rows), world_tracks, gate_m)
     return WorldScores(
-        name=world_tracks.name,
-        traffic=rows.scene.traffic,
         gate_m=gate_m,
         set_distance=set_distance,
         errors=world_errors(following),

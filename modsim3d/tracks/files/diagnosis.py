@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, extents, ranges
 from modsim3d.errors import InputError
 from modsim3d.runs.files.columns import NOBODY, positions
 from modsim3d.runs.run_rows import RunRows
@@ -96,10 +96,8 @@ class _Detections:
         The distance of two boxes is the largest of their four edges, as a share of the image's diagonal. Unlike the
         IoU it tells boxes that are near from others also where boats are smaller than the errors of their boxes.
         """
-        first, stop = (np.searchsorted(self.frame, frame, side=side) for side in ("left", "right"))
-        many = stop - first
-        row = np.repeat(np.arange(len(frame)), many)
-        other = np.arange(len(row)) - np.repeat(np.cumsum(many) - many, many) + np.repeat(first, many)
+        first, many = extents(self.frame, frame)
+        row, other = np.repeat(np.arange(len(frame)), many), ranges(first, many)
         nearest = np.full(len(frame), np.inf)
         np.minimum.at(nearest, row, np.abs(boxes_px[row] - self.boxes_px[other]).max(axis=1))
         share = (nearest / self.diagonal_px[frame % len(self.diagonal_px)])[many > 0]

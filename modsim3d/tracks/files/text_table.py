@@ -28,6 +28,11 @@ def source_of(path: Path) -> str:
     return f"tracks {path}"
 
 
+def name_of(path: Path) -> str:
+    """What tables call somebody's own tracks in a file."""
+    return path.name.removesuffix(".gz").rsplit(".", 1)[0]
+
+
 @dataclass(frozen=True, eq=False)
 class TextTable:
     """The k rows of a file.

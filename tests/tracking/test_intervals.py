@@ -1,0 +1,19 @@
+"""Intervals of means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from modsim3d.tracking.intervals import half_interval
+
+
+def test_half_an_interval_is_the_quantile_of_students_t_times_the_standard_error() -> None:
+    """Tables have 12.7062 for 1 and 2.77645 for 4 degrees of freedom at 97.5 %."""
+    assert half_interval(np.array([0.0, 2.0])) == pytest.approx(12.7062, rel=1e-5)
+    assert half_interval(np.arange(5.0)) == pytest.approx(2.77645 * (2.5 / 5) ** 0.5, rel=1e-5)
+
+
+def test_one_value_has_no_interval() -> None:
+    assert half_interval(np.array([3.0])) is None
+    assert half_interval(np.array([])) is None
