@@ -37,30 +37,38 @@ OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 TRACKERS = ("reference", "sort", "bytetrack", "ocsort")
 DRAWN = "fairway"
 SEEDS, LOOKS, OTHER_LOOKS = 20, 2, 10
-MISS_RATES, MISS_SEEDS = (0.0, 0.1, 0.2, 0.4), 8
-PERFECT_LEAST = 0.9
-"""HOTA that `reference` must reach behind a perfect detector, unless what is hidden must be lost."""
+MISS_RATES, MISS_SEEDS, MISS_STEPS = (0.0, 0.1, 0.2, 0.4), 8, 300
+PERFECT_LEAST, PERFECT_BELOW = 0.9, 0.05
+"""HOTA of `reference` behind a perfect detector: at least this, or so little below tracks that lose what is hidden."""
 PERFECT_SETTINGS = {
     "noise_share": 0.02,
     "noise_x_px": 0.03,
     "noise_y_px": 0.03,
     "first_speed_px_s": 40.0,
-    "gate_probability": 0.9999999,
+    "gate_probability": 1 - 1e-9,
     "start_confidence": 0.2,
     "confirm_hits": 1,
     "lost_s": 3.0,
     "coast_s": 0.05,
 }
 """Of `reference` for a detector without errors."""
-PERFECT_VELOCITY_CHANGES_PX_S = {
-    "fairway": 15.0,
-    "strait": 38.0,
-    "harbour": 17.0,
-    "simulation_1": 30.0,
-    "simulation_2": 330.0,
-    "simulation_3": 400.0,
+PERFECT_IN: dict[str, dict[str, float]] = {
+    "fairway": {"velocity_change_px_s": 15.0},
+    "strait": {"velocity_change_px_s": 38.0},
+    "harbour": {
+        "velocity_change_px_s": 25.0,
+        "first_speed_px_s": 14.0,
+        "noise_share": 0.023,
+        "noise_x_px": 0.022,
+        "noise_y_px": 1.1,
+        "gate_probability": 1 - 1e-11,
+        "lost_s": 2.7,
+    },
+    "simulation_1": {"velocity_change_px_s": 30.0},
+    "simulation_2": {"velocity_change_px_s": 330.0},
+    "simulation_3": {"velocity_change_px_s": 400.0},
 }
-"""How fast boxes change their velocity in each scene."""
+"""How fast boxes change their velocity in each scene, and what else is its own."""
 MAIN = ("hota", "hota_centre", "deta", "assa", "idf1", "id_switches", "false_tracks")
 Row = dict[str, Any]
 
@@ -81,7 +89,7 @@ def perfect_trial(job: tuple[str, int, int | None]) -> list[Row]:
     name, seed, steps = job
     detector = perfect_detector(load_scene(name).detector.labels)
     ((_, rows),) = looks(name, seed, 1, steps, detector)
-    settings = PERFECT_SETTINGS | {"velocity_change_px_s": PERFECT_VELOCITY_CHANGES_PX_S[name]}
+    settings = PERFECT_SETTINGS | PERFECT_IN[name]
     every = {"reference": tracks_of(rows, "reference", settings), "lost when hidden": tracks_lost_when_hidden(rows)}
     return [
         {"scene": name, "traffic_seed": seed, "tracker": tracker} | scores(rows, tracks, annotated=True)
@@ -207,7 +215,7 @@ def problems(data: dict[str, Any]) -> list[str]:
     found = []
     for name, lines in data["perfect"].items():
         reached, without_hidden = (lines[tracker]["hota"]["mean"] for tracker in ("reference", "lost when hidden"))
-        if reached < min(PERFECT_LEAST, without_hidden):
+        if reached < min(PERFECT_LEAST, without_hidden - PERFECT_BELOW):
             found.append(f"{name}: HOTA {reached:.3f} of reference behind a perfect detector")
     for row in data["miss_rates"]:
         change = row["change"]
@@ -310,8 +318,8 @@ def page(data: dict[str, Any]) -> str:
         "## Misses",
         "",
         f"The same perfect detector on `{DRAWN}`, which misses a share of the vessels in each frame: "
-        f"{data['miss_seeds']} traffic seeds, the same for each share. *Change* is the paired change from the "
-        "share before.",
+        f"{data['miss_seeds']} traffic seeds of {MISS_STEPS} steps, the same for each share. *Change* is the paired "
+        "change from the share before.",
         "",
         "| Tracker | Missed | HOTA | Change |",
         "|---|---|---|---|",
@@ -337,7 +345,7 @@ def main() -> int:
     others = [(name, 0, asked.other_looks, asked.steps) for name in SCENES if name != DRAWN]
     miss_seeds = range(1, asked.miss_seeds + 1)
     perfect = [(name, seed, asked.steps) for name in SCENES for seed in (miss_seeds if name == DRAWN else (0,))]
-    misses = [(DRAWN, seed, rate, asked.steps) for seed in miss_seeds for rate in MISS_RATES]
+    misses = [(DRAWN, seed, rate, asked.steps or MISS_STEPS) for seed in miss_seeds for rate in MISS_RATES]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.workers, mp_context=context) as pool:
         rows, alone, missed = (

@@ -109,15 +109,16 @@ def chosen(job: tuple[str, str, int]) -> tuple[str, str, dict[str, Any]]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="script/campaign tune_trackers", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--tracker", choices=SPACES, nargs="+", default=[*SPACES], help="only these trackers")
     parser.add_argument("--draws", type=int, default=DRAWS, help="settings that are tried for each tracker and scene")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for NAME.yaml of each tracker")
     asked = parser.parse_args()
-    jobs = [(scene, tracker, asked.draws) for scene in SCENES for tracker in SPACES]
+    jobs = [(scene, tracker, asked.draws) for scene in SCENES for tracker in asked.tracker]
     with ProcessPoolExecutor(asked.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         found = list(pool.map(chosen, jobs))
     asked.out.mkdir(parents=True, exist_ok=True)
-    for tracker in SPACES:
+    for tracker in asked.tracker:
         own = {scene: settings for scene, name, settings in found if name == tracker}
         seeds = ", ".join(str(seed) for seed in SEEDS["fairway"])
         how = (

@@ -67,8 +67,8 @@ class ReferenceTracker(Tracker):
     height are random walks. Detections within the gate (Mahalanobis distance of the centres) are assigned to tracks so
     that most tracks get one, and then the likelihood is largest (global nearest neighbour; Blackman & Popoli (1999),
     section 6.4). What the tracks of a frame are off by together is taken for a turn of the camera. Classes are not
-    looked at: a track has the class with the most confidence behind it. The defaults are a compromise over five shipped
-    scenes: noise and motion in pixels should be those of the scene.
+    looked at: a track has the class with the most confidence behind it. The defaults suit a detector whose errors
+    grow with the box; noise and motion in pixels should be those of the scene.
 
     Attributes:
         noise_share: Standard deviation of a detected centre, as a share of the box's width and height.
@@ -83,16 +83,16 @@ class ReferenceTracker(Tracker):
         coast_s: A track without detection is reported at its predicted place for at most this time.
     """
 
-    noise_share: NotNegative = 0.025
-    noise_x_px: Positive = 38.0
-    noise_y_px: Positive = 16.0
-    velocity_change_px_s: Positive = 1.2
-    first_speed_px_s: Positive = 120.0
+    noise_share: NotNegative = 0.04
+    noise_x_px: Positive = 4.0
+    noise_y_px: Positive = 2.0
+    velocity_change_px_s: Positive = 5.0
+    first_speed_px_s: Positive = 80.0
     gate_probability: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.99
-    start_confidence: Probability = 0.45
-    confirm_hits: Annotated[int, Field(strict=True, ge=1, le=100)] = 4
-    lost_s: NotNegative = 4.5
-    coast_s: NotNegative = 0.65
+    start_confidence: Probability = 0.5
+    confirm_hits: Annotated[int, Field(strict=True, ge=1, le=100)] = 3
+    lost_s: NotNegative = 8.0
+    coast_s: NotNegative = 2.0
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         """Track the detections of one camera; see `Tracker`."""
