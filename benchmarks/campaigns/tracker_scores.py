@@ -257,11 +257,11 @@ def scene_table(lines: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def readme_table(data: dict[str, Any]) -> list[str]:
-    """HOTA of all trackers in all scenes, in Markdown, as the README has it."""
+    """HOTA by centre of all trackers in all scenes, in Markdown, as the README has it."""
     scenes = list(data["scenes"])
     lines = [f"| Tracker | {' | '.join(f'`{name}`' for name in scenes)} |", "|---|" + "---|" * len(scenes)]
     for k, line in enumerate(data["scenes"][scenes[0]]):
-        cells = [cell(data["scenes"][name][k]["hota"]) for name in scenes]
+        cells = [cell(data["scenes"][name][k]["hota_centre"]) for name in scenes]
         lines.append(f"| {line['tracker']} | {' | '.join(cells)} |")
     return lines
 
