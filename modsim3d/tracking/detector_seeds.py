@@ -28,7 +28,7 @@ from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.track_set import TrackSet
 from modsim3d.truth.truth_record import Truth
 
-SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa")
+SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")
 """The scores whose spread is told."""
 LEAST_SEEDS, MOST_SEEDS = 2, 1000
 

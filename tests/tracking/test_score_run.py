@@ -20,7 +20,7 @@ from modsim3d.tracking.detector_seeds import Spread, detector_runs
 from modsim3d.tracking.report.numbers import keys_of
 from modsim3d.tracking.report.score_json import score_data
 from modsim3d.tracking.report.score_page import score_page
-from modsim3d.tracking.report.score_tables import remarks_of
+from modsim3d.tracking.report.score_tables import REFERENCES, remarks_of, seed_rows
 from modsim3d.tracking.score_run import RunScores, score_run
 from modsim3d.tracking.track_run import track_run
 from modsim3d.tracks.track_set import TrackSet
@@ -84,6 +84,9 @@ def test_scores_of_the_first_seed_are_those_of_the_run(run: StoredRun, scores: R
     assert of_tracker[0] == keys_of(scores.trackers[1].scores)["hota"] != of_tracker[1]
     assert of_smoothed[0] == keys_of(scores.references["smoothed"])["hota"]
     assert "it says nothing about other traffic" in score_page(found)
+    lines = [row[:2] for row in seed_rows(found)]
+    assert ("reference", "ANEES") in lines
+    assert (REFERENCES["raw"], "HOTA") in lines and (REFERENCES["raw"], "ANEES") not in lines  # it has no covariances
 
 
 def test_a_spread_is_the_textbook_one() -> None:

@@ -108,8 +108,10 @@ def seed_rows(scores: RunScores) -> list[tuple[str, ...]]:
         return []
     rows: list[tuple[str, ...]] = []
     for name, spreads in scores.seeds.spreads.items():
-        for title, key, decimals in COLUMNS:
+        for title, key, decimals in (*COLUMNS, ("ANEES", "anees", 1)):
             spread = spreads[key]
+            if key == "anees" and spread.mean is None:  # a tracker without covariances
+                continue
             interval = UNKNOWN
             if spread.interval is not None:
                 interval = " … ".join(number(value, decimals + 1) for value in spread.interval)
