@@ -98,6 +98,7 @@ def test_shipped_files_of_settings_are_right(monkeypatch: pytest.MonkeyPatch) ->
     assert names <= set(BUILT_IN)
     for name in sorted(names):
         assert named_tracker(name, {}, "strait").chosen != files.DEFAULTS
+        assert named_tracker(name, {}, "a scene of my own").chosen == files.DEFAULTS
 
 
 def test_wrong_settings_are_told_together_with_the_nearest_names() -> None:

@@ -16,6 +16,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.trackers import chosen_settings
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn
 from tests.scenes import crossing
@@ -38,6 +39,9 @@ class EveryBox(Tracker):
 @pytest.fixture(autouse=True)
 def every_box(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "EveryBox"))
+    monkeypatch.setattr(
+        chosen_settings, "data_folder", lambda kind: Path("/nowhere")
+    )  # the settings that were chosen for SORT are not its own
 
 
 @pytest.fixture(scope="module")

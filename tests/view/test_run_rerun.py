@@ -160,4 +160,4 @@ def test_without_the_sdk_the_error_names_the_extra_and_no_empty_bar_stands_befor
 def test_file_that_cannot_be_written_is_one_message(monkeypatch, capsys, run, tmp_path):
     (tmp_path / "file").touch()
     assert call(monkeypatch, "rerun", run, "--out", tmp_path / "file" / "x.rrd") == 2
-    assert "cannot be written" in capsys.readouterr().err
+    assert f"{tmp_path / 'file'} is a file, and x.rrd is to be written into a folder" in capsys.readouterr().err

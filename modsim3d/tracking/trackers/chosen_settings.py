@@ -64,4 +64,6 @@ def chosen_settings(name: str, model: type[Tracker], scene: str) -> ChosenSettin
             model.model_validate(settings)
         except ValidationError as error:
             raise InputError(source, describe(error, model, *place)) from None
+    if not file.settings and scene not in file.scenes:
+        return ChosenSettings()
     return ChosenSettings({**file.settings, **file.scenes.get(scene, {})}, file.chosen)
