@@ -101,4 +101,6 @@ def rerun_command(
             bar.update(task, advance=steps, refresh=True)
 
         write_recording(opened, path, every, advance, followed)
+    if followed is not None:
+        say(followed.sentence())
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")

@@ -100,6 +100,8 @@ def view_command(
         _draw_picture(selection, plan, kind, out, overwrite)
     else:
         _draw_film(selection, plan, kind, film_format(format_, out), speed, workers, out, overwrite)
+    if followed is not None:
+        say(followed.sentence())
 
 
 def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None, sheet: bool) -> None:

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 from benchmarks.campaigns import tracker_scores
 from benchmarks.tracker_trials import mean_and_interval
+from modsim3d.tracking.report.score_tables import ONE_RUN
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMPAIGNS = ROOT / "docs" / "campaigns"
@@ -29,6 +31,20 @@ def test_the_readme_has_the_campaign_s_lines(data: dict) -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for line in tracker_scores.readme_table(data):
         assert line in readme.splitlines()
+
+
+def test_the_page_names_the_scenes_in_which_a_perfect_detector_is_not_enough(data: dict) -> None:
+    page = tracker_scores.page(data)
+    for name, each in data["perfect"].items():
+        below = page.partition("HOTA is below 0.9 in ")[2].partition(".\n")[0]
+        assert (f"`{name}`" in below) == (each["reference"]["hota"]["mean"] < 0.9)
+
+
+def test_the_spread_that_a_score_warns_of_is_the_largest_in_the_campaign(data: dict) -> None:
+    """The standard deviation of n values is half the interval of their mean, times √n / t."""
+    halves = [line[key] for lines in data["scenes"].values() for line in lines for key in ("hota", "hota_centre")]
+    spread = [each["half"] * np.sqrt(each["n"]) / stdtrit(each["n"] - 1, 0.975) for each in halves]
+    assert f"up to {max(spread):.1g}, so" in ONE_RUN
 
 
 def test_scores_fall_with_the_miss_rate() -> None:

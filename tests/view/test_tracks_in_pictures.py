@@ -120,8 +120,8 @@ def test_tracks_of_an_interrupted_run_are_refused(monkeypatch, capsys, tmp_path,
     scene = load_scene(str(crossing(tmp_path, 400)), source="analytic")
     with pytest.raises(Stop):
         run_scene(scene, tmp_path / "cut", progress=stop)
-    for command in ("report", "rerun"):
-        assert call(monkeypatch, command, tmp_path / "cut", "--tracks", tracks, "--out", tmp_path / "x") == 2
+    for command in (("report",), ("rerun",), ("view", "--frame", 0)):
+        assert call(monkeypatch, *command, tmp_path / "cut", "--tracks", tracks, "--out", tmp_path / "x.png") == 2
         assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
 
 
@@ -137,6 +137,12 @@ def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, r
         np.testing.assert_allclose(entity["centers"], centre, rtol=1e-5)
         assert found["/counts/C0/tracks"][step]["scalars"] == [len(numbers)]
         assert found["/counts/C0/false_tracks"][step]["scalars"] == [1]
+
+
+def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, run, followed, tracks, tmp_path):
+    for command, out in ((("rerun",), "a.rrd"), (("view", "--frame", STEP), "a.png")):
+        assert call(monkeypatch, *command, run, "--tracks", tracks, "--out", tmp_path / out) == 0
+        assert followed.sentence() in " ".join(capsys.readouterr().out.split())
 
 
 def test_rerun_without_tracks_has_none(monkeypatch, run, tmp_path):

@@ -35,7 +35,7 @@ GROUP_NAMES = {
 }
 """What tables call the groups of a breakdown."""
 ONE_RUN = (
-    "One run is one sample: over seeds the HOTA of a tracker has a standard deviation of up to 0.07, so compare "
+    "One run is one sample: over seeds the HOTA of a tracker has a standard deviation of up to 0.1, so compare "
     "trackers over many traffic seeds."
 )
 NOISY_BOXES = 0.3
