@@ -53,7 +53,7 @@ def test_scores_fall_with_the_miss_rate() -> None:
         assert sound["hota"] > missing["hota"]
 
 
-def test_the_reference_reaches_0_9_behind_a_perfect_detector() -> None:
+def test_the_reference_reaches_0_9_behind_a_perfect_detector_in_a_part_of_simulation_2() -> None:
     reference, lost_when_hidden = tracker_scores.perfect_trial(("simulation_2", 0, 150))
     assert reference["hota"] > tracker_scores.PERFECT_LEAST
     assert lost_when_hidden["deta"] == 1
