@@ -24,7 +24,8 @@ def data() -> dict:
 
 def test_the_committed_page_is_what_the_campaign_makes_of_its_figures(data: dict) -> None:
     assert (CAMPAIGNS / "tracker_scores.md").read_text(encoding="utf-8") == tracker_scores.page(data)
-    assert not tracker_scores.problems(data)
+    # Not reached: the page says so, and nothing else may be wrong.
+    assert [problem.partition(":")[0] for problem in tracker_scores.problems(data)] == ["fairway", "harbour"]
 
 
 def test_the_readme_has_the_campaign_s_lines(data: dict) -> None:
