@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,9 @@ from modsim3d.motion.poses import LivePoses
 from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts
+
+
+_NOT_OF_TRUTH = ("seed", "detector", "detector_seed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +61,27 @@ class SceneCopy:
 
     def sha256(self) -> str:
         """Checksum of the scene and every file in the copy, equal for a scene and for its copy in a run."""
-        digest = hashlib.sha256(hashlib.sha256(self._scene_file()).digest())
-        for name, source in sorted(self.files.items()):
+        return self._checksum(self._scene_file(), self.files)
+
+    def truth_sha256(self) -> str:
+        """The same without the seeds and the detector: what decides the truth beside the seed."""
+        content = {key: value for key, value in self.document.items() if key not in _NOT_OF_TRUTH}
+        return self._checksum(_json(content), [name for name in self.files if name != self.document["detector"]])
+
+    def _checksum(self, scene_file: bytes, names: Iterable[str]) -> str:
+        digest = hashlib.sha256(hashlib.sha256(scene_file).digest())
+        for name in sorted(names):
             digest.update(hashlib.sha256(name.encode()).digest())
-            content = self.changed[name] if name in self.changed else source.read_bytes()
+            content = self.changed[name] if name in self.changed else self.files[name].read_bytes()
             digest.update(hashlib.sha256(content).digest())
         return digest.hexdigest()
 
     def _scene_file(self) -> bytes:
-        return orjson.dumps(self.document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
+        return _json(self.document)
+
+
+def _json(document: Mapping[str, Any]) -> bytes:
+    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS) + b"\n"
 
 
 def copy_scene(parts: SceneParts, keys: SceneKeys) -> SceneCopy:

@@ -1,0 +1,1 @@
+"""From a campaign file to numbered runs: conditions, drawn parameters and seeds."""

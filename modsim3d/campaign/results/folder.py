@@ -1,0 +1,151 @@
+"""The folder of a campaign: its file, its plan, the rows that are done, and the results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.work.checking import CheckedCampaign
+from modsim3d.campaign.work.task import DONE_FOLDER, Work
+from modsim3d.errors import ModsimError, OutputError
+from modsim3d.outputs.locks import locked_folder
+from modsim3d.outputs.placing import write_files
+from modsim3d.paths import StrPath, as_path
+
+FORMAT = 1
+FILE, PLAN, LOG, VERDICTS = "campaign.yaml", "plan.json", "campaign.log", "verdicts.json"
+RESULTS = "results"
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignFolder:
+    """The folder of a campaign whose plan is written.
+
+    Attributes:
+        path: The folder.
+        facts: The content of `plan.json`.
+        plan: The plan.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    plan: Plan
+
+    @property
+    def keys(self) -> CampaignKeys:
+        """The campaign file."""
+        return self.plan.keys
+
+    @property
+    def work(self) -> Work:
+        """What all its tasks have in common."""
+        return Work(self.keys, self.facts["base"], str(self.path.resolve()), self.facts["sha256"])
+
+    @property
+    def done(self) -> Path:
+        """Where the rows are that are done, until the results are written."""
+        return self.path / DONE_FOLDER
+
+    @property
+    def results(self) -> Path:
+        """The data set."""
+        return self.path / RESULTS
+
+    @property
+    def finished(self) -> bool:
+        """Whether the results are there."""
+        return self.results.is_dir()
+
+
+def opened_campaign(folder: StrPath) -> CampaignFolder:
+    """Open the folder of a campaign.
+
+    Raises:
+        ModsimError: It is none, or its plan is damaged.
+        TypeError: It is neither text nor a path.
+    """
+    path = as_path(folder, "campaign", "the folder of a campaign")
+    try:
+        facts = orjson.loads((path / PLAN).read_bytes())
+        keys = CampaignKeys.model_validate(facts["campaign"])
+    except OSError as error:
+        raise ModsimError(f"{path} is no folder of a campaign: {PLAN}: {error.strerror or error}") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ModsimError(f"{path / PLAN} is damaged: {error}") from None
+    return CampaignFolder(path, facts, Plan.of(keys))
+
+
+def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
+    """Write the plan of a campaign into a folder, or find it there.
+
+    Raises:
+        OutputError: The folder holds another plan or other files, or cannot be written.
+    """
+    facts = _facts(campaign)
+    content = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    plan = folder / PLAN
+    if plan.is_file():
+        _check_same(plan, facts)
+    else:
+        others = (
+            sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
+        )
+        if others:
+            raise OutputError(f"{folder} holds other files ({others[0]}): choose a new folder for the campaign")
+        write_files({folder / FILE: campaign.file.path.read_bytes(), plan: content})
+    return CampaignFolder(folder, orjson.loads(content), campaign.plan)
+
+
+@contextmanager
+def locked_campaign(folder: Path) -> Iterator[None]:
+    """Hold the lock of the folder, which is made if it is not there.
+
+    Raises:
+        OutputError: Another process works on it, or it cannot be written.
+    """
+    try:
+        with locked_folder(folder):
+            yield
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written to: {error.strerror or error}") from error
+
+
+def _facts(campaign: CheckedCampaign) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "sha256": campaign.sha256,
+        "base": str(campaign.file.base),
+        "runs": len(campaign.plan),
+        "campaign": campaign.file.keys.model_dump(mode="json", by_alias=True),
+        "conditions": [
+            {"values": condition.values, **asdict(facts)}
+            for condition, facts in zip(campaign.plan.conditions, campaign.facts, strict=True)
+        ],
+        "versions": campaign.versions,
+    }
+
+
+def _check_same(plan: Path, facts: dict[str, Any]) -> None:
+    """Refuse a folder with another plan, and say what differs.
+
+    Raises:
+        OutputError: It has.
+    """
+    try:
+        found = orjson.loads(plan.read_bytes())
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{plan} is damaged: {error}") from None
+    if isinstance(found, dict) and found.get("sha256") == facts["sha256"]:
+        return
+    parts = ("campaign", "versions", "conditions")
+    differing = [name for name in parts if not isinstance(found, dict) or found.get(name) != facts[name]]
+    raise OutputError(
+        f"{plan.parent} holds a campaign with another plan ({', '.join(differing)} differ): choose another folder"
+    )

@@ -1,0 +1,230 @@
+"""Runs a campaign: hands tasks to an engine, splits those that end their worker, and stops when all is decided."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from modsim3d.campaign.cutting import Cutter, same_truth
+from modsim3d.campaign.engines.interface import Engine
+from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
+from modsim3d.campaign.results.gather import done_numbers, done_rows, results_table, write_results, write_verdicts
+from modsim3d.campaign.verdicts.judging import judged
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.checking import CheckedCampaign
+from modsim3d.campaign.work.task import Task, TaskReport, store_crashed
+
+DEATHS = 2
+"""A run that ends its worker so often is given up."""
+DIED = "its worker process was killed, or ran out of memory"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a campaign is.
+
+    Attributes:
+        total: Number of runs.
+        done: Number of those that are done, crashed ones too.
+        running: Number of those that are handed in.
+        crashed: Number of those that crashed.
+        left_s: Time that the rest will take; None while nothing is known.
+        verdicts: The verdicts on what is done; only those of a campaign that stops by them, as of the last look.
+    """
+
+    total: int
+    done: int
+    running: int
+    crashed: int
+    left_s: float | None
+    verdicts: tuple[Verdict, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignResult:
+    """A campaign that ended.
+
+    Attributes:
+        folder: Its folder.
+        table: Its rows.
+        verdicts: The verdicts on its requirements.
+    """
+
+    folder: CampaignFolder
+    table: pa.Table
+    verdicts: tuple[Verdict, ...]
+
+
+@dataclass
+class _State:
+    """What is under way."""
+
+    total: int
+    done: set[int]
+    running: int = 0
+    crashed: int = 0
+    deaths: Counter[int] = field(default_factory=Counter)
+    verdicts: tuple[Verdict, ...] = ()
+
+
+def run_plan(
+    campaign: CheckedCampaign,
+    folder: Path,
+    engine: Callable[[], Engine],
+    *,
+    shard: tuple[int, int] | None = None,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> CampaignResult | None:
+    """Run a campaign, or go on with it.
+
+    Args:
+        campaign: The campaign.
+        folder: Its folder.
+        engine: Opens an engine; not called if there is nothing to do.
+        shard: Number of this part, from 1, and of all parts: only its runs are made, and no results are written.
+        progress: Called after each task.
+
+    Returns:
+        The result; None of a part.
+
+    Raises:
+        ModsimError: The folder holds another plan or cannot be written, or the engine fails.
+    """
+    if shard is not None:
+        here = planned(campaign, folder)
+        _Campaign(campaign, here, shard, progress).make(engine)
+        return None
+    with locked_campaign(folder):
+        here = planned(campaign, folder)
+        if not here.finished:
+            started = time.perf_counter()
+            running = _Campaign(campaign, here, None, progress)
+            end = running.make(engine)
+            rows = done_rows(here)
+            write_results(here, rows.filter(pc.less(rows["run"], end)))
+            running.log(time.perf_counter() - started)
+        table = results_table(here)
+        verdicts = judged(here.plan, table)
+        write_verdicts(here, verdicts)
+    return CampaignResult(here, table, verdicts)
+
+
+class _Campaign:
+    def __init__(
+        self,
+        campaign: CheckedCampaign,
+        folder: CampaignFolder,
+        shard: tuple[int, int] | None,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        self._campaign, self._folder, self._shard, self._progress = campaign, folder, shard, progress
+        self._plan = folder.plan
+        self._reports: list[TaskReport] = []
+        self._looked = 0
+        mine = self._mine()
+        done = set(done_numbers(folder).tolist())
+        self._state = _State(len(mine), {number for number in mine if number in done})
+        runs = len(self._plan)
+        self._batch = runs if self._plan.keys.stop == "once" else self._plan.keys.batch * self._plan.runs_by_seed
+        self._todo: list[list[int]] = [[] for _ in range(0, runs, self._batch)]
+        for number in mine:
+            if number not in self._state.done:
+                self._todo[number // self._batch].append(number)
+        self._missing = [len(numbers) for numbers in self._todo]
+
+    def make(self, engine: Callable[[], Engine]) -> int:
+        """Make all rows; the number of the first run that does not count any more."""
+        if (end := self._look()) is not None:
+            return end
+        opened = engine()
+        try:
+            return self._work(opened)
+        finally:
+            opened.close()
+
+    def _mine(self) -> list[int]:
+        """The runs of this part: every n-th truth."""
+        numbers = range(len(self._plan))
+        if self._shard is None:
+            return list(numbers)
+        part, parts = self._shard
+        groups = same_truth(self._plan, self._campaign.facts, numbers)
+        return sorted(number for group in groups[part - 1 :: parts] for number in group)
+
+    def _look(self) -> int | None:
+        """Look at the complete batches, one after the other; the end of the runs that count, if it is known."""
+        while self._looked < len(self._missing) and not self._missing[self._looked]:
+            self._looked += 1
+            stop = min(self._looked * self._batch, len(self._plan))
+            if stop == len(self._plan):
+                return stop
+            rows = done_rows(self._folder)
+            self._state.verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
+            if all(verdict.outcome != "undecided" for verdict in self._state.verdicts):
+                return stop
+        return None
+
+    def _work(self, engine: Engine) -> int:
+        cutter, split, state = Cutter(engine.width), list[Task](), self._state
+        ahead = tasks = 0
+        while True:
+            while tasks < 2 * engine.width:
+                while not cutter.waiting and not split and ahead < len(self._todo):
+                    cutter.add(same_truth(self._plan, self._campaign.facts, self._todo[ahead]))
+                    ahead += 1
+                if not split and not cutter.waiting:
+                    break
+                task = split.pop() if split else Task(self._folder.work, tuple(self._plan.runs(cutter.next())))
+                engine.submit(task)
+                tasks, state.running = tasks + 1, state.running + len(task.runs)
+            task, report = engine.next()
+            tasks, state.running = tasks - 1, state.running - len(task.runs)
+            if report is None:
+                report = self._died(task, split)
+            if report is not None:
+                cutter.learn(report)
+                self._take(task, report)
+                if (end := self._look()) is not None:
+                    return end
+            if not tasks and not split and not cutter.waiting and ahead == len(self._todo):
+                return len(self._plan)
+            left_s = cutter.seconds(state.total - len(state.done))
+            self._progress(Progress(state.total, len(state.done), state.running, state.crashed, left_s, state.verdicts))
+
+    def _take(self, task: Task, report: TaskReport) -> None:
+        """Note that a task is done."""
+        self._reports.append(report)
+        self._state.crashed += report.crashed
+        for run in task.runs:
+            if run.number not in self._state.done:
+                self._state.done.add(run.number)
+                self._missing[run.number // self._batch] -= 1
+
+    def _died(self, task: Task, split: list[Task]) -> TaskReport | None:
+        """A task ended its worker: try its halves, and give up a run that does so alone."""
+        if len(task.runs) > 1:
+            half = len(task.runs) // 2
+            split += [replace(task, runs=task.runs[half:]), replace(task, runs=task.runs[:half])]
+            return None
+        number = task.runs[0].number
+        self._state.deaths[number] += 1
+        if self._state.deaths[number] < DEATHS:
+            split.append(task)
+            return None
+        store_crashed(task, DIED)
+        return TaskReport(1, 1, 0.0, 0.0, "", 0)
+
+    def log(self, seconds: float) -> None:
+        """Write what the campaign cost into its log; times and hosts are named nowhere else."""
+        cpu_s = sum(report.cpu_s for report in self._reports)
+        runs = sum(report.runs for report in self._reports)
+        hosts = sorted({report.host for report in self._reports if report.host})
+        line = f"{runs} runs in {seconds:.3f} s, {cpu_s:.3f} s of processors, on {', '.join(hosts)}\n"
+        with (self._folder.path / LOG).open("a", encoding="utf-8") as log:
+            log.write(f"finished {time.strftime('%Y-%m-%dT%H:%M:%S%z')}\n{line}")

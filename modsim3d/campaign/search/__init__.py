@@ -1,0 +1,1 @@
+"""The search for scenes in which a tracker fails."""

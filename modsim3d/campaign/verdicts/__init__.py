@@ -1,0 +1,1 @@
+"""Requirements: met, failed or undecided, with intervals over traffic seeds."""

@@ -1,0 +1,44 @@
+"""Checksums of all that decides a layer: equal ones are equal layers."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib.metadata import version
+from typing import Any
+
+import orjson
+
+from modsim3d.detector.file.reading import content_of
+from modsim3d.detector.model import DetectorModel
+from modsim3d.runs.run import VERSIONED
+from modsim3d.scene.scene import Scene
+
+_OF_DETECTOR = ("detector", "detector_seed")
+
+
+def digest(*parts: Any) -> str:
+    """The SHA-256 of values as JSON, in hexadecimal."""
+    content = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY)
+    return hashlib.sha256(content).hexdigest()
+
+
+def truth_digest(scene: Scene, backend: str) -> str:
+    """Of the truth: the scene without its detector, and the versions of what makes it.
+
+    Args:
+        scene: The scene.
+        backend: The OpenGL context that draws it.
+    """
+    packages = {name: version(name) for name in VERSIONED}
+    plugins = [[plugin.group, plugin.name, plugin.package] for plugin in scene.plugins]
+    return digest(scene.copy.truth_sha256(), scene.seed if scene.truth_has_seed else None, packages, plugins, backend)
+
+
+def detector_digest(detector: DetectorModel) -> str:
+    """Of a detector that was read from a file, with what was set."""
+    return digest(content_of(detector))
+
+
+def versions() -> dict[str, str]:
+    """The version of every package that decides a row."""
+    return {name: version(name) for name in (*VERSIONED, "trackeval")}

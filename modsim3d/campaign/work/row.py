@@ -1,0 +1,104 @@
+"""The row of one run: what its scores are, as columns with types."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, get_type_hints
+
+import pyarrow as pa
+
+from modsim3d.campaign.file.keys import ScoreKeys
+from modsim3d.campaign.work.layers import Made
+from modsim3d.tracking.report.numbers import keys_of
+from modsim3d.tracking.scores.rules import Rules, SetDistance
+from modsim3d.tracking.scores.scoring import Part, SubsetScores, score_tracks
+from modsim3d.tracks.similarity import Similarity
+
+DONE, CRASHED = "done", "crashed"
+KEY_LENGTH = 16
+"""Hexadecimal digits of a layer's checksum in a table."""
+BY_STATE, BY_CAMERA = "state", "camera"
+FACTS: dict[str, pa.DataType] = {
+    "run": pa.int64(),
+    "status": pa.string(),
+    "error": pa.string(),
+    "truth_key": pa.string(),
+    "detections_key": pa.string(),
+    "tracks_key": pa.string(),
+    "simulated_s": pa.float64(),
+    "frames": pa.int64(),
+}
+"""Columns that every row has, before those of the scores."""
+SUBSET_KEYS = ("frames", "vessel_frames", "hota", "deta", "assa", "mota", "idf1")
+
+
+def _score_types() -> dict[str, pa.DataType]:
+    """The scores of everything that are one number each, in their order."""
+    hints = {name: hint for part in Part.__args__ for name, hint in get_type_hints(part).items()}
+    numbers = {name: hint for name, hint in hints.items() if "tuple" not in str(hint)}
+    return {name: pa.int64() if hint is int else pa.float64() for name, hint in numbers.items()}
+
+
+SCORES = _score_types()
+"""The scores of a whole run, with their types."""
+_WHOLE = {"frames", "vessel_frames"}
+
+
+def rules_of(keys: ScoreKeys) -> Rules:
+    """The rules of a campaign's scores."""
+    similarity = Similarity(keys.similarity, keys.scale_px, keys.threshold)
+    return Rules(keys.truth, keys.gap_s, similarity, set_distance=SetDistance(keys.gospa_c, keys.gospa_p))
+
+
+def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
+    """The row of a run.
+
+    Args:
+        number: The run's number.
+        made: Its layers.
+        rules: By which tracks are scored.
+    """
+    scene, scores = made.rows.scene, score_tracks(made.rows, made.tracks, rules)
+    times_s = scene.times_s(0, scene.steps)
+    row = {
+        "run": number,
+        "status": DONE,
+        "error": None,
+        "truth_key": made.truth_key[:KEY_LENGTH],
+        "detections_key": made.detections_key[:KEY_LENGTH],
+        "tracks_key": made.tracks_key[:KEY_LENGTH],
+        "simulated_s": float(times_s[-1] - times_s[0]),
+        "frames": len(made.rows.frames),
+        **keys_of(scores),
+    }
+    if len(scene.detector.states) > 1:
+        row |= _subset(BY_STATE, scores.by_state)
+    if len(scene.cameras) > 1:
+        row |= _subset(BY_CAMERA, scores.by_camera)
+    return row
+
+
+def crashed_row(number: int, error: str) -> dict[str, Any]:
+    """The row of a run that failed."""
+    return {"run": number, "status": CRASHED, "error": error}
+
+
+def _subset(group: str, parts: Mapping[str, SubsetScores]) -> dict[str, Any]:
+    return {f"{group}.{name}.{key}": getattr(part, key) for name, part in parts.items() for key in SUBSET_KEYS}
+
+
+def column_type(name: str) -> pa.DataType:
+    """The type of a column of a row."""
+    if name in FACTS:
+        return FACTS[name]
+    if name in SCORES:
+        return SCORES[name]
+    return pa.int64() if name.rpartition(".")[2] in _WHOLE else pa.float64()
+
+
+def table_of(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
+    """Rows as a table; its columns are those of `FACTS`, those of `SCORES`, and the others by name."""
+    rows = list(rows)
+    others = sorted({name for row in rows for name in row} - {*FACTS, *SCORES})
+    names = [*FACTS, *SCORES, *others]
+    return pa.table({name: pa.array([row.get(name) for row in rows], type=column_type(name)) for name in names})

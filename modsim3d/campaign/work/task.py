@@ -1,0 +1,174 @@
+"""A task: some runs that one worker does after another, and the file with their rows."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import time
+import uuid
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import orjson
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.plan.plan import PlannedRun
+from modsim3d.campaign.work.digests import digest
+from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, table_of
+from modsim3d.errors import OutputError
+
+DONE_FOLDER = "done"
+"""In the folder of a campaign that is not finished: the rows that are done, a file for each task."""
+_REPORT = b"modsim3d"
+
+
+@dataclass(frozen=True)
+class Work:
+    """What all tasks of a campaign have in common.
+
+    Attributes:
+        keys: The campaign file.
+        base: The folder that its paths are relative to.
+        folder: The folder of the campaign, which every worker can reach.
+        plan_sha256: Checksum of the plan.
+    """
+
+    keys: CampaignKeys
+    base: str
+    folder: str
+    plan_sha256: str
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some runs of a campaign.
+
+    Attributes:
+        work: What all tasks have in common.
+        runs: The runs; those with the same truth follow each other.
+    """
+
+    work: Work
+    runs: tuple[PlannedRun, ...]
+
+    @property
+    def path(self) -> Path:
+        """The file with its rows, named by what is in it."""
+        numbers = [run.number for run in self.runs]
+        name = f"{numbers[0]:09d}_{digest(self.work.plan_sha256, numbers)[:16]}.parquet"
+        return Path(self.work.folder) / DONE_FOLDER / name
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What a task cost.
+
+    Attributes:
+        runs: Number of runs.
+        crashed: Number of those that failed.
+        wall_s: Time by the clock.
+        cpu_s: Time of the processor.
+        host: Name of the machine.
+        process: Number of the process.
+    """
+
+    runs: int
+    crashed: int
+    wall_s: float
+    cpu_s: float
+    host: str
+    process: int
+
+
+class Worker:
+    """Does tasks in one process, with one OpenGL context, in one thread."""
+
+    def __init__(self) -> None:
+        """Open nothing yet."""
+        self._layers: tuple[str, Layers] | None = None
+
+    def close(self) -> None:
+        """Close what was opened."""
+        if self._layers is not None:
+            self._layers[1].close()
+            self._layers = None
+
+    def do(self, task: Task) -> TaskReport:
+        """Do a task, unless its file is there, and write its file.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        if (report := stored_report(task.path)) is not None:
+            return report
+        started, cpu = time.perf_counter(), _cpu_s()
+        rows = [self._row(run, task.work) for run in task.runs]
+        crashed = sum(row["status"] == CRASHED for row in rows)
+        report = TaskReport(
+            len(rows), crashed, time.perf_counter() - started, _cpu_s() - cpu, platform.node(), os.getpid()
+        )
+        store(task.path, table_of(rows), report)
+        return report
+
+    def _row(self, run: PlannedRun, work: Work) -> dict[str, object]:
+        """The row of a run; one that fails, for whatever reason, has a row too."""
+        try:
+            return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
+        except Exception as error:
+            return crashed_row(run.number, f"{type(error).__name__}: {error}")
+
+    def _layers_of(self, work: Work) -> Layers:
+        if self._layers is None or self._layers[0] != work.plan_sha256:
+            self.close()
+            self._layers = (work.plan_sha256, Layers(work.keys, Path(work.base)))
+        return self._layers[1]
+
+
+def store_crashed(task: Task, error: str) -> None:
+    """Write the file of a task whose runs ended their workers.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    rows = [crashed_row(run.number, error) for run in task.runs]
+    store(task.path, table_of(rows), TaskReport(len(rows), len(rows), 0.0, 0.0, "", 0))
+
+
+def store(path: Path, table: pa.Table, report: TaskReport) -> None:
+    """Write rows whole, under a name of their own until they are; another process may write the same file.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with partial.open("wb") as out:
+            pq.write_table(
+                table.replace_schema_metadata({_REPORT: orjson.dumps(asdict(report))}), out, compression="zstd"
+            )
+            out.flush()
+            os.fsync(out.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def stored_report(path: Path) -> TaskReport | None:
+    """What a file of rows says of its task; None if there is no such file, or it is damaged."""
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+        return TaskReport(**orjson.loads(metadata[_REPORT]))
+    except (OSError, pa.ArrowInvalid, KeyError, TypeError, orjson.JSONDecodeError):
+        return None
+
+
+def _cpu_s() -> float:
+    """Processor time of this process so far, with its threads."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
