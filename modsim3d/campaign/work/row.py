@@ -8,6 +8,7 @@ from typing import Any, get_type_hints
 import pyarrow as pa
 
 from modsim3d.campaign.file.keys import ScoreKeys
+from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
 from modsim3d.tracking.report.numbers import keys_of
 from modsim3d.tracking.scores.rules import Rules, SetDistance
@@ -70,6 +71,7 @@ def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
         "simulated_s": float(times_s[-1] - times_s[0]),
         "frames": len(made.rows.frames),
         **keys_of(scores),
+        **coverage_of(made.rows),
     }
     if len(scene.detector.states) > 1:
         row |= _subset(BY_STATE, scores.by_state)
@@ -93,6 +95,8 @@ def column_type(name: str) -> pa.DataType:
         return FACTS[name]
     if name in SCORES:
         return SCORES[name]
+    if name.startswith((MET, COVERED)):
+        return coverage_type(name)
     return pa.int64() if name.rpartition(".")[2] in _WHOLE else pa.float64()
 
 
