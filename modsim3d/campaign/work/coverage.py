@@ -119,7 +119,7 @@ def _sights(rows: RunRows, visible: Mask, poses: tuple[CameraPoses, ...]) -> dic
     range_m = np.hypot(*(centres_m[step, vessel] - places_m[camera, step]).T)
     box = rows.annotated_boxes_px[visible]
     size_px = np.sqrt((box[:, 2] - box[:, 0]) * (box[:, 3] - box[:, 1]))
-    classes = Counter({label: 0 for label in sorted({vessel.label for vessel in scene.vessels})})
+    classes = Counter(dict.fromkeys(sorted({vessel.label for vessel in scene.vessels}), 0))
     classes.update(scene.vessels[index].label for index in np.unique(vessel).tolist())
     at_once = np.bincount(rows.truth_frame[visible]).max(initial=0)
     return {
@@ -183,7 +183,7 @@ def _encounters(rows: RunRows, visible: Mask) -> dict[str, int | float]:
     hulls = hull_tracks(scene.vessels, scene.poses, rows.steps)
     first_seen = np.full(len(scene.vessels), rows.steps)
     np.minimum.at(first_seen, rows.truth_vessel[visible], rows.truth_frame[visible] // len(scene.cameras))
-    counts, nearest_m = Counter({name: 0 for name in (*KINDS.values(), SEEN)}), np.inf
+    counts, nearest_m = Counter(dict.fromkeys((*KINDS.values(), SEEN), 0)), np.inf
     for own in own_ships:
         for vessel in range(len(scene.vessels)):
             if vessel in own_ships:

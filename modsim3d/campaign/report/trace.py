@@ -1,0 +1,111 @@
+"""The sections of a page that trace each requirement to its runs, and say how to repeat them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.arrays import Indices
+from modsim3d.campaign.results.folder import FILE, PLAN, CampaignFolder
+from modsim3d.campaign.results.gather import text_of
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.view.pages import page
+
+_MOST_RANGES = 6
+_DIGITS = 16
+"""Hexadecimal digits of a checksum on the page; `plan.json` has all."""
+
+
+def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[str]:
+    """HTML of what each verdict rests on: runs, seeds, checksums, versions, and the commands that repeat it.
+
+    Args:
+        folder: The campaign.
+        table: Its rows so far, see `results_table`.
+        verdicts: The verdicts on its requirements.
+    """
+    return [
+        page.heading("What it rests on"),
+        *_verdicts(table, verdicts),
+        *_conditions(folder),
+        *_repeating(folder, table),
+    ]
+
+
+def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
+    if not verdicts:
+        yield page.paragraph("The campaign has no requirements.")
+        return
+    conditions = table["condition"].to_numpy()
+    trackers = table["tracker"].to_numpy(zero_copy_only=False)
+    runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
+    rows = []
+    for verdict in verdicts:
+        chosen = (conditions == verdict.condition) & (trackers == verdict.tracker)
+        rows.append(
+            [
+                f"[{verdict.requirement}] {verdict.text}",
+                verdict.tracker,
+                f"{verdict.condition}",
+                verdict.outcome,
+                numbers_in_words(runs[chosen]),
+                numbers_in_words(np.unique(seeds[chosen])),
+                f"{len(np.unique(looks[chosen]))}",
+            ]
+        )
+    header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
+    yield page.table(rows, header)
+
+
+def numbers_in_words(numbers: Indices) -> str:
+    """Ascending numbers, shape (n,): `3, 9, … 57 (10, every 6th)`, or ranges; at most six of them."""
+    found = numbers.tolist()
+    if not found:
+        return "none"
+    steps = np.diff(numbers)
+    if len(found) > 3 and len(set(steps.tolist())) == 1 and steps[0] > 1:
+        return f"{found[0]}, {found[1]}, … {found[-1]} ({len(found)} of them, {int(steps[0])} apart)"
+    ends = np.flatnonzero(steps != 1)
+    firsts, lasts = numbers[np.append(0, ends + 1)], numbers[np.append(ends, -1)]
+    ranges = [f"{a}" if a == b else f"{a}–{b}" for a, b in zip(firsts, lasts, strict=True)]
+    more = f" and {len(ranges) - _MOST_RANGES} ranges more" if len(ranges) > _MOST_RANGES else ""
+    return ", ".join(ranges[:_MOST_RANGES]) + more + (f" ({len(found)} of them)" if len(found) > 1 else "")
+
+
+def _conditions(folder: CampaignFolder) -> Iterator[str]:
+    """Checksums of the scene and the detector of each condition."""
+    yield "<h3>Conditions</h3>"
+    rows = []
+    for number, each in enumerate(folder.facts["conditions"]):
+        values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
+        sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
+        rows.append([f"{number}", each["scene"], values or "as it is", *sums])
+    yield page.table(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
+    if folder.plan.drawn:
+        keys = ", ".join(folder.plan.drawn)
+        yield page.paragraph(f"Checksums are those of the first traffic seed: {keys} differ from seed to seed.", "soft")
+
+
+def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
+    """Versions, the checksum of the plan, and the commands."""
+    number = int(table["run"][0].as_py()) if len(table) else 0
+    yield "<h3>Versions</h3>"
+    yield page.table([[name, text] for name, text in folder.facts["versions"].items()], ["package", "version"])
+    yield "<h3>Again</h3>"
+    yield page.paragraph(
+        f"SHA-256 of the plan: {folder.facts['sha256']}. {PLAN} has all checksums in full. With the same plan and the "
+        "same versions the rows come out the same, byte by byte. "
+        f"Paths in {FILE} are relative to {folder.facts['base']}."
+    )
+    commands = (
+        ("the whole campaign again", f"modsim3d campaign {folder.path / FILE} --out {folder.path.name}_again"),
+        (f"run {number} alone", f"modsim3d campaign-run {folder.path} {number} --out run_{number}"),
+    )
+    rows = "\n".join(
+        f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(command)}</code></td></tr>"
+        for what, command in commands
+    )
+    yield f"<table>\n{rows}\n</table>"
