@@ -12,14 +12,16 @@ import pyarrow as pa
 
 from modsim3d.campaign.report.coverage_counts import Counted, Truths, counted_states
 from modsim3d.campaign.report.draws import empty_draws
+from modsim3d.campaign.report.trace import trace_sections
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.work.coverage import KINDS, VESSELS
 from modsim3d.campaign.work.coverage_bins import OCCLUSIONS, RANGES, SIZES
 from modsim3d.view.pages import page
 
+__all__ = ["coverage_sections", "trace_sections"]
+
 NO_CLAIM = (
-    "A verdict holds for what is listed here with a count above 0. Of what was not covered it says nothing: no claim "
-    "is made about it."
+    "A verdict holds for what is counted here. A dash stands for what was not covered: no claim is made about it."
 )
 ENCOUNTERS = dict(
     zip(
@@ -73,11 +75,11 @@ class Part:
     @property
     def html(self) -> str:
         """The table under its title."""
-        cells = [[*row.cells, "" if row.count else "not covered"] for row in self.rows]
-        header = ["", self.unit, "runs", "traffic seeds", ""]
+        cells = [row.cells for row in self.rows]
+        header = ["", self.unit, "runs", "traffic seeds"]
         parts = [f"<h3>{html.escape(self.title)}</h3>", page.paragraph(self.note, "soft") if self.note else ""]
         content = "\n".join([*filter(None, parts), page.table(cells, header) if cells else ""])
-        return f'<div style="max-width: 32rem">\n{content}\n</div>'
+        return f'<div style="max-width: 30rem">\n{content}\n</div>'
 
 
 def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:

@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.work.row import DONE
+from modsim3d.view.pages.page import UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,9 @@ class Counted:
 
     @property
     def cells(self) -> list[str]:
-        """As a page shows them."""
-        return [self.label, f"{self.count}", f"{self.runs}", f"{self.seeds}"]
+        """As a page shows them; dashes if there was none."""
+        numbers = [f"{number}" for number in (self.count, self.runs, self.seeds)] if self.count else [UNKNOWN] * 3
+        return [self.label, *numbers]
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,10 @@ def empty_draws(keys: CampaignKeys, table: pa.Table) -> list[str]:
 
 def _of_key(key: str, values: Range, column: pa.ChunkedArray) -> Iterator[str]:
     if values.choices is not None:
-        found = {_number_or_text(value) for value in column.to_pylist()}
-        if missing := [text_of(value) for value in values.choices if _number_or_text(value) not in found]:
+        as_text = pa.types.is_string(column.type)  # so it is if not all choices are numbers
+        found = set(column.to_pylist())
+        missing = [text_of(each) for each in values.choices if (text_of(each) if as_text else each) not in found]
+        if missing:
             yield f"{key}: {', '.join(missing)}: never drawn"
         return
     filled = np.zeros(TENTHS, dtype=bool)
@@ -57,11 +59,6 @@ def _of_key(key: str, values: Range, column: pa.ChunkedArray) -> Iterator[str]:
     parts = [[_at(values, place / TENTHS) for place in part] for part in _stretches(~filled)]
     if parts:
         yield f"{key}: no draw from {', '.join(f'{low:.4g} to {high:.4g}' for low, high in parts)}"
-
-
-def _number_or_text(value: object) -> object:
-    """A value as the column has it: a number, or text."""
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
 
 
 def _shares(values: Range, column: pa.ChunkedArray) -> Array:

@@ -1,0 +1,149 @@
+"""What a row says that its truth covers, held against hand-made scenes and against the scores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import modsim3d
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.work.coverage import KINDS, coverage_of
+from modsim3d.campaign.work.coverage_bins import OCCLUSIONS, RANGES, SIZES, Bins
+from modsim3d.campaign.work.layers import Layers, detected
+from modsim3d.campaign.work.row import column_type, row_of, rules_of
+from modsim3d.runs.pipeline import truth_block
+from modsim3d.runs.run_rows import RunRows
+from tests.scenes import crossing, write_scene
+
+ANALYTIC = {"annotation": {"mode": 2, "source": "analytic"}}
+ON_BOARD = {
+    "bow": {
+        "focal_length_m": 0.01,
+        "pixel_size_m": [1e-5, 1e-5],
+        "principal_point_px": [400, 300],
+        "image_size_px": [800, 600],
+        "mount": {"vessel": "own", "position_m": [4, 0, 6]},
+    }
+}
+BOAT = [10, 4, 3]
+
+
+def rows_of(path: Path, **settings: Any) -> RunRows:
+    scene = modsim3d.load_scene(path, settings=settings)
+    return detected(scene, [(truth_block(scene, 0, scene.steps, None), 0, scene.steps)])
+
+
+@pytest.fixture(scope="module")
+def own_ship(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Own ship runs along w1 at 5 m/s for 100 s; one vessel meets her in each way, and one stays far away."""
+    boats = {
+        "own": (BOAT, [[0, 0, 0], [100, 500, 0]]),
+        "ahead": (BOAT, [[0, 800, 30], [100, 300, 30]]),
+        "starboard": (BOAT, [[0, 330, -260], [100, 330, 240]]),
+        "port": (BOAT, [[0, 300, 250], [100, 300, -250]]),
+        "slow": (BOAT, [[0, 150, 60], [100, 250, 60]]),
+        "fast": (BOAT, [[0, -200, -60], [100, 800, -60]]),
+        "far": (BOAT, [[0, 250, 2400], [100, 250, 2000]]),
+        "leaving": (BOAT, [[0, -20, -90], [100, -400, -90]]),
+    }
+    return write_scene(tmp_path_factory.mktemp("own_ship"), boats, 101, cameras=ON_BOARD, **ANALYTIC)
+
+
+def test_each_kind_of_encounter_is_counted_once(own_ship: Path) -> None:
+    found = coverage_of(rows_of(own_ship))
+    assert {name: found[name] for name in KINDS.values()} == dict.fromkeys(KINDS.values(), 1)
+    assert found["met.seen"] == 4  # the one that overtakes comes up behind the camera
+    assert found["covered.closest_approach_m"] == pytest.approx(30.0)
+
+
+def test_an_encounter_that_the_run_does_not_reach_is_not_met(own_ship: Path) -> None:
+    scene = modsim3d.load_scene(own_ship, steps=20)
+    found = coverage_of(detected(scene, [(truth_block(scene, 0, 20, None), 0, 20)]))
+    assert sum(found[name] for name in KINDS.values()) == 0
+
+
+def test_drawn_traffic_meets_own_ship_as_it_was_asked_to() -> None:
+    # The reference is independent of this module: `asked` of the craft whose closest approach lies in the run.
+    scene = modsim3d.load_scene("fairway", seed=5, settings={"annotation.source": "analytic"})
+    of_asked = {"overtaking": "met.own_overtaken", "overtaken": "met.own_overtakes"}
+    asked = {of_asked.get(c.asked.kind, f"met.{c.asked.kind}") for c in scene.poses.craft if c.asked is not None}
+    nothing = detected(scene, [(truth_block(scene, 0, 1, None), 0, 1)])
+    rows = RunRows(**{**vars(nothing), "steps": scene.steps})
+    found = coverage_of(rows)
+    assert len(asked) >= 4
+    assert all(found[name] >= 1 for name in asked)
+
+
+def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Path) -> None:
+    rows = rows_of(own_ship)
+    found, visible = coverage_of(rows), rows.numbers("visible_px") > 0
+    boxes, poses = rows.annotated_boxes_px, rows.scene.poses.poses(0, rows.steps)
+    ranges_m, sizes_px = [], []
+    for row in np.flatnonzero(visible).tolist():
+        step, vessel = int(rows.truth_frame[row]), int(rows.truth_vessel[row])
+        camera_m = poses.positions_m[step, 0, :2] + np.array([4.0, 0.0])
+        ranges_m.append(float(np.hypot(*(poses.positions_m[step, vessel, :2] - camera_m))))
+        x_min, y_min, x_max, y_max = boxes[row]
+        sizes_px.append(float(np.sqrt((x_max - x_min) * (y_max - y_min))))
+    assert len(ranges_m) > 100
+    for bins, values, name in ((RANGES, ranges_m, "range_m"), (SIZES, sizes_px, "size_px")):
+        counts = np.histogram(values, [0, *bins.edges, np.inf])[0]
+        assert [found[each] for each in bins.names] == counts.tolist()
+        assert (found[f"covered.least_{name}"], found[f"covered.most_{name}"]) == pytest.approx(
+            (min(values), max(values))
+        )
+    at_once = max(np.bincount(rows.truth_frame[visible]))
+    assert found["covered.vessels_at_once"] == at_once
+    assert found["covered.vessels.Vessel"] == len(set(rows.truth_vessel[visible].tolist()))
+
+
+def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidden_rows(tmp_path: Path) -> None:
+    keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
+    layers = Layers(keys, tmp_path)
+    try:
+        made = layers.made(Plan.of(keys).run(0))
+    finally:
+        layers.close()
+    row = row_of(0, made, rules_of(keys.score))
+    lengths = {name: row[name] for name in OCCLUSIONS.names}
+    assert sum(lengths.values()) == row["occlusions"] >= 2
+    hidden = (made.rows.numbers("visible_px") == 0) & (made.rows.numbers("silhouette_px") > 0)
+    assert row["covered.hidden_s"] == np.count_nonzero(hidden) > 0  # a frame a second
+
+
+def test_cameras_ashore_meet_nobody_and_say_so_by_no_column(tmp_path: Path) -> None:
+    found = coverage_of(rows_of(crossing(tmp_path), **{"annotation.source": "analytic"}))
+    assert not [name for name in found if name.startswith("met.") or name == "covered.closest_approach_m"]
+    assert found["covered.wave_height_m"] == 0
+    assert found["covered.camera_roll_rad"] == 0
+
+
+def test_waves_have_their_significant_height_and_roll_the_camera(own_ship: Path) -> None:
+    sea = {"spectrum": "jonswap", "significant_height_m": 1.3, "peak_period_s": 6.0, "direction_rad": 1.6}
+    rows = rows_of(own_ship, waves=sea)
+    found = coverage_of(rows)
+    assert found["covered.wave_height_m"] == pytest.approx(1.3)
+    roll_rad = np.abs(rows.scene.motion.at(np.arange(rows.steps)).angles_rad[:, 0, 0]).max()
+    assert found["covered.camera_roll_rad"] == pytest.approx(roll_rad, abs=1e-3)  # of a camera that looks ahead
+    assert roll_rad > 0.01
+    assert "covered.wave_height_m" not in coverage_of(rows_of(own_ship, waves={"level": "large"}))
+
+
+def test_a_value_at_an_edge_belongs_to_the_bin_above() -> None:
+    bins = Bins("x.", "m", (10, 20))
+    assert bins.counts(np.array([0.0, 9.9, 10.0, 20.0, 1e9, np.nan])) == {
+        "x.0_10_m": 2,
+        "x.10_20_m": 1,
+        "x.over_20_m": 2,
+    }
+    assert bins.labels == ("0 to 10 m", "10 to 20 m", "20 m and more")
+
+
+def test_counts_are_whole_numbers_and_measures_are_not(own_ship: Path) -> None:
+    for name, value in coverage_of(rows_of(own_ship)).items():
+        assert column_type(name) == (pa.int64() if isinstance(value, int) else pa.float64()), name

@@ -1,0 +1,165 @@
+"""The sections of a page on what a campaign covered, and on what its verdicts rest."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.file.reading import CampaignFile
+from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
+from modsim3d.campaign.report.draws import empty_draws
+from modsim3d.campaign.report.trace import numbers_in_words
+from modsim3d.campaign.running import CampaignResult, run_plan
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.checking import checked
+
+RATE = "detector.states.excellent.false_discovery_rate"
+KEYS: dict[str, Any] = {
+    "scene": "harbour",
+    "steps": 20,
+    "seeds": {"traffic": 3},
+    "vary": [{"uniform": {RATE: [0.02, 0.3]}}],
+    "trackers": ["sort", {"tracker": "sort", "name": "patient", "set": {"lost_s": 9}}],
+}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
+    folder = tmp_path_factory.mktemp("coverage")
+    file = CampaignFile(folder / "c.yaml", CampaignKeys.model_validate(KEYS))
+    file.path.write_text("", encoding="utf-8")
+    result = run_plan(checked(file), folder / "campaign", ThisProcess)
+    assert result is not None
+    return result
+
+
+def lines_of(page: str) -> dict[str, list[str]]:
+    """The cells of each row of tables, by the first one."""
+    rows = re.findall(r"<tr>(<td.*?)</tr>", page)
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
+    return {each[0]: each[1:] for each in cells}
+
+
+def test_all_detectors_and_trackers_over_a_truth_cover_the_same(result: CampaignResult) -> None:
+    names = [name for name in result.table.column_names if name.startswith("covered.")]
+    assert len(set(result.table["truth_key"].to_pylist())) == 1  # the traffic of the harbour is not drawn
+    assert len(set(result.table["detections_key"].to_pylist())) == 3
+    assert len({tuple(row.values()) for row in result.table.select(names).to_pylist()}) == 1
+
+
+def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignResult) -> None:
+    table = result.table
+    page = "\n".join(coverage_sections(result.folder, table))
+    lines = lines_of(page)
+    assert "6 of 6 runs are done, over 1 different truths and 1 traffic seeds." in page
+    assert "The traffic of harbour is not drawn: it is the same for every seed, and counts as one." in page
+    frames = table["covered.frames.range_200_500_m"][0].as_py()
+    assert frames > 0
+    assert lines["200 to 500 m"] == [f"{frames}", "6", "1"]
+    assert lines["Vessel"] == [f"{table['covered.vessels.Vessel'][0].as_py()}", "6", "1"]
+    assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
+
+
+def test_what_is_empty_is_listed_as_not_covered(result: CampaignResult) -> None:
+    page = "\n".join(coverage_sections(result.folder, result.table))
+    assert lines_of(page)["5000 m and more"] == ["–", "–", "–"]
+    assert re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
+    assert re.search(r"<li>Sea: [^<]*moderate \(1.25 to 2.5 m\)", page)
+    assert "there is no own ship that could meet another" in page
+    assert re.search(rf"<li>{RATE}: no draw from ", page)
+    assert "no claim is made about it" in page
+
+
+def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
+    table = result.table
+    status = pa.array(["crashed", *table["status"].to_pylist()[1:]])
+    table = table.set_column(table.column_names.index("status"), "status", status)
+    page = "\n".join(coverage_sections(result.folder, table))
+    assert "5 of 6 runs are done" in page and "1 more crashed" in page
+    assert lines_of(page)["200 to 500 m"][1] == "5"
+    none = table.set_column(table.column_names.index("status"), "status", pa.array(["crashed"] * 6))
+    assert "0 of 6 runs are done" in "\n".join(coverage_sections(result.folder, none))
+
+
+def test_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
+    lines = lines_of("\n".join(coverage_sections(result.folder, result.table)))
+    assert "lost_s 9" in lines["patient"][2]
+    assert "lost_s 9" not in lines["sort"][2]
+    assert lines["sort"][-1] == "all"
+
+
+def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: CampaignResult) -> None:
+    verdict = Verdict(0, "hota < 1 & more", "patient", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3)
+    page = "\n".join(trace_sections(result.folder, result.table, [verdict]))
+    facts = result.folder.facts
+    (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("[0]"))
+    assert line == ["patient", "0", "met", "1, 3, 5 (3 of them)", "1000000–1000002 (3 of them)", "3"]
+    assert "[0] hota &lt; 1 &amp; more" in page
+    assert facts["sha256"] in page
+    assert facts["conditions"][0]["truth_sha256"][:16] in page
+    assert facts["conditions"][0]["detector_sha256"][:16] in page
+    assert facts["versions"]["modsim3d"] in page
+    assert f"modsim3d campaign-run {result.folder.path} 0 --out run_0" in page
+    assert f"modsim3d campaign {result.folder.path}/campaign.yaml --out campaign_again" in page
+    assert f"{RATE} differ from seed to seed" in page
+
+
+def test_a_campaign_without_requirements_or_rows_has_a_trace_too(result: CampaignResult) -> None:
+    page = "\n".join(trace_sections(result.folder, result.table.slice(0, 0), []))
+    assert "no requirements" in page and "campaign-run" in page
+    verdict = Verdict(0, "hota", "sort", 0, "undecided", "", 0.95, None, None, None, 0)
+    assert "none" in "\n".join(trace_sections(result.folder, result.table.slice(0, 0), [verdict]))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ([], "none"),
+        ([7], "7"),
+        ([0, 1, 2, 3], "0–3 (4 of them)"),
+        ([0, 4, 8, 12, 16], "0, 4, … 16 (5 of them, 4 apart)"),
+        ([0, 1, 4, 5, 9], "0–1, 4–5, 9 (5 of them)"),
+        ([*range(0, 6), *range(9, 40, 3)], "0–5, 9, 12, 15, 18, 21 and 6 ranges more (17 of them)"),
+    ],
+)
+def test_numbers_are_said_in_few_words(numbers: list[int], said: str) -> None:
+    assert numbers_in_words(np.array(numbers, dtype=np.int64)) == said
+
+
+def draws(ranges: dict[str, Any], columns: dict[str, list[Any]]) -> list[str]:
+    keys = CampaignKeys.model_validate({"scene": "harbour", "trackers": ["sort"], "vary": [{"uniform": ranges}]})
+    return empty_draws(keys, pa.table({"status": ["done"] * len(next(iter(columns.values()))), **columns}))
+
+
+def test_parts_of_ranges_that_no_draw_came_near_are_said() -> None:
+    assert draws({"x": [0, 1]}, {"x": [0.05, 0.15, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95]}) == [
+        "x: no draw from 0.2 to 0.4"
+    ]
+    assert draws({"x": [0, 1]}, {"x": (np.arange(10) / 10 + 0.05).tolist()}) == []
+    log = {"low": 1, "high": 100, "scale": "log"}
+    assert draws({"x": log}, {"x": (10 ** (np.arange(9) / 5 + 0.1)).tolist()}) == ["x: no draw from 63.1 to 100"]
+
+
+@pytest.mark.parametrize(
+    ("choices", "drawn", "said"),
+    [
+        ([1, 2, 3], [1.0, 3.0], ["x: 2: never drawn"]),
+        ([1, 2], [2.0, 1.0], []),
+        (["a", 2, True], ["a", "2"], ["x: true: never drawn"]),
+        (["a", "b"], ["b"], ["x: a: never drawn"]),
+    ],
+)
+def test_choices_that_were_never_drawn_are_said(choices: list[Any], drawn: list[Any], said: list[str]) -> None:
+    assert draws({"x": {"choices": choices}}, {"x": drawn}) == said
+
+
+def test_two_ranges_are_looked_at_together() -> None:
+    along = (np.arange(40) / 40 + 0.01).tolist()
+    (said,) = draws({"x": [0, 1], "y": [0, 1]}, {"x": along, "y": along})
+    assert said == "x with y: no draw in 12 of 16 squares of quarters of both ranges"
