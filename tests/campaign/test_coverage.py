@@ -48,7 +48,7 @@ def own_ship(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "port": (BOAT, [[0, 300, 250], [100, 300, -250]]),
         "slow": (BOAT, [[0, 150, 60], [100, 250, 60]]),
         "fast": (BOAT, [[0, -200, -60], [100, 800, -60]]),
-        "far": (BOAT, [[0, 250, 2400], [100, 250, 2000]]),
+        "far": (BOAT, [[0, 260, 2200], [100, 240, 2200]]),
         "leaving": (BOAT, [[0, -20, -90], [100, -400, -90]]),
     }
     return write_scene(tmp_path_factory.mktemp("own_ship"), boats, 101, cameras=ON_BOARD, **ANALYTIC)
@@ -113,6 +113,8 @@ def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidde
     lengths = {name: row[name] for name in OCCLUSIONS.names}
     assert sum(lengths.values()) == row["occlusions"] >= 2
     hidden = (made.rows.numbers("visible_px") == 0) & (made.rows.numbers("silhouette_px") > 0)
+    shown = made.rows.numbers("visible_px") > 0
+    assert sum(row[name] for name in RANGES.names) == np.count_nonzero(shown) < len(shown)
     assert row["covered.hidden_s"] == np.count_nonzero(hidden) > 0  # a frame a second
 
 
