@@ -11,8 +11,12 @@ import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.work.coverage import COVERED, MET
 from modsim3d.campaign.work.row import DONE
 from modsim3d.view.pages.page import UNKNOWN
+
+_NEEDED = (COVERED, MET, "condition", "frames", "traffic_seed")
+"""How the columns begin that are counted; those of scores are many, and left where they are."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,8 @@ class Covered:
     @classmethod
     def by(cls, table: pa.Table, key: str) -> Self:
         """The rows of runs that are done, one for each value of a column."""
-        done = table.filter(pc.equal(table["status"], DONE))
+        needed = [name for name in table.column_names if name.startswith(_NEEDED) or name.endswith(".frames")]
+        done = table.select(list(dict.fromkeys([key, *needed]))).filter(pc.equal(table["status"], DONE))
         codes = done[key].combine_chunks().dictionary_encode().indices.to_numpy(zero_copy_only=False)
         _, first, runs = np.unique(codes, return_index=True, return_counts=True)
         return cls(done.take(pa.array(first, pa.int64())), np.asarray(runs, dtype=np.int64))
