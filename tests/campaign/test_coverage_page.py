@@ -104,10 +104,19 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     assert facts["sha256"] in page
     assert facts["conditions"][0]["truth_sha256"][:16] in page
     assert facts["conditions"][0]["detector_sha256"][:16] in page
-    assert facts["versions"]["modsim3d"] in page
+    versions = {**facts["versions"], **facts["conditions"][0]["trackers"]["sort"]["versions"]}
+    assert "trackers" in versions
+    assert all(lines_of(page)[name] == [version] for name, version in versions.items())
     assert f"modsim3d campaign-run {result.folder.path} 0 --out run_0" in page
     assert f"modsim3d campaign {result.folder.path}/campaign.yaml --out campaign_again" in page
     assert f"{RATE} differ from seed to seed" in page
+
+
+def test_the_first_of_very_many_verdicts_are_shown_and_the_file_that_has_all_is_named(result: CampaignResult) -> None:
+    verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
+    page = "\n".join(trace_sections(result.folder, result.table, verdicts))
+    assert "[199] hota" in page and "[200] hota" not in page
+    assert "100 more are in verdicts.json." in page
 
 
 def test_a_campaign_without_requirements_or_rows_has_a_trace_too(result: CampaignResult) -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import html
+import shlex
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Indices
-from modsim3d.campaign.results.folder import FILE, PLAN, CampaignFolder
+from modsim3d.campaign.results.folder import FILE, PLAN, VERDICTS, CampaignFolder
 from modsim3d.campaign.results.gather import text_of
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.view.pages import page
 
 _MOST_RANGES = 6
+_MOST_ROWS = 200
+"""Of a table; the files of the campaign have all."""
 _DIGITS = 16
 """Hexadecimal digits of a checksum on the page; `plan.json` has all."""
 
@@ -43,7 +46,7 @@ def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
     trackers = table["tracker"].to_numpy(zero_copy_only=False)
     runs, seeds, looks = (table[name].to_numpy() for name in ("run", "traffic_seed", "detector_seed"))
     rows = []
-    for verdict in verdicts:
+    for verdict in verdicts[:_MOST_ROWS]:
         chosen = (conditions == verdict.condition) & (trackers == verdict.tracker)
         rows.append(
             [
@@ -58,6 +61,12 @@ def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
         )
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
     yield page.table(rows, header)
+    yield from _left_out(len(verdicts), VERDICTS)
+
+
+def _left_out(count: int, file: str) -> Iterator[str]:
+    if count > _MOST_ROWS:
+        yield page.paragraph(f"{count - _MOST_ROWS} more are in {file}.")
 
 
 def numbers_in_words(numbers: Indices) -> str:
@@ -79,11 +88,13 @@ def _conditions(folder: CampaignFolder) -> Iterator[str]:
     """Checksums of the scene and the detector of each condition."""
     yield "<h3>Conditions</h3>"
     rows = []
-    for number, each in enumerate(folder.facts["conditions"]):
+    conditions = folder.facts["conditions"]
+    for number, each in enumerate(conditions[:_MOST_ROWS]):
         values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
         sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
         rows.append([f"{number}", each["scene"], values or "as it is", *sums])
     yield page.table(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
+    yield from _left_out(len(conditions), PLAN)
     if folder.plan.drawn:
         keys = ", ".join(folder.plan.drawn)
         yield page.paragraph(f"Checksums are those of the first traffic seed: {keys} differ from seed to seed.", "soft")
@@ -93,19 +104,24 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
     """Versions, the checksum of the plan, and the commands."""
     number = int(table["run"][0].as_py()) if len(table) else 0
     yield "<h3>Versions</h3>"
-    yield page.table([[name, text] for name, text in folder.facts["versions"].items()], ["package", "version"])
+    versions = dict(folder.facts["versions"])
+    for condition in folder.facts["conditions"]:
+        for tracker in condition["trackers"].values():
+            versions |= tracker["versions"]
+    yield page.table([[name, text] for name, text in versions.items()], ["package", "version"])
     yield "<h3>Again</h3>"
     yield page.paragraph(
         f"SHA-256 of the plan: {folder.facts['sha256']}. {PLAN} has all checksums in full. With the same plan and the "
         "same versions the rows come out the same, byte by byte. "
         f"Paths in {FILE} are relative to {folder.facts['base']}."
     )
-    commands = (
-        ("the whole campaign again", f"modsim3d campaign {folder.path / FILE} --out {folder.path.name}_again"),
-        (f"run {number} alone", f"modsim3d campaign-run {folder.path} {number} --out run_{number}"),
-    )
+    path, again = folder.path, f"{folder.path.name}_again"
+    commands = {
+        "the whole campaign again": ["modsim3d", "campaign", str(path / FILE), "--out", again],
+        f"run {number} alone": ["modsim3d", "campaign-run", str(path), str(number), "--out", f"run_{number}"],
+    }
     rows = "\n".join(
-        f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(command)}</code></td></tr>"
-        for what, command in commands
+        f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(shlex.join(words))}</code></td></tr>"
+        for what, words in commands.items()
     )
     yield f"<table>\n{rows}\n</table>"
