@@ -10,7 +10,7 @@ from modsim3d.errors import InputError
 
 GOSPA = {"score": "gospa", "at_most": 50}
 HOTA = {"score": "hota", "at_least": 0.5}
-DETECTORS = {"vary": [{"grid": {"detector": ["DET1", "DET2"]}}]}
+DETECTORS = {"vary": [{"grid": {"detector": ["coastal", "conditions/foggy_clear"]}}]}
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ DETECTORS = {"vary": [{"grid": {"detector": ["DET1", "DET2"]}}]}
     [
         ({"stop": "sequential"}, GOSPA, "require[0]: with stop: sequential a mean needs"),
         ({}, {**GOSPA, "where": {"state": "bad"}}, "require[0].score: gospa is not known of a state"),
-        (DETECTORS, {**HOTA, "where": {"state": "STATE"}}, "the detector of condition 1 has no state 'STATE'"),
+        (DETECTORS, {**HOTA, "where": {"state": "haze"}}, "the detector of condition 1 has no state 'haze'"),
     ],
 )
 def test_a_requirement_that_cannot_be_judged_is_refused(keys, requirement, said, tmp_path):
