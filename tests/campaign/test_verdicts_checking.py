@@ -7,10 +7,9 @@ from modsim3d.campaign.file.reading import read_campaign
 from modsim3d.campaign.work.checking import checked
 from modsim3d.errors import InputError
 
-
 GOSPA = {"score": "gospa", "at_most": 50}
 HOTA = {"score": "hota", "at_least": 0.5}
-DETECTORS = {"vary": [{"grid": {"detector": ["coastal", "conditions/foggy_clear"]}}]}
+DETECTORS = {"vary": [{"grid": {"detector": ["thesis", "conditions/foggy_clear"]}}]}
 
 
 @pytest.mark.parametrize(
@@ -18,7 +17,7 @@ DETECTORS = {"vary": [{"grid": {"detector": ["coastal", "conditions/foggy_clear"
     [
         ({"stop": "sequential"}, GOSPA, "require[0]: with stop: sequential a mean needs"),
         ({}, {**GOSPA, "where": {"state": "bad"}}, "require[0].score: gospa is not known of a state"),
-        (DETECTORS, {**HOTA, "where": {"state": "haze"}}, "the detector of condition 1 has no state 'haze'"),
+        (DETECTORS, {**HOTA, "where": {"state": "bad"}}, "the detector of condition 1 has no state 'bad'"),
     ],
 )
 def test_a_requirement_that_cannot_be_judged_is_refused(keys, requirement, said, tmp_path):
