@@ -10,6 +10,7 @@ from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.file.reading import CampaignFile
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
+from modsim3d.campaign.work.requirement_problems import judging_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.errors import InputError, ModsimError
@@ -148,6 +149,7 @@ def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[s
         if requirement.score not in SCORES:
             yield f"{where}.score: there is no score '{requirement.score}' ({nearest(requirement.score, SCORES)})"
         yield from _where_problems(requirement, where, plan, labels, states)
+        yield from judging_problems(requirement, where, plan, facts)
 
 
 def _where_problems(

@@ -1,0 +1,60 @@
+"""What a plan can never show, known before its first run."""
+
+from __future__ import annotations
+
+import math
+
+from modsim3d.campaign.file.keys import CampaignKeys, Requirement
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
+from modsim3d.campaign.verdicts.proportions import clean_seeds_needed, clean_seeds_needed_sequential
+from modsim3d.campaign.verdicts.wording import requirement_text
+from modsim3d.campaign.work.score_bounds import score_bounds
+
+
+def warnings_of(plan: Plan) -> list[str]:
+    """What should be said of the requirements of a plan before it is run, a sentence each."""
+    found = []
+    for place, requirement in enumerate(plan.keys.require):
+        if reason := never_met(plan.keys, requirement):
+            text = requirement_text(requirement)
+            found.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")
+    if plan.keys.require and any(factor.latin_hypercube for factor in plan.keys.vary):
+        found.append(
+            "latin_hypercube: its points depend on each other, and the bounds of requirements take traffic seeds for "
+            "independent. They are usually too wide then, but that is not certain; uniform has independent points"
+        )
+    return found
+
+
+def never_met(keys: CampaignKeys, requirement: Requirement) -> str:
+    """Why a plan is too small to meet a requirement, whatever its runs give; empty if it is not."""
+    seeds = keys.seeds.traffic
+    if requirement.share is not None:
+        return _share_never_met(requirement.share, requirement.confidence, keys.stop, seeds)
+    least, greatest = score_bounds(requirement.score, keys.score)
+    at_least = requirement.at_least is not None
+    if requirement.threshold > greatest if at_least else requirement.threshold < least:
+        return f"{requirement.score} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
+    if keys.stop == "once":
+        return "a mean needs two traffic seeds" if seeds < 2 else ""
+    asked = requirement.threshold - least if at_least else greatest - requirement.threshold
+    needed = perfect_seeds_needed(asked / (greatest - least), requirement.confidence)
+    if math.isinf(needed):
+        return f"no number of runs shows that a mean is the {'greatest' if at_least else 'least'} possible value"
+    if needed > seeds:
+        return (
+            f"with stop: sequential it needs {needed:,} traffic seeds even if every score is perfect, and has {seeds:,}"
+        )
+    return ""
+
+
+def _share_never_met(share: float, confidence: float, stop: str, seeds: int) -> str:
+    if stop == "once":
+        needed, next_size = (clean_seeds_needed(share, confidence, failures) for failures in (0, 1))
+        if needed > seeds:
+            sizes = f"{needed:,} traffic seeds that are all right, or {next_size:,} if one is not"
+            return f"it needs {sizes}, and has {seeds:,}"
+    elif (needed := clean_seeds_needed_sequential(share, confidence)) > seeds:
+        return f"with stop: sequential it needs {needed:,} traffic seeds that are all right, and has {seeds:,}"
+    return ""

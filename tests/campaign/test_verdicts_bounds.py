@@ -1,0 +1,153 @@
+"""Bounds of proportions and means: their definitions, their limits, and how often they err at the threshold."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from modsim3d.campaign.verdicts.betting import STAKES, betting_bounds, log_capital, perfect_seeds_needed
+from modsim3d.campaign.verdicts.bounds import mean_bounds, share_bounds
+from modsim3d.campaign.verdicts.means import t_bounds
+from modsim3d.campaign.verdicts.proportions import (
+    clean_seeds_needed,
+    clean_seeds_needed_sequential,
+    exact_bounds,
+    mixture_bounds,
+    mixture_log_capital,
+)
+
+ALPHA = 0.05
+MANY = 100_000
+UNIT = (0.0, 1.0)
+
+
+def test_99_percent_at_95_percent_confidence_needs_299_clean_seeds_and_473_with_one_failure():
+    assert [clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
+    assert clean_seeds_needed_sequential(0.99, 0.95) == 680
+
+
+@given(st.integers(1, 400), st.data(), st.floats(0.005, 0.5))
+def test_exact_bounds_are_where_the_binomial_tails_have_the_level(seeds, data, alpha):
+    right = data.draw(st.integers(0, seeds))
+    low, high = exact_bounds(right, seeds, alpha)
+    assert low == 0 if right == 0 else math.isclose(stats.binom.sf(right - 1, seeds, low), alpha, rel_tol=1e-7)
+    assert high == 1 if right == seeds else math.isclose(stats.binom.cdf(right, seeds, high), alpha, rel_tol=1e-7)
+
+
+@given(st.floats(0.5, 0.999), st.floats(0.5, 0.99), st.integers(0, 3))
+def test_the_needed_seeds_are_the_fewest_whose_exact_bound_reaches_the_share(share, confidence, failures):
+    needed = clean_seeds_needed(share, confidence, failures)
+    assert exact_bounds(needed - failures, needed, 1 - confidence)[0] >= share - 1e-12
+    if needed - 1 > failures:
+        assert exact_bounds(needed - 1 - failures, needed - 1, 1 - confidence)[0] < share + 1e-12
+
+
+def test_the_mixture_is_the_integral_of_the_likelihood_over_jeffreys_prior():
+    right = np.array([True, True, False, True])
+    shares = np.sin(np.linspace(0, np.pi / 2, 200_001)) ** 2  # equally likely by beta(1/2, 1/2)
+    expected = np.log(np.mean(shares**3 * (1 - shares))) - np.log(0.7**3 * 0.3)
+    assert mixture_log_capital(right, 0.7)[-1] == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_capital_is_the_sum_of_what_each_stake_came_to():
+    values, mean = np.array([0.9, 0.2, 0.7]), 0.6
+    weights = 1 / np.arange(1, len(STAKES) + 1)
+    by_hand = [
+        np.prod([1 + stake * (value - mean) / mean for value in values]) * weight
+        for stake, weight in zip(STAKES, weights / weights.sum(), strict=True)
+    ]
+    assert log_capital(values, mean)[-1] == pytest.approx(math.log(sum(by_hand)))
+
+
+@settings(max_examples=50)
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=60))
+def test_bounds_of_a_mean_lie_below_the_greatest_mean_so_far_mirror_each_other_and_only_close_in(values):
+    values = np.array(values)
+    low, high = betting_bounds(values, ALPHA)
+    assert 0 <= low <= np.max(np.cumsum(values) / np.arange(1, len(values) + 1)) + 1e-9
+    mirrored = betting_bounds(1 - values, ALPHA)
+    assert (1 - mirrored[1], 1 - mirrored[0]) == pytest.approx((low, high), abs=1e-8)
+    earlier = betting_bounds(values[: len(values) // 2 + 1], ALPHA)
+    assert low >= earlier[0] - 1e-9 and high <= earlier[1] + 1e-9
+
+
+@settings(max_examples=50)
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.floats(0.01, 0.3))
+def test_bounds_of_a_share_exclude_what_the_capital_excludes(right, alpha):
+    right = np.array(right)
+    low, high = mixture_bounds(right, alpha)
+    shares = np.linspace(0.001, 0.999, 199)
+    found = np.cumsum(right) / np.arange(1, len(right) + 1)
+    for share in shares:
+        excluded = mixture_log_capital(right, share) >= -math.log(alpha)
+        assert (share < low - 1e-9) <= bool(np.any(excluded & (found > share)))
+        assert (share > high + 1e-9) <= bool(np.any(excluded & (found < share)))
+        assert not np.any(excluded) or share <= low + 1e-9 or share >= high - 1e-9
+
+
+@pytest.mark.parametrize("stop", ["once", "sequential"])
+@pytest.mark.parametrize("clean", [True, False])
+def test_a_hundred_thousand_seeds_all_alike_give_finite_bounds(stop, clean):
+    found = share_bounds(np.full(MANY, clean), 0.95, stop)
+    low, high = (found.low, found.high) if clean else (1 - found.high, 1 - found.low)
+    assert 1 - 2e-4 < low < 1 and high == 1
+
+
+def test_ten_thousand_values_all_alike_give_finite_bounds():
+    for value in (0.0, 0.5, 1.0):
+        low, high = betting_bounds(np.full(10_000, value), ALPHA)
+        assert low <= value <= high and high - low < 0.05
+
+
+def test_a_mean_close_to_its_greatest_value_needs_as_many_seeds_as_it_says():
+    needed = perfect_seeds_needed(0.99, 0.95)
+    assert betting_bounds(np.ones(needed), ALPHA)[0] >= 0.99 > betting_bounds(np.ones(needed - 1), ALPHA)[0]
+    assert math.isinf(perfect_seeds_needed(1.0, 0.95))
+
+
+def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
+    # Student (1908): the additional hours of sleep by ten patients; two-sided 90 % as two one-sided 95 %
+    hours = np.array([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
+    assert t_bounds(hours, 0.05) == pytest.approx((1.169, 3.491), abs=0.001)
+    assert t_bounds(np.full(10, 0.1), 0.05) is None
+    assert t_bounds(np.array([1.0]), 0.05) is None
+
+
+def test_bounds_that_contradict_each_other_stay_where_they_were_before():
+    values = np.concatenate([np.ones(60), np.zeros(200)])
+    found = mean_bounds(values, values, 0.95, "sequential", UNIT)
+    assert found.low <= found.high
+    low, high = betting_bounds(values, ALPHA)
+    assert low > high and found.low == low
+
+
+def campaigns(rng, share, seeds, count=400):
+    return rng.random((count, seeds)) < share
+
+
+@pytest.mark.parametrize("share", [0.99, 0.9, 0.5])
+def test_a_sequence_of_a_share_errs_at_most_five_percent_however_often_it_is_looked_at(share):
+    right = campaigns(np.random.default_rng(1), share, 2_000)
+    ever = np.any(mixture_log_capital(right, share) >= -math.log(ALPHA), axis=1)
+    assert ever.mean() <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(ever))
+
+
+def test_looking_at_exact_bounds_at_299_and_at_473_errs_more_than_five_percent():
+    right = campaigns(np.random.default_rng(2), 0.99, 473, 20_000)
+    met = [(~right[:, :size]).sum(axis=1) <= failures for size, failures in ((299, 0), (473, 1))]
+    once, twice = met[0].mean(), (met[0] | met[1]).mean()
+    assert once == pytest.approx(0.05, abs=0.005)
+    assert twice == pytest.approx(0.076, abs=0.006)
+
+
+@pytest.mark.parametrize("draw", ["two-point", "beta"])
+def test_a_sequence_of_a_mean_errs_at_most_five_percent_each_way(draw):
+    rng, shape = np.random.default_rng(3), (300, 500)
+    values = rng.beta(2.0, 0.5, shape) if draw == "beta" else np.where(rng.random(shape) < 0.9, 0.98, 0.0)
+    mean = 0.8 if draw == "beta" else 0.9 * 0.98
+    for above, threshold in ((values, mean), (1 - values, 1 - mean)):
+        ever = np.any(log_capital(above, threshold) >= -math.log(ALPHA), axis=1)
+        assert ever.mean() <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(ever))

@@ -1,0 +1,185 @@
+"""Requirements against tables written by hand: what is met, failed or undecided, and why."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from modsim3d.campaign.verdicts.judging import judged
+from modsim3d.campaign.verdicts.levels import levels_of
+from modsim3d.campaign.verdicts.paired import paired
+from modsim3d.campaign.verdicts.plan_warnings import warnings_of
+from modsim3d.campaign.work.row import table_of
+from tests.campaign.hand_made_tables import plan_of, table_of_scores
+
+CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
+HOTA = {"score": "hota", "at_least": 0.6}
+
+
+def one(plan, score, values, crashed=()):
+    (verdict,) = judged(plan, table_of_scores(plan, score, values, crashed))
+    return verdict
+
+
+@pytest.mark.parametrize(
+    ("seeds", "wrong", "outcome"),
+    [(299, 0, "met"), (298, 0, "undecided"), (299, 1, "undecided"), (473, 1, "met"), (299, 20, "failed")],
+)
+def test_a_share_is_met_from_299_clean_seeds_on_or_473_with_one_failure(seeds, wrong, outcome):
+    verdict = one(plan_of(seeds, [CLEAN]), "id_switches", [1] * wrong + [0] * (seeds - wrong))
+    assert (verdict.outcome, verdict.seeds) == (outcome, seeds)
+
+
+@pytest.mark.parametrize(("seeds", "outcome"), [(680, "met"), (679, "undecided")])
+def test_a_sequential_share_is_met_from_680_clean_seeds_on(seeds, outcome):
+    plan = plan_of(1000, [CLEAN], stop="sequential")
+    assert one(plan, "id_switches", [0] * seeds).outcome == outcome
+
+
+def test_a_campaign_that_is_looked_at_once_decides_nothing_before_its_end():
+    verdict = one(plan_of(300, [CLEAN]), "id_switches", [0] * 299)
+    assert (verdict.outcome, verdict.low, verdict.high) == ("undecided", None, None)
+    assert "299 traffic seeds of 300 are done, 1 so far" in verdict.why
+
+
+def test_a_seed_is_right_if_the_runs_with_all_its_detector_seeds_are():
+    plan = plan_of(3, [{**CLEAN, "in": 0.5}], detector=2)
+    assert one(plan, "id_switches", [[0, 0], [0, 1], [1, 0]]).estimate == pytest.approx(1 / 3)
+
+
+def test_a_mean_is_one_over_seeds_of_means_over_their_runs():
+    values = np.array([[0.7, 0.9], [0.6, np.nan], [0.5, 0.5]])
+    verdict = one(plan_of(3, [HOTA], detector=2), "hota", values)
+    seeds = np.array([0.8, 0.6, 0.5])
+    assert verdict.estimate == pytest.approx(seeds.mean())
+    assert verdict.low == pytest.approx(seeds.mean() - 2.920 * seeds.std(ddof=1) / 3**0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(("requirement", "mean", "outcome"), [
+    ({"score": "hota", "at_least": 0.6}, 0.7, "met"), ({"score": "hota", "at_least": 0.6}, 0.5, "failed"),
+    ({"score": "hota", "at_most": 0.6}, 0.7, "failed"), ({"score": "hota", "at_most": 0.6}, 0.5, "met"),
+    ({"score": "hota", "at_least": 0.6}, 0.6, "undecided"),
+])  # fmt: skip
+@pytest.mark.parametrize("stop", ["once", "sequential"])
+def test_a_mean_is_judged_on_the_side_that_the_requirement_names(requirement, mean, outcome, stop):
+    values = mean + 0.05 * np.tile([-1, 1], 50)
+    assert one(plan_of(100, [requirement], stop=stop), "hota", values).outcome == outcome
+
+
+def test_equal_values_prove_nothing_of_a_mean():
+    verdict = one(plan_of(50, [HOTA]), "hota", [0.7] * 50)
+    assert verdict.outcome == "undecided" and "`in`" in verdict.why
+
+
+def test_a_crashed_run_counts_as_wrong_and_never_drops_out():
+    verdict = one(plan_of(299, [CLEAN]), "id_switches", [0] * 299, crashed={7})
+    assert (verdict.outcome, verdict.seeds, verdict.crashed) == ("undecided", 299, 1)
+    assert verdict.estimate == pytest.approx(298 / 299)
+
+
+@pytest.mark.parametrize(("crashed", "outcome"), [(1, "met"), (30, "undecided")])
+def test_a_mean_with_crashed_runs_must_hold_with_the_worst_value_in_their_place(crashed, outcome):
+    values = 0.7 + 0.02 * np.tile([-1, 1], 50)
+    assert one(plan_of(100, [HOTA]), "hota", values, crashed=range(crashed)).outcome == outcome
+
+
+def test_a_mean_fails_only_if_it_does_with_the_best_value_in_place_of_crashed_runs():
+    values = 0.5 + 0.02 * np.tile([-1, 1], 50)
+    assert one(plan_of(100, [HOTA]), "hota", values, crashed=range(2)).outcome == "failed"
+    assert one(plan_of(100, [HOTA]), "hota", values, crashed=range(30)).outcome == "undecided"
+
+
+def test_a_crashed_run_leaves_a_mean_without_worst_value_undecided():
+    verdict = one(plan_of(10, [{"score": "gospa", "at_most": 50}]), "gospa", np.arange(10.0), crashed={3})
+    assert verdict.outcome == "undecided" and verdict.high is None
+
+
+def test_seeds_without_a_value_are_counted_apart_and_named():
+    values = [0.7, np.nan, 0.72, 0.71, np.nan]
+    verdict = one(plan_of(5, [HOTA]), "hota", values)
+    assert (verdict.seeds, verdict.undefined, verdict.outcome) == (3, 2, "met")
+    assert "1000001, 1000004" in verdict.why
+
+
+def test_each_tracker_and_each_condition_has_a_verdict_and_drawn_values_split_nothing():
+    vary = [{"grid": {"detector.miss_rate": [0.1, 0.2]}}, {"uniform": {"waves.level": [0, 3]}}]
+    plan = plan_of(
+        4, [HOTA, {**HOTA, "where": {"tracker": "sort", "detector.miss_rate": 0.2}}], ("bytetrack", "sort"), vary=vary
+    )
+    values = np.tile([0.1, 0.2, 0.3, 0.4], 4) + np.repeat([0.01, 0.02, 0.03, 0.04], 4)  # seed, condition, tracker
+    verdicts = judged(plan, table_of_scores(plan, "hota", values))
+    found = [(each.requirement, each.tracker, each.values["detector.miss_rate"], each.estimate) for each in verdicts]
+    expected = [
+        (0, "bytetrack", 0.1, 0.125),
+        (0, "bytetrack", 0.2, 0.325),
+        (0, "sort", 0.1, 0.225),
+        (0, "sort", 0.2, 0.425),
+        (1, "sort", 0.2, 0.425),
+    ]
+    assert [each[:3] for each in found] == [each[:3] for each in expected]
+    assert [each[3] for each in found] == pytest.approx([each[3] for each in expected])
+    assert levels_of(plan).any_wrong == pytest.approx(0.25) and levels_of(plan).all_met == pytest.approx(0.05)
+
+
+def test_a_state_within_the_runs_has_columns_of_its_own():
+    plan = plan_of(3, [{**HOTA, "where": {"state": ["haze", "clear"]}}])
+    rows = [
+        {
+            "run": run,
+            "status": "done",
+            "hota": 0.9,
+            "state.haze.hota": 0.5 + run / 100,
+            "state.clear.hota": 0.8 + run / 100,
+        }
+        for run in range(3)
+    ]
+    haze, clear = judged(plan, table_of(rows))
+    assert (haze.outcome, clear.outcome) == ("failed", "met")
+    assert haze.text == "hota at least 0.6 in state haze" and haze.values == {"state": "haze"}
+
+
+def test_rows_behind_a_missing_one_do_not_count():
+    plan = plan_of(1000, [{**CLEAN, "in": 0.5}], stop="sequential")
+    table = table_of_scores(plan, "id_switches", [0] * 20)
+    (verdict,) = judged(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))
+    assert verdict.seeds == 5
+
+
+def test_a_plan_that_is_too_small_is_said_so_before_it_starts():
+    (once,) = warnings_of(plan_of(298, [CLEAN]))
+    assert "299 traffic seeds that are all right, or 473 if one is not, and has 298" in once
+    (sequential,) = warnings_of(plan_of(679, [CLEAN], stop="sequential"))
+    assert "680" in sequential
+    assert warnings_of(plan_of(299, [CLEAN])) == warnings_of(plan_of(680, [CLEAN], stop="sequential")) == []
+    assert warnings_of(plan_of(50, [{"score": "hota", "at_least": 1.2}]))
+    assert warnings_of(plan_of(1, [HOTA]))
+
+
+def test_pairing_takes_off_what_both_trackers_share():
+    plan = plan_of(40, [], ("bytetrack", "sort"))
+    rng = np.random.default_rng(4)
+    traffic, own = rng.normal(0.6, 0.05, (40, 1)), rng.normal(0, 0.01, (40, 2))
+    values = traffic + own + [0.03, 0.0]
+    (found,) = paired(plan, table_of_scores(plan, "hota", values), "hota")
+    difference = values[:, 0] - values[:, 1]
+    assert (found.first, found.second, found.seeds) == ("bytetrack", "sort", 40)
+    assert found.mean == pytest.approx(difference.mean())
+    assert found.high - found.mean == pytest.approx(2.0227 * difference.std(ddof=1) / 40**0.5, rel=1e-4)
+    assert found.variance_ratio == pytest.approx(values.var(axis=0, ddof=1).sum() / difference.var(ddof=1))
+    assert found.variance_ratio > 10
+
+
+def test_a_sequential_difference_has_an_interval_only_if_the_score_has_bounds():
+    plan = plan_of(400, [], ("bytetrack", "sort"), stop="sequential")
+    values = np.tile([[0.9, 0.3], [0.8, 0.4]], (100, 1))
+    (found,) = paired(plan, table_of_scores(plan, "hota", values), "hota")
+    assert found.low < 0.5 < found.high and found.low > 0.3
+    (unbounded,) = paired(plan, table_of_scores(plan, "gospa", values), "gospa")
+    assert unbounded.low is unbounded.high is None and unbounded.mean == pytest.approx(0.5)
+
+
+def test_a_crashed_run_widens_a_paired_difference_and_does_not_drop_out():
+    plan = plan_of(100, [], ("bytetrack", "sort"))
+    values = np.tile([[0.7, 0.5], [0.68, 0.5]], (50, 1))
+    whole, lost = (paired(plan, table_of_scores(plan, "hota", values, crashed), "hota")[0] for crashed in ((), (6,)))
+    assert (lost.crashed, lost.seeds) == (1, 99)
+    assert lost.low < whole.low and lost.high > whole.high
