@@ -18,7 +18,6 @@ from modsim3d.paths import StrPath, as_path
 from modsim3d.scene.keys import AnnotationKeys, SceneKeys
 from modsim3d.scene.parts import SceneParts
 
-
 _NOT_OF_TRUTH = ("seed", "detector", "detector_seed")
 
 
