@@ -13,7 +13,15 @@ from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, truth_digest
 from modsim3d.campaign.work.latest import Latest
-from modsim3d.campaign.work.layer_tables import DETECTIONS, TRACKS, TRUTH, TruthLayer, rows_of, stored_detections, tracks_of_table
+from modsim3d.campaign.work.layer_tables import (
+    DETECTIONS,
+    TRACKS,
+    TRUTH,
+    TruthLayer,
+    rows_of,
+    stored_detections,
+    tracks_of_table,
+)
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.stored_layers import StoredLayers
 from modsim3d.runs.camera_sequences import sequences_of

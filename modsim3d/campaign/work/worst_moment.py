@@ -29,12 +29,18 @@ class Mistakes:
         seconds: What it counts, shape (n,): of the first two kinds the time that the frame stands for; of a switch the
             whole window, since whoever watches that track has lost the vessel.
         boxes_px: The vessel's box, or the track's of the second kind, shape (n, 4).
+        vessel: Index of the vessel, `NOBODY` of the second kind, shape (n,).
+        before: Number of the track that followed the vessel before a switch, else `NOBODY`, shape (n,).
+        after: Number of the track that does so from the switch on, else `NOBODY`, shape (n,).
     """
 
     kind: Indices
     frame: Indices
     seconds: Array
     boxes_px: Array
+    vessel: Indices
+    before: Indices
+    after: Indices
 
     @classmethod
     def of(cls, scored: Scored) -> Mistakes:
@@ -43,23 +49,39 @@ class Mistakes:
         truth, tracks = following.truth, following.tracks
         lost = truth_rows[~following.found[truth_rows]]
         false = scored.track_rows[following.false[scored.track_rows]]
-        switched = _switches(scored)
+        switched, before, after = _switches(scored)
         frame = np.concatenate([truth.frame[lost], tracks.frame[false], truth.frame[switched]])
         seconds = frame_lengths_s(scored, frame)
         seconds[len(lost) + len(false) :] = WINDOW_S
-        boxes_px = np.concatenate([truth.boxes_px[lost], tracks.boxes_px[false], truth.boxes_px[switched]])
-        kind = np.repeat([LOST, FALSE, SWITCHED], [len(lost), len(false), len(switched)])
-        order = np.argsort(frame, kind="stable")
-        return cls(kind[order], frame[order], seconds[order], boxes_px[order])
+        nobody = np.full(len(lost) + len(false), NOBODY)
+        every = cls(
+            np.repeat([LOST, FALSE, SWITCHED], [len(lost), len(false), len(switched)]),
+            frame,
+            seconds,
+            np.concatenate([truth.boxes_px[lost], tracks.boxes_px[false], truth.boxes_px[switched]]),
+            np.concatenate([truth.vessel[lost], nobody[: len(false)], truth.vessel[switched]]),
+            np.concatenate([nobody, before]),
+            np.concatenate([nobody, after]),
+        )
+        return every._take(np.argsort(frame, kind="stable"))
+
+    def in_frame(self, frame: int) -> Mistakes:
+        """Those in one frame, by its number."""
+        return self._take(np.flatnonzero(self.frame == frame))
+
+    def _take(self, rows: Indices) -> Mistakes:
+        return Mistakes(**{name: column[rows] for name, column in vars(self).items()})
 
 
-def _switches(scored: Scored) -> Indices:
-    """Rows of the matching's vessels at which an appearance is followed by another track than last, shape (s,)."""
-    truth, (rows, tracks) = scored.following.truth, scored.pairs
+def _switches(scored: Scored) -> tuple[Indices, Indices, Indices]:
+    """Rows of the matching's vessels at which an appearance is followed by another track than last; the number of the
+    last track, and that of the other one, each of shape (s,)."""
+    truth, tracks, (rows, track_rows) = scored.following.truth, scored.following.tracks, scored.pairs
     order = np.lexsort((truth.frame[rows], truth.identity[rows]))
-    rows, track = rows[order], scored.following.tracks.identity[tracks[order]]
-    same = np.diff(truth.identity[rows]) == 0
-    return np.asarray(rows[1:][same & (np.diff(track) != 0)], dtype=np.int64)
+    rows, track_rows = rows[order], track_rows[order]
+    switched = (np.diff(truth.identity[rows]) == 0) & (np.diff(tracks.identity[track_rows]) != 0)
+    number = tracks.track[track_rows]
+    return rows[1:][switched], number[:-1][switched], number[1:][switched]
 
 
 def worst_moment_s(scored: Scored) -> float | None:
@@ -94,7 +116,7 @@ def step_at(scored: Scored, moment_s: float) -> int:
 
 
 def worst_frame(scored: Scored, mistakes: Mistakes, moment_s: float) -> int:
-    """Number of the frame with most mistakes at a moment; the first camera's last frame where there are none."""
+    """Number of the frame with most mistakes at a moment; where there are none, of the last frame before it."""
     step, cameras = step_at(scored, moment_s), scored.by_step
     here = mistakes.frame[mistakes.frame // cameras == step]
     if not len(here):
