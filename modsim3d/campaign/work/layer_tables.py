@@ -1,4 +1,4 @@
-"""The tables in which layers are kept on the disk: those of a run, each row of the truth without the detector's part."""
+"""The tables in which layers are kept on the disk: those of a run, with the detector's part of the truth apart."""
 
 from __future__ import annotations
 

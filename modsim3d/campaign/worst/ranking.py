@@ -88,13 +88,11 @@ def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
     if not verdicts:
         yield [_ranking(table, [USUAL_SCORE], np.ones(len(table), dtype=bool), lowest=True)]
     for outcome in _OUTCOMES:
-        places = dict.fromkeys(verdict.requirement for verdict in verdicts if verdict.outcome == outcome)
-        yield [
-            _of_requirement(
-                plan, table, [each for each in verdicts if (each.requirement, each.outcome) == (place, outcome)]
-            )
-            for place in places
-        ]
+        by_requirement: dict[int, list[Verdict]] = {}
+        for verdict in verdicts:
+            if verdict.outcome == outcome:
+                by_requirement.setdefault(verdict.requirement, []).append(verdict)
+        yield [_of_requirement(plan, table, each) for each in by_requirement.values()]
 
 
 def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> _Ranking:
