@@ -113,7 +113,7 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
     options = _score_options(campaign.keys.score)
     print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")
     if film is None and moment_s is not None:
-        print_line(console, f"  modsim3d view {out} --frame {moment_s:g}s --tracks {tracks} --crop vessels")
+        print_line(console, f"  modsim3d view {out} --frame {moment_s}s --tracks {tracks} --crop vessels")
     print_line(console, f"  modsim3d report {out} --tracks {tracks}")
 
 
