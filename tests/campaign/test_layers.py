@@ -20,8 +20,8 @@ from modsim3d.errors import OutputError
 
 CAMPAIGN = """
 scene: harbour
-steps: 25
-seeds: {{traffic: 2, detector: 2}}
+steps: 15
+seeds: {{traffic: 1, detector: 2}}
 trackers: [{trackers}]
 keep: [{keep}]
 """
@@ -71,9 +71,9 @@ def test_a_second_campaign_with_another_tracker_makes_no_truth_and_no_detections
     kept: CampaignResult, cache: Path, made: Counter[str], tmp_path: Path
 ) -> None:
     with_cache = run(tmp_path, "with", "ocsort, sort", cache=cache)
-    assert made == {"tracks": 4}  # those of ocsort
+    assert made == {"tracks": 2}  # those of ocsort
     without = run(tmp_path, "without", "ocsort, sort")
-    assert made["truth"] == 1 and made["detections"] == 4  # harbour has one traffic
+    assert made["truth"] == 1 and made["detections"] == 2
     assert with_cache.table.equals(without.table)
     assert bytes_of(with_cache) == bytes_of(without)
     sort = without.table.filter(pa.compute.equal(without.table["tracker"], "sort"))["hota"].to_pylist()
@@ -84,10 +84,9 @@ def test_what_is_kept_changes_no_row(kept: CampaignResult, tmp_path: Path) -> No
     assert run(tmp_path, "none", "reference, sort").table.equals(kept.table)
 
 
-@pytest.mark.parametrize("layer", ["truth", "detections", "tracks"])
-def test_only_the_layers_that_are_named_are_written(layer: str, tmp_path: Path) -> None:
-    result = run(tmp_path, "one", "sort", layer)
-    assert [path.name for path in (result.folder.path / "cache").iterdir()] == [layer]
+def test_only_the_layers_that_are_named_are_written(tmp_path: Path) -> None:
+    result = run(tmp_path, "one", "sort", "detections")
+    assert [path.name for path in (result.folder.path / "cache").iterdir()] == ["detections"]
 
 
 @pytest.mark.parametrize("layer", ["truth", "detections", "tracks"])

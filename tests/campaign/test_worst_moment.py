@@ -53,13 +53,13 @@ def test_an_identity_switch_is_found_among_short_losses() -> None:
 def test_a_track_on_nothing_is_a_mistake_in_the_camera_that_has_it() -> None:
     truth, tracks = followed(0, 0)
     truth, tracks = [(2 * step, *row) for step, *row in truth], [(2 * step, *row) for step, *row in tracks]
-    false = [(2 * step + 1, 7, FAR) for step in range(10, 13)]
+    false = [(2 * step + 1, 7, FAR) for step in range(30, 33)]
     scored = hand_made(truth, tracks + false, STEPS, cameras=2)
-    assert worst_moment_s(scored) == 11.0
+    assert worst_moment_s(scored) == 31.0
     mistakes = Mistakes.of(scored)
     assert mistakes.kind.tolist() == [FALSE] * 3
-    assert worst_frame(scored, mistakes, 11.0) == 2 * 11 + 1
-    assert worst_frame(scored, mistakes, 30.0) == 2 * 30 + 1  # nothing is wrong there
+    assert worst_frame(scored, mistakes, 31.0) == 2 * 31 + 1
+    assert worst_frame(scored, mistakes, 12.0) == 2 * 12 + 1  # nothing is wrong there
 
 
 def test_what_is_not_scored_is_no_mistake() -> None:
