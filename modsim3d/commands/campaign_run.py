@@ -62,7 +62,7 @@ def campaign_run_command(
     if film:
         check_encoder("mp4")
     try:
-        with timed("run, tracks and scores"), progress(f"run {number}", None) as advance:
+        with timed("run, tracks and scores"), progress(f"run {number}", campaign.keys.steps) as advance:
             again = make_again(campaign, number, out, overwrite=overwrite, progress=advance)
     except KeyboardInterrupt:
         say("\nmodsim3d: interrupted; the same command with --overwrite begins again", err=True)
@@ -100,6 +100,7 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
     console, out, tracks = open_console(), shlex.quote(str(again.folder)), shlex.quote(str(again.tracks))
     if again.row is not None:
         print_table(console, "scores", _score_rows(campaign, again), header=HEADER, right=(1, 2))
+    print_line(console, "")
     for sentence in _sentences(again):
         print_prose(console, sentence, "bold")
     if again.error is not None:
