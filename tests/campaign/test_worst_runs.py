@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from PIL import Image
 
 from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import row_of, rules_of
+from modsim3d.campaign.work.worst_moment import Mistakes
 from modsim3d.campaign.worst import again, film
-from modsim3d.campaign.worst.picture import moment_picture
+from modsim3d.campaign.worst.picture import in_words, moment_picture
 from modsim3d.campaign.worst.ranking import WorstRun, worst_runs
 from modsim3d.campaign.worst.remaking import remade
 from modsim3d.errors import ModsimError
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.commands.conftest import Modsim3d, modsim3d
+from tests.tracking.hand_made import box, hand_made
 
 __all__ = ["modsim3d"]
 CAMPAIGN = """
@@ -110,6 +117,22 @@ def test_no_run_is_named_twice(campaign: CampaignResult) -> None:
     every = found(campaign, verdict(0, "failed"), verdict(1, "failed"), verdict(0, "met", "hasty"), count=99)
     numbers = [each.number for each in every]
     assert len(numbers) == len(set(numbers)) == 9
+    assert every[1].score == "hota"  # the first requirement that names a run says why
+
+
+def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> None:
+    requirement = {"score": "hota", "where": {"state": ["good", "bad"]}, "at_least": 0.5}
+    keys = CampaignKeys.model_validate({"scene": "harbour", "trackers": ["sort"], "require": [requirement]})
+    folder = CampaignFolder(tmp_path, {}, Plan.of(keys))
+    same = {name: [0] * 4 for name in ("condition", "traffic_seed", "detector_seed")}
+    scores = {
+        "hota": [0.1, 0.9, 0.9, 0.9],
+        "state.good.hota": [0.9, 0.5, 0.3, None],
+        "state.bad.hota": [0.9, 0.1, 0.8, None],
+    }
+    facts = {"run": [0, 1, 2, 3], "status": ["done"] * 4, "tracker": ["sort"] * 4, "worst_s": [1.0] * 4}
+    worst = worst_runs(folder, pa.table({**facts, **same, **scores}), [verdict(0, "failed")])
+    assert [each.number for each in worst] == [1, 2, 0]  # nothing is known of the last one in these states
 
 
 def test_a_run_that_is_made_again_has_the_row_of_the_campaign(campaign: CampaignResult) -> None:
@@ -129,6 +152,17 @@ def test_the_picture_shows_the_tracks_at_the_moment(campaign: CampaignResult) ->
     images = [np.asarray(Image.open(io.BytesIO(each))) for each in pictures]
     assert images[0].shape[1:] == (640, 3) and len(pictures[0]) < 300_000
     assert images[0].shape != images[1].shape or (images[0] != images[1]).any()
+    none = replace(made, tracks=made.tracks.take(np.empty(0, dtype=np.int64)))
+    assert moment_picture(none, worst.moment_s, 640, rules) != pictures[0]
+
+
+def test_the_head_of_the_picture_says_what_is_wrong() -> None:
+    truth = [(step, vessel, box(100 * vessel)) for step in range(4) for vessel in (0, 1)]
+    tracks = [(step, 8 if step < 3 else 9, box()) for step in range(4)] + [(3, 20, box(400))]
+    scored = hand_made(truth, tracks, 4)
+    names = scored.rows.scene.vessel_names
+    said = in_words(Mistakes.of(scored).in_frame(3), names)
+    assert said == f"1 vessel missed, 1 track on nothing, switch of {names[0]} from #8 to #9"
 
 
 def test_a_number_beyond_the_plan_is_told(campaign: CampaignResult) -> None:

@@ -136,9 +136,10 @@ class Worker:
             return crashed_row(run.number, f"{type(error).__name__}: {error}")
 
     def _layers_of(self, work: Work) -> Layers:
-        if self._layers is None or self._layers[0] != work.plan_sha256:
+        made_of = f"{work.plan_sha256} {work.layers}"
+        if self._layers is None or self._layers[0] != made_of:
             self.close()
-            self._layers = (work.plan_sha256, Layers(work.keys, Path(work.base), work.layers))
+            self._layers = (made_of, Layers(work.keys, Path(work.base), work.layers))
         return self._layers[1]
 
 

@@ -20,8 +20,10 @@ def planned_run(folder: CampaignFolder, number: int) -> PlannedRun:
     """What the plan says of a run.
 
     Raises:
-        ModsimError: The campaign has no such run.
+        ModsimError: The campaign has no such run, or is a search, whose trials are no runs of the plan.
     """
+    if folder.keys.search is not None:
+        raise ModsimError(f"{folder.path} holds a search: its trials cannot be made again")
     if not 0 <= number < len(folder.plan):
         raise ModsimError(f"{folder.path} has runs 0 to {len(folder.plan) - 1} (got {number})")
     return folder.plan.run(number)
