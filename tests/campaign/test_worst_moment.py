@@ -41,6 +41,17 @@ def test_a_vessel_that_is_lost_all_the_time_does_not_hide_what_happens_to_anothe
     assert moment_s is not None and 22 <= moment_s <= 28
 
 
+def test_the_time_until_new_vessels_are_followed_counts_only_where_nothing_else_is_wrong() -> None:
+    late = [followed(vessel, 100 * vessel, range(3)) for vessel in range(3)]
+    truth, tracks = [row for each, _ in late for row in each], [row for _, each in late for row in each]
+    assert worst_moment_s(hand_made(truth, tracks, STEPS)) == 0.0
+    other = followed(3, 300, range(20, 22))
+    assert worst_moment_s(hand_made(truth + other[0], tracks + other[1], STEPS)) == 20.0
+    never = followed(4, 500, range(STEPS))
+    moment_s = worst_moment_s(hand_made(truth + never[0], tracks + never[1], STEPS))
+    assert moment_s is not None and moment_s >= 5  # a vessel that is 5 s old should be followed
+
+
 def test_an_identity_switch_is_found_among_short_losses() -> None:
     switch, short = followed(0, 0, switch=30), followed(1, 100, range(5, 7))
     scored = hand_made(switch[0] + short[0], switch[1] + short[1], STEPS)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.arrays import Array, Indices
+from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.runs.files.columns import NOBODY
 from modsim3d.tracking.scores.frame_times import frame_lengths_s
 from modsim3d.tracking.scores.scored import Scored
@@ -27,7 +27,8 @@ class Mistakes:
             followed by another track than last. Shape (n,).
         frame: Number of the frame, as in `RunRows`, shape (n,).
         seconds: What it counts, shape (n,): of the first two kinds the time that the frame stands for; of a switch the
-            whole window, since whoever watches that track has lost the vessel.
+            whole window, since whoever watches that track has lost the vessel. Nothing while a vessel is new: it was
+            never followed, and came less than a window ago.
         boxes_px: The vessel's box, or the track's of the second kind, shape (n, 4).
         vessel: Index of the vessel, `NOBODY` of the second kind, shape (n,).
         before: Number of the track that followed the vessel before a switch, else `NOBODY`, shape (n,).
@@ -52,6 +53,7 @@ class Mistakes:
         switched, before, after = _switches(scored)
         frame = np.concatenate([truth.frame[lost], tracks.frame[false], truth.frame[switched]])
         seconds = frame_lengths_s(scored, frame)
+        seconds[: len(lost)][_new(scored)[lost]] = 0
         seconds[len(lost) + len(false) :] = WINDOW_S
         nobody = np.full(len(lost) + len(false), NOBODY)
         every = cls(
@@ -73,6 +75,19 @@ class Mistakes:
         return Mistakes(**{name: column[rows] for name, column in vars(self).items()})
 
 
+def _new(scored: Scored) -> Mask:
+    """Which of the matching's vessels were never followed before and came less than a window ago, shape (n,).
+
+    Trackers wait for some detections before they report a track: all of them lose all vessels when a run begins.
+    """
+    truth, rows = scored.following.truth, scored.truth_rows
+    time_s, followed = scored.times_s[truth.frame // scored.by_step], scored.pairs[0]
+    until_s = np.full(int(truth.identity.max(initial=-1)) + 1, np.inf)
+    np.minimum.at(until_s, truth.identity[rows], time_s[rows] + WINDOW_S)
+    np.minimum.at(until_s, truth.identity[followed], time_s[followed])
+    return np.less(time_s, until_s[truth.identity] - 1e-6)
+
+
 def _switches(scored: Scored) -> tuple[Indices, Indices, Indices]:
     """Rows of the matching's vessels at which an appearance is followed by another track than last; the number of the
     last track, and that of the other one, each of shape (s,)."""
@@ -88,7 +103,7 @@ def worst_moment_s(scored: Scored) -> float | None:
     """The moment at which a run went wrong, as its timestamps have it; None if nothing is wrong in it.
 
     Of all stretches of 5 s it is the one with most mistakes, in all cameras together: vessel-seconds in which a vessel
-    is lost, track-seconds in which a track follows nothing, and 5 s for each identity switch (see `Mistakes`). The
+    is lost, track-seconds in which a track follows nothing, and 5 s for each identity switch. See `Mistakes`. The
     moment is the median of the mistakes in that stretch, so that there is one to see. Of equal stretches it is the
     first.
     """
