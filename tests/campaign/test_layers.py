@@ -128,7 +128,7 @@ def test_many_may_write_the_same_layer_at_once(tmp_path: Path) -> None:
         return found is None or found["truth"].equals(table)
 
     with ThreadPoolExecutor(8) as threads:
-        assert all(threads.map(write_and_read, range(100)))
+        assert all(threads.map(write_and_read, range(300)))
     found = stored.read("truth", key, {"truth": schema})
     assert found is not None and found["truth"].equals(table)
     assert [path.name for path in stored.path("truth", key).parent.iterdir()] == [key]  # nothing is left over

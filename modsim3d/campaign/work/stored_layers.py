@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import uuid
@@ -88,8 +89,8 @@ def _put_in_place(partial: Path, final: Path) -> None:
         shutil.rmtree(damaged, ignore_errors=True)
     try:
         partial.rename(final)
-    except OSError:
-        if not final.is_dir():
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # another process was faster
             raise
 
 
