@@ -79,6 +79,7 @@ def run_plan(
     engine: Callable[[], Engine],
     *,
     shard: tuple[int, int] | None = None,
+    cache: Path | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> CampaignResult | None:
     """Run a campaign, or go on with it.
@@ -88,6 +89,7 @@ def run_plan(
         folder: Its folder.
         engine: Opens an engine; not called if there is nothing to do.
         shard: Number of this part, from 1, and of all parts: only its runs are made, and no results are written.
+        cache: The folder of layers on the disk, in place of `cache` in the campaign's.
         progress: Called after each task.
 
     Returns:
@@ -98,13 +100,13 @@ def run_plan(
     """
     if shard is not None:
         here = planned(campaign, folder)
-        _Campaign(campaign, here, shard, progress).make(engine)
+        _Campaign(campaign, here, shard, cache, progress).make(engine)
         return None
     with locked_campaign(folder):
         here = planned(campaign, folder)
         if not here.finished:
             started = time.perf_counter()
-            running = _Campaign(campaign, here, None, progress)
+            running = _Campaign(campaign, here, None, cache, progress)
             end = running.make(engine)
             rows = done_rows(here)
             write_results(here, rows.filter(pc.less(rows["run"], end)))
@@ -121,9 +123,11 @@ class _Campaign:
         campaign: CheckedCampaign,
         folder: CampaignFolder,
         shard: tuple[int, int] | None,
+        cache: Path | None,
         progress: Callable[[Progress], None],
     ) -> None:
         self._campaign, self._folder, self._shard, self._progress = campaign, folder, shard, progress
+        self._common = replace(folder.work, cache=None if cache is None else str(cache.resolve()))
         self._plan = folder.plan
         self._reports: list[TaskReport] = []
         self._looked = 0
@@ -180,7 +184,7 @@ class _Campaign:
                     ahead += 1
                 if not split and not cutter.waiting:
                     break
-                task = split.pop() if split else Task(self._folder.work, tuple(self._plan.runs(cutter.next())))
+                task = split.pop() if split else Task(self._common, tuple(self._plan.runs(cutter.next())))
                 engine.submit(task)
                 tasks, state.running = tasks + 1, state.running + len(task.runs)
             task, report = engine.next()

@@ -85,7 +85,7 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     problems = [*_requirement_problems(plan, facts)]
     if problems:
         raise InputError(f"campaign {file.path}", problems)
-    content = file.keys.model_dump(mode="json", by_alias=True)
+    content = file.keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
     packages = versions()
     sha256 = digest(content, [vars(each) for each in facts], packages)
     return CheckedCampaign(file, plan, tuple(facts), packages, sha256)

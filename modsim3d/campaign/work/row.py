@@ -10,9 +10,11 @@ import pyarrow as pa
 from modsim3d.campaign.file.keys import ScoreKeys
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
+from modsim3d.campaign.work.worst_moment import worst_moment_s
 from modsim3d.tracking.report.numbers import keys_of
 from modsim3d.tracking.scores.rules import Rules, SetDistance
-from modsim3d.tracking.scores.scoring import Part, SubsetScores, score_tracks
+from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracks.similarity import Similarity
 
 DONE, CRASHED = "done", "crashed"
@@ -28,6 +30,7 @@ FACTS: dict[str, pa.DataType] = {
     "tracks_key": pa.string(),
     "simulated_s": pa.float64(),
     "frames": pa.int64(),
+    "worst_s": pa.float64(),
 }
 """Columns that every row has, before those of the scores."""
 SUBSET_KEYS = ("frames", "vessel_frames", "hota", "deta", "assa", "mota", "idf1")
@@ -59,7 +62,8 @@ def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
         made: Its layers.
         rules: By which tracks are scored.
     """
-    scene, scores = made.rows.scene, score_tracks(made.rows, made.tracks, rules)
+    scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules)
+    scores = scores_of(scored)
     times_s = scene.times_s(0, scene.steps)
     row = {
         "run": number,
@@ -70,6 +74,7 @@ def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
         "tracks_key": made.tracks_key[:KEY_LENGTH],
         "simulated_s": float(times_s[-1] - times_s[0]),
         "frames": len(made.rows.frames),
+        "worst_s": worst_moment_s(scored),
         **keys_of(scores),
         **coverage_of(made.rows),
     }

@@ -19,6 +19,7 @@ from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.work.digests import digest
 from modsim3d.campaign.work.layers import Layers
 from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, table_of
+from modsim3d.campaign.work.stored_layers import CACHE_FOLDER
 from modsim3d.errors import OutputError
 
 DONE_FOLDER = "done"
@@ -35,12 +36,19 @@ class Work:
         base: The folder that its paths are relative to.
         folder: The folder of the campaign, which every worker can reach.
         plan_sha256: Checksum of the plan.
+        cache: The folder of layers on the disk; None: `cache` in that of the campaign.
     """
 
     keys: CampaignKeys
     base: str
     folder: str
     plan_sha256: str
+    cache: str | None = None
+
+    @property
+    def layers(self) -> Path:
+        """The folder of layers on the disk."""
+        return Path(self.cache) if self.cache is not None else Path(self.folder) / CACHE_FOLDER
 
 
 @dataclass(frozen=True)
@@ -115,16 +123,23 @@ class Worker:
         return report
 
     def _row(self, run: PlannedRun, work: Work) -> dict[str, object]:
-        """The row of a run; one that fails, for whatever reason, has a row too."""
+        """The row of a run; one that fails, for whatever reason, has a row too.
+
+        Raises:
+            OutputError: A layer that is kept cannot be written.
+        """
         try:
             return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
+        except OutputError:
+            raise  # a layer that cannot be kept: nothing that the run has done
         except Exception as error:
             return crashed_row(run.number, f"{type(error).__name__}: {error}")
 
     def _layers_of(self, work: Work) -> Layers:
-        if self._layers is None or self._layers[0] != work.plan_sha256:
+        made_of = f"{work.plan_sha256} {work.layers}"
+        if self._layers is None or self._layers[0] != made_of:
             self.close()
-            self._layers = (work.plan_sha256, Layers(work.keys, Path(work.base)))
+            self._layers = (made_of, Layers(work.keys, Path(work.base), work.layers))
         return self._layers[1]
 
 

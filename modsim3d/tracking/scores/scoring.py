@@ -109,8 +109,16 @@ def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
     """
     if rules.by_class:
         check_labels(tracks)
-    scored = Scored.of(rows, tracks, rules)
-    names = rows.scene.detector.labels if rules.by_class else ()
+    return scores_of(Scored.of(rows, tracks, rules))
+
+
+def scores_of(scored: Scored) -> Scores:
+    """The same for tracks that are matched already, and whose labels are checked if the rules ask for classes.
+
+    Raises:
+        ModsimError: TrackEval is not installed.
+    """
+    names = scored.rows.scene.detector.labels if scored.rules.by_class else ()
     by_class = {name: _scores(each) for name, each in zip(names, _by_class(scored), strict=False) if _has_rows(each)}
     return _scores(scored, by_class)
 

@@ -48,6 +48,7 @@ class FilmPlan:
         columns: Panels side by side; those of a camera, or the cameras, if None.
         mistakes: What is wrong with detections in the pictures, for the legend; see `mistakes_in`.
         tracks: The tracks of a tracker, for pictures with the layer `tracks`; none if None.
+        note: What is said in the head line after all else.
     """
 
     kinds: tuple[str, ...]
@@ -61,6 +62,7 @@ class FilmPlan:
     columns: int | None = None
     mistakes: Outcome = NOTHING_WRONG
     tracks: FollowedTracks | None = None
+    note: str = ""
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -124,17 +126,31 @@ def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
             if frame is not None:
                 true = [vessel is not None for vessel in frame.detections.vessels]
                 found += [frame.truth.full_boxes_px, frame.detections.boxes_px[np.array(true, dtype=bool)]]
-    crops = []
-    for index, found in zip(selection.cameras, boxes, strict=True):
-        size = np.array(selection.run.scene.cameras[index].intrinsics.image_size_px, dtype=np.float64)
-        every = np.concatenate(found)
-        low, high = (every[:, :2].min(axis=0), every[:, 2:].max(axis=0)) if len(every) else (0 * size, size)
-        width, height = np.minimum(1.15 * (high - low) + LEAST_CROP * size, size)
-        shown = np.minimum([max(width, height * LEAST_ASPECT), max(height, width / MOST_ASPECT)], size)
-        corner = np.clip((low + high - shown) / 2, 0, size - shown)
-        (x, y), (right, bottom) = corner.tolist(), (corner + shown).tolist()
-        crops.append((x, y, right, bottom))
-    return tuple(crops)
+    scene = selection.run.scene
+    return tuple(
+        part_around(np.concatenate(found), scene.cameras[index].intrinsics.image_size_px)
+        for index, found in zip(selection.cameras, boxes, strict=True)
+    )
+
+
+def part_around(
+    boxes_px: Array, image_size_px: tuple[int, int], margin: float = 0.15, least: float = LEAST_CROP
+) -> Box:
+    """The part of an image around boxes; all of it if there are none.
+
+    Args:
+        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
+        image_size_px: Width and height.
+        margin: What is shown beside the boxes, as a share of what they fill.
+        least: What is shown of the image however small the boxes are, as a share of it.
+    """
+    size = np.array(image_size_px, dtype=np.float64)
+    low, high = (boxes_px[:, :2].min(axis=0), boxes_px[:, 2:].max(axis=0)) if len(boxes_px) else (0 * size, size)
+    width, height = np.minimum((1 + margin) * (high - low) + least * size, size)
+    shown = np.minimum([max(width, height * LEAST_ASPECT), max(height, width / MOST_ASPECT)], size)
+    corner = np.clip((low + high - shown) / 2, 0, size - shown)
+    (x, y), (right, bottom) = corner.tolist(), (corner + shown).tolist()
+    return x, y, right, bottom
 
 
 def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:

@@ -90,7 +90,8 @@ class FilmRenderer:
         camera = single and self._scene.cameras[self._plan.cameras[0]].name
         time, step = f"{step_frames.timestamp} s", f"step {step_frames.step}"
         detector, age = states and f"detector {', '.join(states)}", single and _age(step_frames, 0)
-        return "    ".join(part for part in (self._scene.name, camera, time, step, detector, age) if part)
+        parts = (self._scene.name, camera, time, step, detector, age, self._plan.note)
+        return "    ".join(part for part in parts if part)
 
 
 def _age(step_frames: StepFrames, place: int) -> str:

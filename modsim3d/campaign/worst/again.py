@@ -1,0 +1,128 @@
+"""A run of a campaign made again as a run directory, and compared with its row."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modsim3d.campaign.plan.plan import PlannedRun
+from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.work.digests import versions
+from modsim3d.campaign.work.layers import Made
+from modsim3d.campaign.work.row import DONE, row_of, rules_of
+from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.campaign.worst.remaking import planned_run, row_of_run
+from modsim3d.errors import OutputError, RunDirectoryError
+from modsim3d.outputs.claims import check_free
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.tracking.track_run import track_run
+from modsim3d.tracks.stored_tracks import track_paths
+
+_NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "tracks_key")
+
+
+@dataclass(frozen=True, eq=False)
+class RunAgain:
+    """A run of a campaign that was made again.
+
+    Attributes:
+        run: What the plan says of it.
+        folder: Its run directory.
+        tracks: The folder with its tracks.
+        before: Its row in the campaign; None if it was not done there.
+        row: Its row now; None if it failed.
+        error: Why it failed; None if it did not.
+        raised_at: File, line and function in which the error was raised; empty without one.
+        differing: The columns that are not as in the campaign, if both rows have scores.
+        versions: The packages whose versions are not those of the campaign: then and now, by name.
+    """
+
+    run: PlannedRun
+    folder: Path
+    tracks: Path
+    before: dict[str, Any] | None
+    row: dict[str, Any] | None
+    error: str | None
+    raised_at: str
+    differing: tuple[str, ...]
+    versions: dict[str, tuple[str | None, str | None]]
+
+    @property
+    def same(self) -> bool:
+        """Whether it came out as in the campaign: with the same row, or with an error; True if there is no row."""
+        if self.before is None:
+            return True
+        return (self.before["status"] == DONE) == (self.error is None) and not self.differing
+
+
+def tracks_beside(folder: Path) -> Path:
+    """The folder for the tracks of a run directory: nothing but the run is written into that itself."""
+    return folder.with_name(f"{folder.name}_tracks")
+
+
+def make_again(
+    folder: CampaignFolder,
+    number: int,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int], None] = lambda steps: None,
+) -> RunAgain:
+    """Make a run of a campaign again: write its run directory and its tracks, and compare the scores.
+
+    Args:
+        folder: The campaign.
+        number: The run's number in the plan.
+        out: The run directory; the tracks lie beside it.
+        overwrite: Replace a run and tracks that are there.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: There is no such run, or it cannot be written. What the run itself raises is in the result.
+    """
+    run, before, tracks = planned_run(folder, number), row_of_run(folder, number), tracks_beside(out)
+    for path in track_paths(tracks):
+        check_free(path, overwrite)
+    row, error, raised_at = None, None, ""
+    try:
+        row = _made(folder, run, out, tracks, overwrite, progress)
+    except (OutputError, RunDirectoryError):
+        raise
+    except Exception as failure:
+        error, raised_at = f"{type(failure).__name__}: {failure}", _place(failure)
+    then, now = folder.facts["versions"], versions()
+    changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
+    return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), changed)
+
+
+def _made(
+    folder: CampaignFolder, run: PlannedRun, out: Path, tracks: Path, overwrite: bool, progress: Callable[[int], None]
+) -> dict[str, Any]:
+    """Write a run and its tracks; its row."""
+    work = folder.work
+    scene = Scenes(work.keys.steps, Path(work.base)).alone(run.condition, run.traffic_seed, run.detector_seed)
+    run_scene(scene, out, overwrite=overwrite, progress=progress)
+    settings = {**run.tracker.settings, **run.condition.of_tracker()}
+    stored = open_run(out)
+    found = track_run(stored, tracks, tracker=run.tracker.tracker, settings=settings, overwrite=overwrite).tracks
+    return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))
+
+
+def _place(failure: Exception) -> str:
+    """Where an error was raised."""
+    where = traceback.extract_tb(failure.__traceback__)[-1]
+    return f"{where.filename}, line {where.lineno}, in {where.name}"
+
+
+def _differing(before: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """The columns of a row that are not those of the same run's row in a campaign."""
+    if before is None or row is None or before["status"] != DONE:
+        return ()
+    return tuple(
+        name for name, value in row.items() if name not in _NOT_COMPARED and name in before and before[name] != value
+    )

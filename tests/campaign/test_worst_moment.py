@@ -1,0 +1,80 @@
+"""The moment at which a run went wrong, on hand-made truth and tracks."""
+
+from __future__ import annotations
+
+from modsim3d.campaign.work.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_frame, worst_moment_s
+from tests.tracking.hand_made import box, hand_made
+
+STEPS = 40
+FAR = box(400, 400)
+
+
+def followed(vessel: int, x: float, lost: range = range(0), switch: int = STEPS) -> tuple[list[tuple], list[tuple]]:
+    """A vessel with a track on it, which is another one from a step on, but for some steps."""
+    truth = [(step, vessel, box(x)) for step in range(STEPS)]
+    tracks = [(step, vessel if step < switch else 50 + vessel, box(x)) for step in range(STEPS) if step not in lost]
+    return truth, tracks
+
+
+def test_nothing_is_wrong_where_every_vessel_is_followed() -> None:
+    truth, tracks = followed(0, 0)
+    assert worst_moment_s(hand_made(truth, tracks, STEPS)) is None
+    assert worst_moment_s(hand_made([], [], STEPS)) is None
+
+
+def test_it_is_in_the_middle_of_the_time_in_which_a_vessel_is_lost() -> None:
+    truth, tracks = followed(0, 0, range(20, 23))
+    assert worst_moment_s(hand_made(truth, tracks, STEPS)) == 21.0
+    assert worst_moment_s(hand_made(truth, tracks, STEPS, step_s=0.5)) == 10.5  # seconds, not steps
+
+
+def test_two_vessels_that_are_lost_together_are_worse_than_one_for_longer() -> None:
+    one, two = followed(0, 0, range(2, 6)), followed(1, 100, range(30, 33))
+    three = followed(2, 200, range(30, 33))
+    scored = hand_made(one[0] + two[0] + three[0], one[1] + two[1] + three[1], STEPS)
+    assert worst_moment_s(scored) == 31.0
+
+
+def test_a_vessel_that_is_lost_all_the_time_does_not_hide_what_happens_to_another() -> None:
+    never, short = followed(0, 0, range(STEPS)), followed(1, 100, range(25, 27))
+    moment_s = worst_moment_s(hand_made(never[0] + short[0], never[1] + short[1], STEPS))
+    assert moment_s is not None and 22 <= moment_s <= 28
+
+
+def test_the_time_until_new_vessels_are_followed_counts_only_where_nothing_else_is_wrong() -> None:
+    late = [followed(vessel, 100 * vessel, range(3)) for vessel in range(3)]
+    truth, tracks = [row for each, _ in late for row in each], [row for _, each in late for row in each]
+    assert worst_moment_s(hand_made(truth, tracks, STEPS)) == 0.0
+    other = followed(3, 300, range(20, 22))
+    assert worst_moment_s(hand_made(truth + other[0], tracks + other[1], STEPS)) == 20.0
+    never = followed(4, 500, range(STEPS))
+    moment_s = worst_moment_s(hand_made(truth + never[0], tracks + never[1], STEPS))
+    assert moment_s is not None and moment_s >= 5  # a vessel that is 5 s old should be followed
+
+
+def test_an_identity_switch_is_found_among_short_losses() -> None:
+    switch, short = followed(0, 0, switch=30), followed(1, 100, range(5, 7))
+    scored = hand_made(switch[0] + short[0], switch[1] + short[1], STEPS)
+    assert worst_moment_s(scored) == 30.0
+    mistakes = Mistakes.of(scored)
+    assert mistakes.kind.tolist() == [LOST, LOST, SWITCHED]
+    assert (mistakes.before[-1], mistakes.after[-1], mistakes.vessel[-1]) == (0, 50, 0)
+
+
+def test_a_track_on_nothing_is_a_mistake_in_the_camera_that_has_it() -> None:
+    truth, tracks = followed(0, 0)
+    truth, tracks = [(2 * step, *row) for step, *row in truth], [(2 * step, *row) for step, *row in tracks]
+    false = [(2 * step + 1, 7, FAR) for step in range(30, 33)]
+    scored = hand_made(truth, tracks + false, STEPS, cameras=2)
+    assert worst_moment_s(scored) == 31.0
+    mistakes = Mistakes.of(scored)
+    assert mistakes.kind.tolist() == [FALSE] * 3
+    assert worst_frame(scored, mistakes, 31.0) == 2 * 31 + 1
+    assert worst_frame(scored, mistakes, 12.0) == 2 * 12 + 1  # nothing is wrong there
+
+
+def test_what_is_not_scored_is_no_mistake() -> None:
+    hidden = [(step, 0, box(), 0.0) for step in range(STEPS)]
+    on_it = [(step, 3, box()) for step in range(STEPS)]
+    assert worst_moment_s(hand_made(hidden, [], STEPS)) is None
+    assert worst_moment_s(hand_made(hidden, on_it, STEPS)) is None

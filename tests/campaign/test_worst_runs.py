@@ -1,0 +1,226 @@
+"""The worst runs of a campaign: which they are, and each of them again."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from PIL import Image
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.running import CampaignResult, run_plan
+from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
+from modsim3d.campaign.work import layers
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.row import row_of, rules_of
+from modsim3d.campaign.work.worst_moment import Mistakes
+from modsim3d.campaign.worst import again, film
+from modsim3d.campaign.worst.picture import in_words, moment_picture
+from modsim3d.campaign.worst.ranking import WorstRun, worst_runs
+from modsim3d.campaign.worst.remaking import remade
+from modsim3d.errors import ModsimError
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
+from tests.commands.conftest import Modsim3d, modsim3d
+from tests.tracking.hand_made import box, hand_made
+
+__all__ = ["modsim3d"]
+CAMPAIGN = """
+scene: harbour
+steps: 20
+seeds: {traffic: 2, detector: 2}
+vary:
+  - grid: {state: [good, terrible], detector.confidence_threshold: [0.2]}
+trackers:
+  - sort
+  - {tracker: sort, name: hasty, set: {minimum_consecutive_frames: 1}}
+score: {similarity: centre, scale_px: 200}
+require:
+  - {score: hota, at_least: 0.9}
+  - {score: false_track_s, at_most: 0}
+"""
+CRASHES = 5
+"""Number of the run that crashes."""
+
+
+def crash(*_: object) -> None:
+    raise ValueError("the filter has lost its mind")
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
+    folder = tmp_path_factory.mktemp("worst")
+    (folder / "c.yaml").write_text(CAMPAIGN)
+    with pytest.MonkeyPatch.context() as patch:
+        made, calls = layers.tracks_of, []
+
+        def tracks_of(*arguments: object) -> object:
+            calls.append(1)
+            return crash() if len(calls) == CRASHES + 1 else made(*arguments)  # type: ignore[arg-type]
+
+        patch.setattr(layers, "tracks_of", tracks_of)
+        result = run_plan(checked(read_campaign(folder / "c.yaml")), folder / "out", ThisProcess)
+    assert result is not None and result.table["status"].to_pylist().count("crashed") == 1
+    return result
+
+
+def verdict(requirement: int, outcome: Outcome, tracker: str = "sort", condition: int = 0) -> Verdict:
+    return Verdict(requirement, "", tracker, condition, outcome, "", 0.95, None, None, None, 2)
+
+
+def found(campaign: CampaignResult, *verdicts: Verdict, count: int = 5) -> list[WorstRun]:
+    return worst_runs(campaign.folder, campaign.table, verdicts, count)
+
+
+def values(campaign: CampaignResult, score: str, tracker: str | None = None, condition: int = 0) -> list[float]:
+    rows = campaign.table.to_pylist()
+    return [
+        row[score]
+        for row in rows
+        if row["status"] == "done"
+        and tracker in (None, row["tracker"])
+        and (tracker is None or row["condition"] == condition)
+    ]
+
+
+def test_runs_that_crashed_come_first_with_their_error(campaign: CampaignResult) -> None:
+    first = found(campaign)[0]
+    assert (first.number, first.score, first.value, first.moment_s, first.film) == (CRASHES, "status", None, None, "")
+    assert first.error == "ValueError: the filter has lost its mind"
+
+
+def test_without_requirements_the_lowest_hota_comes_first(campaign: CampaignResult) -> None:
+    rest = found(campaign, count=4)[1:]
+    assert [each.value for each in rest] == sorted(values(campaign, "hota"))[:3]
+    assert {each.score for each in rest} == {"hota"}
+
+
+def test_failed_requirements_take_turns_and_come_before_undecided_ones(campaign: CampaignResult) -> None:
+    failed = verdict(1, "failed", "hasty", 1), verdict(0, "failed", "hasty", 0)
+    first, second, *_ = found(campaign, verdict(0, "undecided"), *failed)[1:]
+    assert (first.score, first.value) == ("false_track_s", max(values(campaign, "false_track_s", "hasty", 1)))
+    assert (second.score, second.value) == ("hota", min(values(campaign, "hota", "hasty", 0)))
+    undecided = [each for each in found(campaign, verdict(0, "undecided"), *failed, count=99) if each.tracker == "sort"]
+    assert [each.value for each in undecided[-4:]] == sorted(values(campaign, "hota", "sort", 0))
+
+
+def test_no_run_is_named_twice(campaign: CampaignResult) -> None:
+    every = found(campaign, verdict(0, "failed"), verdict(1, "failed"), verdict(0, "met", "hasty"), count=99)
+    numbers = [each.number for each in every]
+    assert len(numbers) == len(set(numbers)) == 9
+    assert every[1].score == "hota"  # the first requirement that names a run says why
+
+
+def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> None:
+    requirement = {"score": "hota", "where": {"state": ["good", "bad"]}, "at_least": 0.5}
+    keys = CampaignKeys.model_validate({"scene": "harbour", "trackers": ["sort"], "require": [requirement]})
+    folder = CampaignFolder(tmp_path, {}, Plan.of(keys))
+    same = {name: [0] * 4 for name in ("condition", "traffic_seed", "detector_seed")}
+    scores = {
+        "hota": [0.1, 0.9, 0.9, 0.9],
+        "state.good.hota": [0.9, 0.5, 0.3, None],
+        "state.bad.hota": [0.9, 0.1, 0.8, None],
+    }
+    facts = {"run": [0, 1, 2, 3], "status": ["done"] * 4, "tracker": ["sort"] * 4, "worst_s": [1.0] * 4}
+    worst = worst_runs(folder, pa.table({**facts, **same, **scores}), [verdict(0, "failed")])
+    assert [each.number for each in worst] == [1, 2, 0]  # nothing is known of the last one in these states
+
+
+def test_a_run_that_is_made_again_has_the_row_of_the_campaign(campaign: CampaignResult) -> None:
+    worst = found(campaign)[1]
+    made = remade(campaign.folder, worst.number)
+    row = row_of(worst.number, made, rules_of(campaign.folder.keys.score))
+    stored = campaign.table.to_pylist()[worst.number]
+    assert {name: stored[name] for name in row} == row
+    assert row["worst_s"] == worst.moment_s
+
+
+def test_the_picture_shows_the_tracks_at_the_moment(campaign: CampaignResult) -> None:
+    worst, rules = found(campaign)[1], rules_of(campaign.folder.keys.score)
+    made = remade(campaign.folder, worst.number)
+    assert worst.moment_s is not None
+    pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
+    images = [np.asarray(Image.open(io.BytesIO(each))) for each in pictures]
+    assert images[0].shape[1:] == (640, 3) and len(pictures[0]) < 300_000
+    assert images[0].shape != images[1].shape or (images[0] != images[1]).any()
+    none = replace(made, tracks=made.tracks.take(np.empty(0, dtype=np.int64)))
+    assert moment_picture(none, worst.moment_s, 640, rules) != pictures[0]
+
+
+def test_the_head_of_the_picture_says_what_is_wrong() -> None:
+    truth = [(step, vessel, box(100 * vessel)) for step in range(4) for vessel in (0, 1)]
+    tracks = [(step, 8 if step < 3 else 9, box()) for step in range(4)] + [(3, 20, box(400))]
+    scored = hand_made(truth, tracks, 4)
+    names = scored.rows.scene.vessel_names
+    said = in_words(Mistakes.of(scored).in_frame(3), names)
+    assert said == f"1 vessel missed, 1 track on nothing, switch of {names[0]} from #8 to #9"
+
+
+def test_a_number_beyond_the_plan_is_told(campaign: CampaignResult) -> None:
+    with pytest.raises(ModsimError, match=r"has runs 0 to 15 \(got 16\)"):
+        remade(campaign.folder, 16)
+
+
+def test_the_command_makes_the_run_that_the_options_of_run_make(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path
+) -> None:
+    out = tmp_path / "again"
+    said = modsim3d("campaign-run", campaign.folder.path, 15, "--out", out)
+    assert said.status == 0 and "Every column is as in the campaign." in said.out
+    assert f"modsim3d score {out} {out}_tracks --similarity centre --scale 200.0" in said.out
+    planned = campaign.folder.plan.run(15)
+    settings = {"detector.confidence_threshold": 0.2}
+    seeds = {"seed": planned.traffic_seed, "detector_seed": planned.detector_seed}
+    run_scene(load_scene("harbour", steps=20, state="terrible", settings=settings, **seeds), tmp_path / "plain")
+    names = sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file() and path.name != "run.log")
+    plain = tmp_path / "plain"
+    assert names == sorted(
+        path.relative_to(plain) for path in plain.rglob("*") if path.is_file() and path.name != "run.log"
+    )
+    assert [name for name in names if (out / name).read_bytes() != (plain / name).read_bytes()] == []
+    said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre", "--scale", 200, "--json")
+    assert json.loads(said.out)["trackers"][0]["hota"] == campaign.table["hota"][15].as_py()
+
+
+def test_the_command_films_the_moment(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(film, "AROUND_S", 1.0)
+    said = modsim3d("campaign-run", campaign.folder.path, 15, "--out", tmp_path / "again", "--film", "--json")
+    filmed, moment_s = json.loads(said.out)["film"], campaign.table["worst_s"][15].as_py()
+    assert Path(filmed["path"]).stat().st_size > 10_000
+    assert (filmed["from_s"], filmed["to_s"]) == (moment_s - 1, moment_s + 1)
+
+
+def test_a_run_that_crashed_crashes_again(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(again, "track_run", lambda *_, **__: crash())
+    said = modsim3d("campaign-run", campaign.folder.path, CRASHES, "--out", tmp_path / "again", "--film")
+    assert said.status == 0
+    assert "The run crashed again, with the error that the campaign has." in said.out
+    assert "ValueError: the filter has lost its mind\n  " in said.out and "in crash" in said.out
+    assert "Traceback" not in said.out + said.err
+    said = modsim3d("campaign-run", campaign.folder.path, 0, "--out", tmp_path / "other")
+    assert said.status == 1 and "The run crashed." in said.out
+
+
+def test_a_run_that_comes_out_otherwise_is_told_with_the_versions(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = again.versions()
+    monkeypatch.setattr(again, "versions", lambda: {**now, "numpy": "9.9"})
+    monkeypatch.setattr(again, "row_of", lambda *made: {**row_of(*made), "hota": 0.5})
+    said = modsim3d("campaign-run", campaign.folder.path, 0, "--out", tmp_path / "again")
+    assert said.status == 1
+    assert "1 columns are not as in the campaign: hota." in said.out
+    assert f"The campaign was made with other versions: numpy {now['numpy']} → 9.9." in said.out
