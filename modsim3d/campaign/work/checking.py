@@ -70,7 +70,7 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     plan, problems, facts = Plan.of(file.keys), list(_problems(file.keys)), []
     if problems:
         raise InputError(f"campaign {file.path}", problems)
-    scenes = Scenes(file.keys.steps, file.base)
+    scenes = Scenes(file.keys.steps, file.base, learned=file.keys.uncertainty == "learned")
     for index, values in enumerate(plan.conditions):
         try:
             facts.append(_facts(plan, index, scenes))

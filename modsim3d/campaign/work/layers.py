@@ -56,7 +56,7 @@ class Layers:
 
     def __init__(self, keys: CampaignKeys, folder: Path) -> None:
         """Take the campaign file, and the folder that its paths are relative to."""
-        self._scenes = Scenes(keys.steps, folder)
+        self._scenes = Scenes(keys.steps, folder, learned=keys.uncertainty == "learned")
         self._opened = ExitStack()
         self._renderer: IdRenderer | None = None
         self._truth: Latest[Blocks] = Latest(2)
