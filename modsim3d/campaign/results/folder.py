@@ -46,7 +46,8 @@ class CampaignFolder:
     @property
     def work(self) -> Work:
         """What all its tasks have in common."""
-        return Work(self.keys, self.facts["base"], str(self.path.resolve()), self.facts["sha256"])
+        facts = self.facts
+        return Work(self.keys, facts["base"], str(self.path.resolve()), facts["sha256"], facts["files"])
 
     @property
     def done(self) -> Path:
@@ -128,6 +129,7 @@ def _facts(campaign: CheckedCampaign) -> dict[str, Any]:
             {"values": condition.values, **asdict(facts)}
             for condition, facts in zip(campaign.plan.conditions, campaign.facts, strict=True)
         ],
+        "files": campaign.files,
         "versions": campaign.versions,
     }
 
@@ -146,6 +148,9 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
         return
     parts = ("campaign", "versions", "conditions")
     differing = [name for name in parts if not isinstance(found, dict) or found.get(name) != facts[name]]
+    if isinstance(found, dict) and differing == ["conditions"]:
+        files, before = facts["files"], found.get("files", {})
+        differing = [name for name in {**before, **files} if before.get(name) != files.get(name)] or differing
     raise OutputError(
         f"{plan.parent} holds a campaign with another plan ({', '.join(differing)} differ): choose another folder"
     )
