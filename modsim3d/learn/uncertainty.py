@@ -27,6 +27,7 @@ FORMAT = 1
 COUNTED = ("share", "rate")
 """Kinds of numbers whose uncertainty is that of a count."""
 _DECIMALS = 3
+_MOST_SPREADS = 4.0
 
 
 def uncertainty_file(detector: Path) -> Path:
@@ -95,8 +96,23 @@ def _width(entry: Entry) -> dict[str, Any]:
     column = entry.column
     if column.kind in COUNTED:
         return {"observations": nested(column.independent)}
-    found = spread(to_scale(column.values[1:], column.kind))
+    found = spread(_without_outliers(to_scale(column.values[1:], column.kind)))
     return {"spread": nested(np.where(np.isfinite(found), found, 0.0))}
+
+
+def _without_outliers(scaled: Array) -> Array:
+    """Replicates (replicates, ...), each held within four standard deviations of the median.
+
+    The standard deviation is that of the inner two thirds. A few replicates in which all errors are equal, with a
+    logarithm of nearly −∞, would make the spread many times as large.
+    """
+    finite = np.where(np.isfinite(scaled), scaled, np.nan)
+    if not np.isfinite(finite).any(axis=0).all():
+        return scaled
+    low, middle, high = np.nanquantile(finite, [0.1587, 0.5, 0.8413], axis=0)
+    reach = _MOST_SPREADS * (high - low) / 2
+    held: Array = np.clip(finite, middle - reach, middle + reach)
+    return held
 
 
 def correlated(names: Sequence[str], shape: tuple[int, ...]) -> Mask:
@@ -124,8 +140,8 @@ def _correlations(entries: Sequence[Entry]) -> list[list[float]]:
 
 def _replicates(entry: Entry) -> Array:
     """Replicates of the numbers of an entry that have correlations, on their scale, shape (numbers, replicates)."""
-    scaled: Array = to_scale(entry.column.values[1:], entry.column.kind)
-    return scaled[:, correlated(entry.key.names, scaled.shape[1:])].T
+    scaled = _without_outliers(to_scale(entry.column.values[1:], entry.column.kind))
+    return scaled[:, correlated(entry.key.names, scaled.shape[1:])].T  # one row for each number
 
 
 def _standard(values: Array) -> Array:

@@ -60,12 +60,9 @@ def test_the_rate_of_a_state_is_set_after_that_of_all_and_after_the_matrix() -> 
     ],
 )
 def test_what_is_no_miss_rate_is_refused(settings: dict[str, Any], said: str) -> None:
-    for load in (
-        lambda: load_scene("harbour", settings=settings),
-        lambda: choose_detector("thesis", settings=settings),
-    ):
+    for load in (partial(load_scene, "harbour"), partial(choose_detector, "thesis")):
         with pytest.raises(InputError) as error:
-            load()
+            load(settings=settings)
         assert said in str(error.value) and "--set detector." in str(error.value)
 
 
@@ -81,7 +78,7 @@ def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path)
             there = flags(truth, "annotated")
             missed = int((there & ~flags(truth, "detected")).sum())
             interval = stats.binomtest(missed, int(there.sum())).proportion_ci(0.999)
-            assert there.sum() > 400 and interval.low <= rate <= interval.high
+            assert there.sum() > 300 and interval.low <= rate <= interval.high
 
 
 def test_a_miss_rate_is_a_key_of_every_command(tmp_path: Path) -> None:

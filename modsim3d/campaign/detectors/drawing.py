@@ -30,8 +30,8 @@ _INDEPENDENT = 0.01
 """Share of the identity in the matrix of correlations, whose entries are rounded."""
 _ROUNDING = 1e-5
 """Least eigenvalue of a covariance over its greatest."""
-_MOST_FACTOR = 100.0
-"""A positive number is drawn within this factor of its estimate."""
+_MOST_FACTOR = 10.0
+"""A positive number is drawn within this factor of its estimate: with fewer errors than numbers learn knows no bound."""
 
 
 def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
