@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d import learn_detector, load_scene, run_scene
+from modsim3d import learn_detector, load_detector, load_scene, run_scene
 from modsim3d.arrays import Array
 from modsim3d.campaign.detectors.drawing import drawn_detector
 from modsim3d.campaign.detectors.learned_file import LearnedUncertainty, read_uncertainty
+from modsim3d.campaign.plan.conditions import Condition
 from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.errors import InputError
 from modsim3d.learn.entries import Interval
@@ -205,6 +207,18 @@ def test_a_drawn_detector_is_one_of_its_traffic_seed_for_all_trackers_and_is_dra
     assert [made.detections_key[:16] for made in again] == [keys[number] for number in (6, 0, 2)]
     rates = [float(made.rows.scene.detector.states[0].confusion[-1, 0]) for made in again]
     assert rates[1] == rates[2] != rates[0]  # detector seeds of a traffic seed share its detector
+
+
+def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: dict[str, LearnResult], tmp_path: Path) -> None:
+    """Its directory has it as a detector file, as `campaign-run` writes it."""
+    condition, scenes = Condition("harbour", {"detector": "few.yaml"}), Scenes(3, folder, learned=True)
+    alone, shared = scenes.alone(condition, 5, 6), scenes.of(condition, 5, 6)
+    alone.copy.write(tmp_path)
+    written = load_detector(tmp_path / "detector.yaml").states[0]
+    assert alone.detector_seed == 6
+    for state in (alone.detector.states[0], shared.detector.states[0]):
+        np.testing.assert_array_equal(state.confusion, written.confusion)
+        np.testing.assert_array_equal(state.box_error.covariance, written.box_error.covariance)
 
 
 def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: dict[str, LearnResult]) -> None:

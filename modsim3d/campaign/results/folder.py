@@ -13,6 +13,7 @@ import orjson
 from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.checking import CheckedCampaign
+from modsim3d.campaign.work.files import differing_files
 from modsim3d.campaign.work.task import DONE_FOLDER, Work
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.locks import locked_folder
@@ -148,9 +149,8 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
         return
     parts = ("campaign", "versions", "conditions")
     differing = [name for name in parts if not isinstance(found, dict) or found.get(name) != facts[name]]
-    if isinstance(found, dict) and differing == ["conditions"]:
-        files, before = facts["files"], found.get("files", {})
-        differing = [name for name in {**before, **files} if before.get(name) != files.get(name)] or differing
+    if isinstance(found, dict):
+        differing = differing_files(found.get("files", {}), facts["files"]) or differing
     raise OutputError(
         f"{plan.parent} holds a campaign with another plan ({', '.join(differing)} differ): choose another folder"
     )

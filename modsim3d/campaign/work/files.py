@@ -35,6 +35,11 @@ def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
     return problems
 
 
+def differing_files(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """The files of two plans whose checksums differ; none if the plans are not of the same files."""
+    return [name for name in now if before[name] != now[name]] if before.keys() == now.keys() else []
+
+
 def _name(path: Path, base: Path) -> str:
     return path.relative_to(base).as_posix() if path.is_relative_to(base) else path.as_posix()
 

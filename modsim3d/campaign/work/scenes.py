@@ -133,10 +133,19 @@ class Scenes:
             raise InputError(f"detector {file}", [str(error)]) from None
         return replace(choice, settings={**drawn, **choice.settings})
 
-    def _load(self, condition: Condition, seed: int, choice: DetectorChoice) -> Scene:
+    def alone(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
+        """The same scene, loaded by itself: its copy in a run directory has the run's detector and its seed.
+
+        Raises:
+            InputError: The scene or the detector is wrong.
+        """
+        return self._load(condition, seed, self._choice(condition, seed), detector_seed)
+
+    def _load(self, condition: Condition, seed: int, choice: DetectorChoice, detector_seed: int | None = None) -> Scene:
         return load_scene(
             located(condition.scene, self._folder, shipped_scenes()),
             seed=seed,
+            detector_seed=detector_seed,
             steps=self._steps,
             detector=choice.detector,
             settings={**condition.of_truth(), **choice.settings},
