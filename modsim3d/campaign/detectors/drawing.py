@@ -31,7 +31,7 @@ _INDEPENDENT = 0.01
 _ROUNDING = 1e-5
 """Least eigenvalue of a covariance over its greatest."""
 _MOST_FACTOR = 10.0
-"""A positive number is drawn within this factor of its estimate: with fewer errors than numbers learn knows no bound."""
+"""A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
 
 
 def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
