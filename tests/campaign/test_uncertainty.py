@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from modsim3d import learn_detector, load_detector, load_scene, run_scene
 from modsim3d.arrays import Array
@@ -132,9 +133,10 @@ def group(correlation: float, labels: int, units: int, misses: float) -> dict[st
                     {"key": ["box_error_std"], "kind": "positive", "estimate": [1, 2, 3, 4], "spread": [0.9] * 4},
                     {"key": ["box_error_correlation"], "kind": "correlation", "estimate": [0.9] * 6,
                      "spread": [0.8] * 6},
+                    {"key": ["false_positives_per_image"], "kind": "rate", "estimate": 0.2, "observations": 50.0},
                 ],
                 "correlations": [[correlation if i == labels + 1 and j == labels else 0.0 for j in range(i)]
-                                 for i in range(labels + 14)],
+                                 for i in range(labels + 15)],
             }
         ],
     }  # fmt: skip
@@ -146,6 +148,29 @@ def test_correlations_of_the_replicates_are_those_of_the_draws() -> None:
     found = np.corrcoef(means.T)
     assert abs(found[0, 1] - 0.8) < 0.03  # three standard errors of 0.0093
     assert np.abs(found[2:, :2]).max() < 5 / np.sqrt(1500)
+
+
+def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -> None:
+    """Jeffreys's Beta and Gamma distributions from many images; from five, Student's with four degrees of freedom."""
+    count = 2000
+
+    def drawn(units: int) -> dict[str, Array]:
+        known = LearnedUncertainty.model_validate(group(0.0, 2, units, 0.3))
+        found = [drawn_detector(known, seed) for seed in range(count)]
+        return {
+            "missed": np.array([each["detector.states.a.confusion"][-1][0] for each in found]),
+            "rate": np.array([each["detector.states.a.false_positives_per_image"] for each in found]),
+            "mean": np.array([each["detector.states.a.box_error.mean"] for each in found])[:, 0],
+        }
+
+    many, few = drawn(100_000), drawn(5)
+    for name, law in (
+        ("missed", stats.beta(12.5, 28.5)),
+        ("rate", stats.gamma(10.5, scale=1 / 50)),
+        ("mean", stats.norm()),
+    ):
+        assert stats.kstest(many[name], law.cdf).pvalue > 1e-3
+    assert stats.kstest(few["mean"], stats.t(4).cdf).pvalue > 1e-3
 
 
 @given(
