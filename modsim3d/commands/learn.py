@@ -154,7 +154,10 @@ def learn_command(
     from modsim3d.inputs.text_files import read_text
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import Settings
+    from modsim3d.learn.learning import learned_files
+    from modsim3d.learn.uncertainty import uncertainty_file
     from modsim3d.outputs.claims import claimed
+    from modsim3d.outputs.placing import write_files
     from modsim3d.runs.files.replacing import read_of_run
 
     out = out_file(out, Path("detector.yaml"))
@@ -175,13 +178,14 @@ def learn_command(
     wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, bias or correct)
     read += [path for folder in run or () for path in read_of_run(folder)]
     tell_files(read)
-    with claimed([out, page], overwrite=overwrite, inputs=read):
+    written = [out, page, uncertainty_file(out)]
+    with claimed(written, overwrite=overwrite, inputs=read):
         with timed("learning"):
             report = learn_detector(labelled, settings, wanted)
         with timed("files"):
-            _write(report, out, page, correct)
-    _show(report, out, page)
-    say_json(learn_json(report, [out, page]))
+            write_files(learned_files(report, out, page, correct))
+    _show(report, written)
+    say_json(learn_json(report, written))
 
 
 def _rule(labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None) -> Rule:
@@ -231,18 +235,7 @@ def _labelled_set(
     return joined(parts), interval_s
 
 
-def _write(report: Report, out: Path, page: Path, correct: bool) -> None:
-    """Write the detector file, its numbers corrected for the bias if asked for, and the page."""
-    from modsim3d.detector.file.writing import detector_text
-    from modsim3d.learn.learning import comments
-    from modsim3d.learn.page import page_text
-    from modsim3d.outputs.placing import write_files
-
-    learned = report.bias.corrected() if correct and report.bias else report.learned
-    write_files({out: detector_text(learned.detector(), comments(report, correct)), page: page_text(report)})
-
-
-def _show(report: Report, out: Path, page: Path) -> None:
+def _show(report: Report, written: Sequence[Path]) -> None:
     """Print the tables."""
     from modsim3d.learn.report import NEVER_LEARNED, lead, tables
 
@@ -257,7 +250,7 @@ def _show(report: Report, out: Path, page: Path) -> None:
         print_prose(console, note, indent=2)
     print_line(console, "")
     print_prose(console, NEVER_LEARNED)
-    print_written(console, [out, page])
+    print_written(console, written)
     if report.warning:
         warn(report.warning)
 

@@ -80,7 +80,7 @@ class LearnedClasses:
 
     def state_section(self, state: int) -> dict[str, Any]:
         """The confusion matrix."""
-        return {"confusion": columns_of_one(_filled(self.confusion[state].estimate))}
+        return {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
 
 
 def choose_classes(observed: Observed) -> ClassForm:
@@ -236,7 +236,7 @@ def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, 
     return tuple(entries)
 
 
-def _filled(confusion: Array) -> Array:
+def filled(confusion: Array) -> Array:
     """A matrix in which labels that never occurred are found as often as the others on average, by their own name."""
     table = confusion.copy()
     k = table.shape[1]

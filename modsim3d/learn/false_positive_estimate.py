@@ -19,6 +19,8 @@ FALSE_NEEDED = 30
 GRID = (3, 4)
 """Rows and columns of the map of where false detections are."""
 FALSE_FOR_EACH_CELL = 10
+NOT_WRITTEN = "not written"
+"""Remark on a number that is reported and does not stand in the detector file."""
 _ASTRAY = 0.02
 _ALMOST_ANY = 0.99
 
@@ -159,7 +161,7 @@ def _of_states(observed: Observed, model: str, resampling: Resampling) -> tuple[
         table = np.where(np.isfinite(table), table, overall)
         share = np.nan_to_num(ratio(number, number + true[:, index]))
         rate = np.nan_to_num(ratio(number, images[:, index]))
-        remark = "" if model == "per_image" else "not written"
+        remark = "" if model == "per_image" else NOT_WRITTEN
         learned.append(
             StateFalsePositives(
                 Entry(

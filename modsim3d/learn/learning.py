@@ -29,6 +29,7 @@ from modsim3d.learn.learn_detector import LearnOptions
 from modsim3d.learn.learned import Settings
 from modsim3d.learn.page import page_text
 from modsim3d.learn.report import Report, lead, tables
+from modsim3d.learn.uncertainty import uncertainty_file, uncertainty_text
 from modsim3d.outputs.claims import claimed
 from modsim3d.outputs.placing import write_files
 from modsim3d.paths import StrPath, as_path
@@ -80,6 +81,8 @@ class LearnResult:
     def write(self, path: StrPath, *, overwrite: bool = False) -> tuple[Path, Path]:
         """Write the detector file, and beside it a page with every number and its interval, as `.html`.
 
+        Also `NAME.uncertainty.json`, from which a campaign with `uncertainty: learned` draws detectors.
+
         Args:
             path: The detector file, such as `learned.yaml`.
             overwrite: Replace files that are there; those that it was learned from are never replaced.
@@ -92,12 +95,26 @@ class LearnResult:
             TypeError: The path is neither text nor a path.
         """
         out = as_path(path, "path")
-        page = out.parent / f"{out.stem}.html"
+        page, unsure = out.parent / f"{out.stem}.html", uncertainty_file(out)
         if page == out:
             raise InputError("path", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-        with claimed([out, page], overwrite=overwrite, inputs=self.inputs):
-            write_files({out: detector_text(self.content, comments(self.report)), page: page_text(self.report)})
+        with claimed([out, page, unsure], overwrite=overwrite, inputs=self.inputs):
+            write_files(learned_files(self.report, out, page))
         return out, page
+
+
+def learned_files(report: Report, out: Path, page: Path, corrected: bool = False) -> dict[Path, bytes | str]:
+    """The content of the files that are written: the detector, the page, and how well the numbers are known.
+
+    Args:
+        report: What was learned.
+        out: The detector file.
+        page: The page.
+        corrected: Whether to take the bias of matching off the numbers.
+    """
+    learned = report.bias.corrected() if corrected and report.bias else report.learned
+    detector = detector_text(learned.detector(), comments(report, corrected))
+    return {out: detector, page: page_text(report), uncertainty_file(out): uncertainty_text(learned, detector)}
 
 
 def _paragraphs(texts: Iterable[str]) -> str:

@@ -105,6 +105,16 @@ class Column:
         first: Array = self.values[0]
         return first
 
+    @property
+    def independent(self) -> Array:
+        """Of a share or a rate, as many independent observations as spread like the replicates, shape (...)."""
+        value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
+        alone = value / count if self.kind == "rate" else value * (1 - value) / count
+        found = spread(self.values[1:]) ** 2
+        inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
+        independent: Array = count / np.maximum(inflation, self.inflation)
+        return independent
+
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
         """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row.
 
@@ -126,12 +136,7 @@ class Column:
 
     def _counted(self, widen: float, tail: float) -> tuple[Array, Array]:
         """Jeffreys's intervals for as many independent observations as the spread of the replicates implies."""
-        value, count = self.estimate, np.maximum(self.counts, _LEAST_SPREAD)
-        alone = value / count if self.kind == "rate" else value * (1 - value) / count
-        found = spread(self.values[1:]) ** 2
-        inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
-        inflation = np.maximum(inflation, self.inflation) * widen
-        trials = count / inflation
+        value, trials = self.estimate, self.independent / widen
         hits = value * trials
         with np.errstate(all="ignore"):
             if self.kind == "rate":

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from modsim3d.detector.file.miss_rate import is_miss_rate, with_miss_rate
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.errors import InputError
 from modsim3d.inputs.strict_yaml import parse_yaml
@@ -81,9 +82,12 @@ class Settings:
     """
 
     def __init__(self, settings: Iterable[Setting]) -> None:
-        """Take the settings; those with fewer keys come first, so that the others go into what they set."""
+        """Take the settings; those with fewer keys come first, so that the others go into what they set.
+
+        Miss rates come last, since they change what others set.
+        """
         self.problems: list[str] = []
-        self._settings = sorted(settings, key=lambda setting: len(setting.parts))
+        self._settings = sorted(settings, key=lambda setting: (is_miss_rate(setting.parts), len(setting.parts)))
         self._of_files: dict[str, list[Setting]] = {section: [] for section in FILE_SECTIONS}
         self._places: list[_Place] = []
 
@@ -128,6 +132,8 @@ class Settings:
 
     def _changed(self, content: Any, setting: Setting, file: str = "", *prefix: str) -> Any:
         try:
+            if prefix and is_miss_rate(setting.parts) and isinstance(content, dict):
+                return with_miss_rate(content, setting.value, ".".join(setting.parts[2:-1]) or None, setting.name)
             content, path = changed(content, setting.parts[len(prefix) :], setting, prefix)
         except InputError as error:
             self.problems += [f"{error.source}: {problem}" for problem in error.problems]

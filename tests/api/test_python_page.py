@@ -42,7 +42,8 @@ def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:
         [sys.executable, "-W", "error", script], cwd=empty, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert {path.name for path in empty.iterdir()} == {"runs", "checked", "frame.png", "learned.yaml", "learned.html"}
+    learned = {"learned.yaml", "learned.html", "learned.uncertainty.json"}
+    assert {path.name for path in empty.iterdir()} == {"runs", "checked", "frame.png", *learned}
     assert printed() and printed() <= set(without_times(done.stdout))
     assert "obeys its detector file" in done.stdout
 

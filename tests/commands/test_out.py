@@ -34,7 +34,7 @@ def test_a_file_is_put_into_a_folder_under_its_usual_name(
 
 def test_a_learned_detector_and_its_page_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
     assert modsim3d("learn", "--run", run, "--replicates", 20, "--out", tmp_path).status == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"detector.yaml", "detector.html"}
+    assert {path.name for path in tmp_path.iterdir()} == {"detector.yaml", "detector.html", "detector.uncertainty.json"}
     (tmp_path / "pages").mkdir()
     options = ("--replicates", 20, "--out", tmp_path / "d.yaml", "--page", tmp_path / "pages")
     assert modsim3d("learn", "--run", run, *options).status == 0

@@ -13,6 +13,7 @@ import orjson
 from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.checking import CheckedCampaign
+from modsim3d.campaign.work.files import differing_files
 from modsim3d.campaign.work.task import DONE_FOLDER, Work
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.locks import locked_folder
@@ -46,7 +47,8 @@ class CampaignFolder:
     @property
     def work(self) -> Work:
         """What all its tasks have in common."""
-        return Work(self.keys, self.facts["base"], str(self.path.resolve()), self.facts["sha256"])
+        facts = self.facts
+        return Work(self.keys, facts["base"], str(self.path.resolve()), facts["sha256"], files=facts["files"])
 
     @property
     def done(self) -> Path:
@@ -128,6 +130,7 @@ def _facts(campaign: CheckedCampaign) -> dict[str, Any]:
             {"values": condition.values, **asdict(facts)}
             for condition, facts in zip(campaign.plan.conditions, campaign.facts, strict=True)
         ],
+        "files": campaign.files,
         "versions": campaign.versions,
     }
 
@@ -146,6 +149,8 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
         return
     parts = ("campaign", "versions", "conditions")
     differing = [name for name in parts if not isinstance(found, dict) or found.get(name) != facts[name]]
+    if isinstance(found, dict):
+        differing = differing_files(found.get("files", {}), facts["files"]) or differing
     raise OutputError(
         f"{plan.parent} holds a campaign with another plan ({', '.join(differing)} differ): choose another folder"
     )

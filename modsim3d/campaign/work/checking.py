@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.file.reading import CampaignFile
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
+from modsim3d.campaign.work.files import checksums
 from modsim3d.campaign.work.requirement_problems import judging_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
@@ -51,6 +53,7 @@ class CheckedCampaign:
         file: The file.
         plan: Its plan.
         facts: What is known of each condition.
+        files: Checksum of each file that scenes and detectors are made of, see `files`.
         versions: Version of every package that decides the results.
         sha256: Checksum of all that decides the results.
     """
@@ -58,6 +61,7 @@ class CheckedCampaign:
     file: CampaignFile
     plan: Plan
     facts: tuple[ConditionFacts, ...]
+    files: dict[str, str]
     versions: dict[str, str]
     sha256: str
 
@@ -71,10 +75,11 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     plan, problems, facts = Plan.of(file.keys), list(_problems(file.keys)), []
     if problems:
         raise InputError(f"campaign {file.path}", problems)
-    scenes = Scenes(file.keys.steps, file.base)
+    scenes = Scenes(file.keys.steps, file.base, learned=file.keys.uncertainty == "learned")
+    paths: set[Path] = set()
     for index, values in enumerate(plan.conditions):
         try:
-            facts.append(_facts(plan, index, scenes))
+            facts.append(_facts(plan, index, scenes, paths))
         except InputError as error:
             said = ", ".join(f"{key} {value}" for key, value in values.values.items()) or "as it is"
             problems += [f"{values.scene} ({said}): {error.source}: {problem}" for problem in error.problems]
@@ -88,7 +93,7 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     content = file.keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
     packages = versions()
     sha256 = digest(content, [vars(each) for each in facts], packages)
-    return CheckedCampaign(file, plan, tuple(facts), packages, sha256)
+    return CheckedCampaign(file, plan, tuple(facts), checksums(paths, file.base), packages, sha256)
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
@@ -121,9 +126,11 @@ def _keys_of(factor: Any) -> Iterator[str]:
     yield from factor.grid or factor.pairs or factor.latin_hypercube or factor.uniform or ()
 
 
-def _facts(plan: Plan, index: int, scenes: Scenes) -> ConditionFacts:
+def _facts(plan: Plan, index: int, scenes: Scenes, paths: set[Path]) -> ConditionFacts:
+    """What is known of a condition; the files that it is made of are added to the paths."""
     run = plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers))
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
+    paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
     trackers = {
         each.label: vars(named_tracker(each.tracker, {**each.settings, **settings}, scene.name).origin)

@@ -62,7 +62,7 @@ class Layers:
 
     def __init__(self, keys: CampaignKeys, folder: Path, cache: Path) -> None:
         """Take the campaign file, the folder that its paths are relative to, and that of layers on the disk."""
-        self._scenes = Scenes(keys.steps, folder)
+        self._scenes = Scenes(keys.steps, folder, learned=keys.uncertainty == "learned")
         self._stored = StoredLayers(cache, keys.keep)
         self._opened = ExitStack()
         self._renderer: IdRenderer | None = None

@@ -7,7 +7,8 @@ import platform
 import resource
 import time
 import uuid
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import orjson
@@ -17,10 +18,11 @@ import pyarrow.parquet as pq
 from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.work.digests import digest
+from modsim3d.campaign.work.files import changed_files
 from modsim3d.campaign.work.layers import Layers
 from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, table_of
 from modsim3d.campaign.work.stored_layers import CACHE_FOLDER
-from modsim3d.errors import OutputError
+from modsim3d.errors import ModsimError, OutputError
 
 DONE_FOLDER = "done"
 """In the folder of a campaign that is not finished: the rows that are done, a file for each task."""
@@ -37,6 +39,7 @@ class Work:
         folder: The folder of the campaign, which every worker can reach.
         plan_sha256: Checksum of the plan.
         cache: The folder of layers on the disk; None: `cache` in that of the campaign.
+        files: Checksums of the files that scenes and detectors are made of.
     """
 
     keys: CampaignKeys
@@ -44,6 +47,7 @@ class Work:
     folder: str
     plan_sha256: str
     cache: str | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def layers(self) -> Path:
@@ -110,11 +114,14 @@ class Worker:
 
         Raises:
             OutputError: The file cannot be written.
+            ModsimError: A file that runs are made of is not as it was when the campaign was planned.
         """
         if (report := stored_report(task.path)) is not None:
             return report
         started, cpu = time.perf_counter(), _cpu_s()
         rows = [self._row(run, task.work) for run in task.runs]
+        if problems := changed_files(task.work.files, Path(task.work.base)):
+            raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder")
         crashed = sum(row["status"] == CRASHED for row in rows)
         report = TaskReport(
             len(rows), crashed, time.perf_counter() - started, _cpu_s() - cpu, platform.node(), os.getpid()

@@ -105,7 +105,9 @@ def _made(
 ) -> dict[str, Any]:
     """Write a run and its tracks; its row."""
     work = folder.work
-    scene = Scenes(work.keys.steps, Path(work.base)).alone(run.condition, run.traffic_seed, run.detector_seed)
+    scene = Scenes(work.keys.steps, Path(work.base), learned=work.keys.uncertainty == "learned").alone(
+        run.condition, run.traffic_seed, run.detector_seed
+    )
     run_scene(scene, out, overwrite=overwrite, progress=progress)
     settings = {**run.tracker.settings, **run.condition.of_tracker()}
     stored = open_run(out)

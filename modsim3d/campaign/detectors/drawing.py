@@ -1,0 +1,150 @@
+"""Draws the numbers of a detector from what its labelled set leaves open.
+
+The numbers of a state are drawn together, with the correlations of their bootstrap replicates: normal numbers become
+shares by Beta and rates by Gamma distributions (Jeffreys's prior), the others go back from the scale on which they are
+nearly normal. All spreads of a state are multiplied by one factor that makes normal numbers Student's t ones, with a
+degree of freedom less than it had images. Means and spreads are so those of the intervals that `modsim3d learn`
+reports. What sums to one over labels, cells or states is drawn from a Dirichlet distribution with one observation
+added to a column (Perks's prior; one of each kind for the transition matrix, as it was learned).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from modsim3d.arrays import Array
+from modsim3d.campaign.detectors.learned_file import LearnedGroup, LearnedNumber, LearnedUncertainty
+from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, LEAST_DEGREES, MOST_DEGREES
+from modsim3d.errors import ModsimError
+from modsim3d.learn.entries import columns_of_one, nested
+from modsim3d.learn.error_moments import covariance
+from modsim3d.learn.resampling import from_scale, to_scale
+from modsim3d.learn.uncertainty import correlated
+
+_STREAM = 3
+"""Keeps these random numbers apart from those of the drawn keys, see `plan.drawn`."""
+_INDEPENDENT = 0.01
+"""Share of the identity in the matrix of correlations, whose entries are rounded."""
+_ROUNDING = 1e-5
+"""Least eigenvalue of a covariance over its greatest."""
+_MOST_FACTOR = 10.0
+"""A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
+
+
+def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
+    """Settings of a detector that was drawn, from keys such as `detector.states.good.confusion` to values.
+
+    Args:
+        known: How well its numbers are known.
+        seed: The traffic seed.
+
+    Raises:
+        ModsimError: The correlations are none.
+    """
+    rng = np.random.default_rng([_STREAM, seed])
+    settings: dict[str, Any] = {}
+    for group in known.groups:
+        section = "detector" if group.state is None else f"detector.states.{group.state}"
+        values = _drawn_group(group, rng)
+        settings |= {f"{section}.{key}": value for key, value in _written(values, known.confidence_threshold).items()}
+    if known.transitions is not None:
+        columns = [rng.dirichlet(column + 1) for column in np.array(known.transitions, dtype=np.float64).T]
+        settings["detector.transition_matrix"] = columns_of_one(np.stack(columns, axis=1))
+    return settings
+
+
+def _drawn_group(group: LearnedGroup, rng: np.random.Generator) -> dict[str, Array]:
+    """The numbers of a state, by their keys with dots between."""
+    freedom = max(group.units - 1, 1)
+    normal, widen = _correlated_normal(group, rng), freedom / rng.chisquare(freedom)
+    values, place = {}, 0
+    for number in group.numbers:
+        estimate = number.values
+        places = correlated(number.key, estimate.shape)
+        z = np.zeros(estimate.shape)
+        z[places] = normal[place : (place := place + int(places.sum()))]
+        values[".".join(number.key)] = _drawn(number, z, widen, rng)
+    return values
+
+
+def _correlated_normal(group: LearnedGroup, rng: np.random.Generator) -> Array:
+    """A standard normal number for each one with correlations, shape (n,)."""
+    size = len(group.correlations)
+    matrix = np.eye(size)
+    for i, row in enumerate(group.correlations):
+        matrix[i, :i] = matrix[:i, i] = (1 - _INDEPENDENT) * np.array(row)
+    try:
+        root = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        raise ModsimError("the correlations in the file of the detector's uncertainty are none") from None
+    normal: Array = root @ rng.standard_normal(size)
+    return normal
+
+
+def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generator) -> Array:
+    """A number from standard normal ones of its shape, with a variance that is widened by a factor."""
+    estimate = number.values
+    if number.kind not in ("share", "rate"):
+        spread = np.array(number.spread, dtype=np.float64)
+        drawn = from_scale(to_scale(estimate, number.kind) + np.sqrt(widen) * spread * z, number.kind)
+        return np.clip(drawn, estimate / _MOST_FACTOR, estimate * _MOST_FACTOR) if number.kind == "positive" else drawn
+    trials = np.array(number.observations, dtype=np.float64) / widen
+    if number.kind == "rate":
+        rate: Array = special.gammaincinv(estimate * trials + 0.5, special.ndtr(z)) / trials
+        return rate
+    if number.name == "confusion":
+        missed = _share(estimate[-1], trials[-1], z[-1])
+        columns = zip(estimate[:-1].T, trials[-1] * (1 - estimate[-1]), strict=True)
+        labels = np.stack([_distribution(found, count, rng) for found, count in columns], axis=1)
+        return np.vstack([labels * (1 - missed), missed])
+    if number.name in ("false_positive_labels", "density"):
+        return _distribution(estimate.ravel(), float(trials.max()), rng).reshape(estimate.shape)
+    return _share(estimate, trials, z)
+
+
+def _share(estimate: Array, trials: Array, z: Array) -> Array:
+    """Shares of a number of trials, of any shape."""
+    hits = estimate * trials
+    drawn: Array = special.betaincinv(hits + 0.5, trials - hits + 0.5, special.ndtr(z))
+    return drawn
+
+
+def _distribution(estimate: Array, trials: float, rng: np.random.Generator) -> Array:
+    """Probabilities in proportion to an estimate, shape (n,), seen in a number of trials."""
+    whole = max(float(estimate.sum()), 1e-300)
+    return rng.dirichlet(estimate / whole * trials + 1 / len(estimate))
+
+
+def _covariance(std: Array, correlation: Array) -> Array:
+    """A covariance, shape (4, 4), that is still one when its entries are rounded."""
+    matrix = covariance(std, correlation)
+    least, greatest = np.linalg.eigvalsh(matrix)[[0, -1]]
+    result: Array = matrix + max(_ROUNDING * greatest - least, 0.0) * np.eye(len(matrix))
+    return result
+
+
+def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
+    """The numbers of a state as the detector file writes them, by their keys in it."""
+    written: dict[str, Any] = {}
+    for key, value in values.items():
+        name = key.rpartition(".")[2]
+        if name in ("confusion", "false_positive_labels"):
+            written[key] = columns_of_one(value)
+        elif name == "box_error_std":
+            written["box_error.covariance"] = nested(_covariance(value, values["box_error_correlation"]))
+        elif name == "box_error_mean":
+            written["box_error.mean"] = nested(value)
+        elif name == "box_error_degrees_of_freedom":
+            written["box_error.degrees_of_freedom"] = nested(np.clip(value, LEAST_DEGREES, MOST_DEGREES))
+        elif name == "density":
+            written[key] = nested(np.round(value / value.max(), 6))
+        elif name == "quantiles":
+            written[key] = nested(np.maximum.accumulate(np.clip(value, threshold, 1)))
+        elif name == "false_discovery_rate":
+            written[key] = nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE))
+        elif name != "box_error_correlation":
+            written[key] = nested(value)
+    return written

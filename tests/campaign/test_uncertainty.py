@@ -1,0 +1,283 @@
+"""`uncertainty: learned`: detectors drawn, one for each traffic seed, from what a labelled set leaves open."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from modsim3d import learn_detector, load_detector, load_scene, run_scene
+from modsim3d.arrays import Array
+from modsim3d.campaign.detectors.drawing import drawn_detector
+from modsim3d.campaign.detectors.learned_file import LearnedUncertainty, read_uncertainty
+from modsim3d.campaign.plan.conditions import Condition
+from modsim3d.campaign.running import CampaignResult
+from modsim3d.campaign.work.layers import Layers
+from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.detector.model import ERROR_PAIRS
+from modsim3d.errors import InputError
+from modsim3d.learn.entries import Interval
+from modsim3d.learn.learning import LearnResult
+from modsim3d.scene.detector_choice import choose_detector
+from tests.campaign.campaigns import checked_campaign, run_campaign_file
+
+MANY, FEW, DRAWS = 160, 12, 800
+LEAST_KNOWN = 8.0
+SETTINGS = {"detector.miss_rate": 0.2}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("learned")
+
+
+@pytest.fixture(scope="module")
+def learned(folder: Path) -> dict[str, LearnResult]:
+    """A detector of misses of 20 %, learned from many images and from few; the files are in the folder."""
+    found = {}
+    for name, steps in (("many", MANY), ("few", FEW)):
+        scene = load_scene("harbour", steps=steps, detector="experiment_1", detector_seed=77, settings=SETTINGS)
+        run_scene(scene, folder / f"run_{name}")
+        found[name] = learn_detector(run=folder / f"run_{name}")
+        found[name].write(folder / f"{name}.yaml")
+    return found
+
+
+@pytest.fixture(scope="module")
+def draws(folder: Path, learned: dict[str, LearnResult]) -> dict[str, list[dict[str, Any]]]:
+    return {
+        name: [drawn_detector(read_uncertainty(folder / f"{name}.yaml"), 1_000_000 + k) for k in range(DRAWS)]
+        for name in learned
+    }
+
+
+def drawn_numbers(drawn: list[dict[str, Any]], state: str | None, name: str) -> Array | None:
+    """The draws of an entry that `learn` reports, shape (draws, ...); None if it is not drawn."""
+    section = "detector" if state is None else f"detector.states.{state}"
+    if name.startswith("box_error_"):
+        covariance = np.array([each[f"{section}.box_error.covariance"] for each in drawn])
+        std = np.sqrt(np.einsum("dii->di", covariance))
+        pairs = np.stack([covariance[:, i, j] / (std[:, i] * std[:, j]) for i, j in ERROR_PAIRS], axis=1)
+        mean = np.array([each[f"{section}.box_error.mean"] for each in drawn])
+        return {"box_error_mean": mean, "box_error_std": std, "box_error_correlation": pairs}[name]
+    key = f"{section}.{name}"
+    return np.array([each[key] for each in drawn]) if key in drawn[0] and not name.endswith("density") else None
+
+
+def _unknown(interval: Interval) -> bool:
+    """Whether a standard deviation is known to less than a factor: draws are held within ten times the estimate."""
+    return bool(np.any(interval.high > LEAST_KNOWN * interval.estimate))
+
+
+@pytest.mark.parametrize("name", ["many", "few"])
+@pytest.mark.parametrize("level", [0.8, 0.95])
+def test_intervals_of_learn_hold_as_many_draws_as_they_say(
+    name: str, level: float, learned: dict[str, LearnResult], draws: dict[str, list[dict[str, Any]]]
+) -> None:
+    checked = 0
+    for interval in learned[name].report.learned.intervals(level):
+        found = drawn_numbers(draws[name], interval.key.state, ".".join(interval.key.names))
+        if found is None or np.ptp(found) == 0 or ("std" in interval.key.names[-1] and _unknown(interval)):
+            continue
+        rounding = 1e-5 * np.abs(interval.estimate) + 1e-6
+        inside = np.mean((found >= interval.low - rounding) & (found <= interval.high + rounding), axis=0)
+        checked += np.size(inside)
+        # Five standard errors, and what Student's factor of shares is not exactly; few seen make intervals too wide.
+        slack = 5 * np.sqrt(level * (1 - level) / DRAWS) + 0.02
+        assert np.all(inside > level - slack), interval.key
+        assert np.all(inside < level + slack), interval.key
+    assert checked >= 18
+
+
+def test_draws_have_the_mean_and_the_spread_that_learn_says(
+    learned: dict[str, LearnResult], draws: dict[str, list[dict[str, Any]]]
+) -> None:
+    """From many images everything is nearly normal: half a 68.3 % interval is the standard deviation."""
+    for interval in learned["many"].report.learned.intervals(0.6827):
+        found = drawn_numbers(draws["many"], interval.key.state, ".".join(interval.key.names))
+        if found is None or np.ptp(found) == 0:
+            continue
+        error = (interval.high - interval.low) / 2
+        assert np.all(np.abs(found.mean(axis=0) - interval.estimate) < 0.2 * error + 1e-6), interval.key
+        np.testing.assert_allclose(found.std(axis=0), error, rtol=0.12, atol=1e-6)
+
+
+def test_few_images_spread_draws_more_than_many(draws: dict[str, list[dict[str, Any]]]) -> None:
+    key = "detector.states.real_world.confusion"
+    few, many = (np.std([each[key][-1][0] for each in draws[name]]) for name in ("few", "many"))
+    assert few > 2 * many > 0
+
+
+def group(correlation: float, labels: int, units: int, misses: float) -> dict[str, Any]:
+    column = [(1 - misses) / labels] * labels + [misses]
+    confusion = np.tile(np.array(column)[:, None], labels).tolist()
+    return {
+        "format": 1,
+        "detector_sha256": "",
+        "confidence_threshold": 0.2,
+        "transitions": None,
+        "groups": [
+            {
+                "state": "a",
+                "units": units,
+                "numbers": [
+                    {"key": ["confusion"], "kind": "share", "estimate": confusion,
+                     "observations": np.full((labels + 1, labels), 40.0).tolist()},
+                    {"key": ["box_error_mean"], "kind": "mean", "estimate": [0, 1, 2, 3], "spread": [1, 1, 1, 1]},
+                    {"key": ["box_error_std"], "kind": "positive", "estimate": [1, 2, 3, 4], "spread": [0.9] * 4},
+                    {"key": ["box_error_correlation"], "kind": "correlation", "estimate": [0.9] * 6,
+                     "spread": [0.8] * 6},
+                    {"key": ["false_positives_per_image"], "kind": "rate", "estimate": 0.2, "observations": 50.0},
+                ],
+                "correlations": [[correlation if i == labels + 1 and j == labels else 0.0 for j in range(i)]
+                                 for i in range(labels + 15)],
+            }
+        ],
+    }  # fmt: skip
+
+
+def test_correlations_of_the_replicates_are_those_of_the_draws() -> None:
+    known = LearnedUncertainty.model_validate(group(0.8, 1, 2000, 0.3))
+    means = np.array([drawn_detector(known, seed)["detector.states.a.box_error.mean"] for seed in range(1500)])
+    found = np.corrcoef(means.T)
+    assert abs(found[0, 1] - 0.8) < 0.03  # three standard errors of 0.0093
+    assert np.abs(found[2:, :2]).max() < 5 / np.sqrt(1500)
+
+
+def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -> None:
+    """Jeffreys's Beta and Gamma distributions from many images; from five, Student's with four degrees of freedom."""
+    count = 2000
+
+    def drawn(units: int) -> dict[str, Array]:
+        known = LearnedUncertainty.model_validate(group(0.0, 2, units, 0.3))
+        found = [drawn_detector(known, seed) for seed in range(count)]
+        return {
+            "missed": np.array([each["detector.states.a.confusion"][-1][0] for each in found]),
+            "rate": np.array([each["detector.states.a.false_positives_per_image"] for each in found]),
+            "mean": np.array([each["detector.states.a.box_error.mean"] for each in found])[:, 0],
+        }
+
+    many, few = drawn(100_000), drawn(5)
+    for name, law in (
+        ("missed", stats.beta(12.5, 28.5)),
+        ("rate", stats.gamma(10.5, scale=1 / 50)),
+        ("mean", stats.norm()),
+    ):
+        assert stats.kstest(many[name], law.cdf).pvalue > 1e-3
+    beyond = int((np.abs(few["mean"]) > stats.t(4).ppf(0.975)).sum())
+    assert stats.binomtest(beyond, count, 0.05).pvalue > 1e-3  # 0.6 % of normal ones are beyond
+
+
+@given(
+    labels=st.integers(1, 4),
+    units=st.integers(5, 50),
+    misses=st.sampled_from([0.0, 0.001, 0.4, 1.0]),
+    seed=st.integers(0, 2**40),
+)
+def test_every_draw_is_a_detector(labels: int, units: int, misses: float, seed: int) -> None:
+    """Columns sum to one, and covariances have no negative eigenvalue even as they are written."""
+    drawn = drawn_detector(LearnedUncertainty.model_validate(group(0.0, labels, units, misses)), seed)
+    confusion = np.array(drawn["detector.states.a.confusion"])
+    assert confusion.shape == (labels + 1, labels) and confusion.min() >= 0
+    np.testing.assert_allclose(confusion.sum(axis=0), 1, atol=1e-9)
+    covariance = np.array(drawn["detector.states.a.box_error.covariance"])
+    assert np.linalg.eigvalsh(covariance)[0] > 0
+
+
+def test_a_drawn_detector_is_read_as_a_detector_file_is(folder: Path, draws: dict[str, list[dict[str, Any]]]) -> None:
+    for settings in draws["few"][:40]:
+        model, _ = choose_detector(folder / "few.yaml", settings=settings)
+        assert model.states[0].confusion[-1, 0] == settings["detector.states.real_world.confusion"][-1][0]
+
+
+def campaign(folder: Path, detector: str, **keys: Any) -> CampaignResult:
+    return run_campaign_file(
+        folder,
+        f"c{len(list(folder.iterdir()))}.yaml",
+        scene="harbour",
+        steps=40,
+        vary=[{"grid": {"detector": [detector]}}],
+        **{"trackers": ["reference"], "seeds": {"traffic": 12}, **keys},
+    )
+
+
+def test_a_small_labelled_set_spreads_the_score_over_traffic_seeds(
+    folder: Path, learned: dict[str, LearnResult]
+) -> None:
+    def spread(result: CampaignResult) -> float:
+        assert set(result.table["status"].to_pylist()) == {"done"}
+        return float(np.std(result.table["hota"].to_numpy(), ddof=1))
+
+    few = spread(campaign(folder, "few.yaml", uncertainty="learned"))
+    many = spread(campaign(folder, "many.yaml", uncertainty="learned"))
+    fixed = spread(campaign(folder, "few.yaml"))
+    assert few > 2 * many and few > 2 * fixed
+    assert many < 2 * fixed
+
+
+def test_a_drawn_detector_is_one_of_its_traffic_seed_for_all_trackers_and_is_drawn_again(
+    folder: Path, learned: dict[str, LearnResult]
+) -> None:
+    trackers = ["reference", {"tracker": "reference", "name": "patient", "set": {"lost_s": 9}}]
+    result = campaign(folder, "few.yaml", uncertainty="learned", trackers=trackers, seeds={"traffic": 2, "detector": 2})
+    plan, keys = result.folder.plan, result.table["detections_key"].to_pylist()
+    assert keys[0::2] == keys[1::2] and len(set(keys)) == 4
+    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]))
+    again = [layers.made(plan.run(number)) for number in (6, 0, 2)]
+    assert [made.detections_key[:16] for made in again] == [keys[number] for number in (6, 0, 2)]
+    rates = [float(made.rows.scene.detector.states[0].confusion[-1, 0]) for made in again]
+    assert rates[1] == rates[2] != rates[0]  # detector seeds of a traffic seed share its detector
+
+
+def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: dict[str, LearnResult], tmp_path: Path) -> None:
+    """Its directory has it as a detector file, as `campaign-run` writes it."""
+    condition, scenes = Condition("harbour", {"detector": "few.yaml"}), Scenes(3, folder, learned=True)
+    alone, shared = scenes.alone(condition, 5, 6), scenes.of(condition, 5, 6)
+    alone.copy.write(tmp_path)
+    written = load_detector(tmp_path / "detector.yaml").states[0]
+    assert alone.detector_seed == 6
+    for state in (alone.detector.states[0], shared.detector.states[0]):
+        np.testing.assert_array_equal(state.confusion, written.confusion)
+        np.testing.assert_array_equal(state.box_error.covariance, written.box_error.covariance)
+
+
+def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: dict[str, LearnResult]) -> None:
+    found = checked_campaign(
+        folder, scene="harbour", steps=3, uncertainty="learned", trackers=["reference"], seeds={"traffic": 3},
+        vary=[{"list": [{"detector": "few.yaml", "detector.miss_rate": 0.125}]}],
+    )  # fmt: skip
+    layers = Layers(found.file.keys, folder)
+    states = [layers.made(found.plan.run(number)).rows.scene.detector.states[0] for number in range(3)]
+    assert [state.confusion[-1, 0] for state in states] == [0.125] * 3
+    assert len({state.false_discovery_rate for state in states}) == 3
+
+
+def test_a_detector_without_what_learn_says_of_it_is_refused(
+    folder: Path, learned: dict[str, LearnResult], tmp_path: Path
+) -> None:
+    def refused(detector: str) -> str:
+        with pytest.raises(InputError) as error:
+            checked_campaign(
+                tmp_path, scene="harbour", steps=3, uncertainty="learned", trackers=["reference"],
+                vary=[{"grid": {"detector": [detector]}}],
+            )  # fmt: skip
+        return str(error.value)
+
+    assert "uncertainty: learned needs thesis.uncertainty.json beside it" in refused("thesis")
+    for name in ("few.yaml", "few.uncertainty.json"):
+        shutil.copy(folder / name, tmp_path)
+    with (tmp_path / "few.yaml").open("a") as file:
+        file.write("# edited\n")
+    assert "few.uncertainty.json belongs to another detector file, or the file was changed" in refused("few.yaml")
+    text = (folder / "few.uncertainty.json").read_text()
+    shutil.copy(folder / "few.yaml", tmp_path)
+    (tmp_path / "few.uncertainty.json").write_text(text.replace('"units":12', '"units":2'))
+    assert "learned from 2 images or runs, too few" in refused("few.yaml")
+    (tmp_path / "few.uncertainty.json").write_text(text[:100])
+    assert "few.uncertainty.json" in refused("few.yaml")
