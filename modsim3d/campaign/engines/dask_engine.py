@@ -1,0 +1,184 @@
+"""Workers of a Dask cluster, whoever started it, and of jobs that Slurm starts."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import time
+import uuid
+from collections import Counter
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from modsim3d.campaign.engines.dask_worker import give_up, work_on
+from modsim3d.campaign.work.task import Task, TaskReport
+from modsim3d.errors import ModsimError
+
+CONNECT_S = 30.0
+"""How long a scheduler is waited for, at the start and when the connection to it is lost."""
+LOOK_S = 2.0
+"""Time between two looks at which workers there are."""
+
+
+class DaskEngine:
+    """Does tasks on the workers of a Dask scheduler; workers may come and go."""
+
+    def __init__(self, address: str) -> None:
+        """Connect to a scheduler.
+
+        Args:
+            address: Its address, such as `tcp://10.0.0.1:8786`.
+
+        Raises:
+            ModsimError: There is none, or Dask is not installed.
+        """
+        client_type = _library().Client
+        try:
+            self._client: Any = client_type(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise ModsimError(f"no Dask scheduler answers at {address}: {str(error).splitlines()[0]}") from None
+        self._name, self._key, self._number = address, uuid.uuid4().hex, 0
+        self._handed: dict[str, tuple[Any, Task, str]] = {}
+        self._ended: SimpleQueue[str] = SimpleQueue()
+        self._workers: list[str] = []
+        self._looked = float("-inf")
+
+    @property
+    def width(self) -> int:
+        """Number of worker processes that there are now; 1 if there is none yet."""
+        if time.monotonic() - self._looked > LOOK_S:
+            with suppress(OSError):  # the connection is lost: `next` finds out whether it comes back
+                self._workers = sorted(self._client.nthreads())
+            self._looked = time.monotonic()
+        return max(1, len(self._workers))
+
+    def submit(self, task: Task) -> None:
+        """Hand in a task.
+
+        It goes to the worker that has the fewest, because one does a single task at a time and Dask counts its threads;
+        to any other if that worker goes away.
+        """
+        _ = self.width
+        self._number += 1
+        key = f"modsim3d-{self._key}-{self._number}"
+        loads = Counter(worker for _, _, worker in self._handed.values())
+        worker = min(self._workers, key=lambda each: loads[each], default="")
+        place: dict[str, Any] = {"workers": [worker], "allow_other_workers": True} if worker else {}
+        future = self._client.submit(work_on, self._key, pickle.dumps(task), key=key, pure=False, retries=0, **place)
+        self._handed[key] = future, task, worker
+        future.add_done_callback(lambda ended: self._ended.put(ended.key))
+
+    def next(self) -> tuple[Task, TaskReport | None]:
+        """Wait for a task that was handed in, with its report; None if its worker died too often.
+
+        Raises:
+            ModsimError: A worker cannot do it, or the scheduler is gone.
+        """
+        while True:
+            key = self._next_ended()
+            if key not in self._handed:
+                continue
+            future, task, _ = self._handed.pop(key)
+            if future.status == "finished":
+                report: TaskReport | None = future.result()
+                return task, report
+            if future.status == "error":
+                _raise_unless_killed(future.exception())
+                return task, None
+            self._wait_for_scheduler()  # cancelled, since the connection was lost, or lost
+            self.submit(task)
+
+    def close(self) -> None:
+        """End what is handed in, and leave the cluster."""
+        with suppress(Exception):  # the scheduler may be gone, and its tasks with it
+            if self._handed:
+                self._client.cancel([future for future, _, _ in self._handed.values()], force=True)
+            self._client.run(give_up, self._key, on_error="ignore")
+        self._client.close()
+
+    def _next_ended(self) -> str:
+        """The key of a task that ended, or was cancelled or lost."""
+        while True:
+            try:
+                return self._ended.get(timeout=LOOK_S)
+            except Empty:
+                for key, (future, _, _) in self._handed.items():
+                    if future.status not in ("pending", "finished"):
+                        return key
+
+    def _wait_for_scheduler(self) -> None:
+        """Wait while the client connects again.
+
+        Raises:
+            ModsimError: It does not.
+        """
+        while self._client.status == "connecting":
+            time.sleep(0.1)
+        if self._client.status != "running":
+            raise ModsimError(
+                f"the Dask scheduler at {self._name} is gone: what is done is kept; start a scheduler, and the same "
+                "command goes on"
+            )
+        self._looked = float("-inf")
+
+
+class SlurmEngine(DaskEngine):
+    """Does tasks in jobs that Slurm starts, each with Dask workers; this process is their scheduler."""
+
+    def __init__(self, jobs: int) -> None:
+        """Hand in the jobs; the first tasks begin when the first of them does.
+
+        Args:
+            jobs: Number of jobs; what each of them has is in the configuration of Dask, below `jobqueue.slurm`.
+
+        Raises:
+            ModsimError: A library is missing, the configuration is not complete, or Slurm refuses a job.
+        """
+        cluster_type = _library("dask_jobqueue").SLURMCluster
+        try:
+            self._cluster = cluster_type(scheduler_options={"dashboard_address": None})
+        except ValueError as error:
+            raise ModsimError(
+                f"Slurm: {str(error).splitlines()[0]}: set jobqueue.slurm.cores and jobqueue.slurm.memory in the "
+                "configuration of Dask, ~/.config/dask/jobqueue.yaml"
+            ) from None
+        self._jobs, self._scaled = jobs, time.monotonic()
+        self._cluster.scale(jobs=jobs)
+        super().__init__(self._cluster.scheduler_address)
+
+    def close(self) -> None:
+        """End what is handed in, and the jobs."""
+        super().close()
+        self._cluster.close()
+
+
+def _library(name: str = "distributed") -> Any:
+    """A library that is no part of the usual installation.
+
+    Raises:
+        ModsimError: It is not installed.
+    """
+    import importlib
+
+    try:
+        library = importlib.import_module(name)
+    except ImportError as error:
+        raise ModsimError(f'campaigns on a cluster need {error.name}: pip install "modsim3d[cluster]"') from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a user needs to know is raised
+    return library
+
+
+def _raise_unless_killed(error: BaseException) -> None:
+    """Raise what went wrong with a task, unless its workers died.
+
+    Raises:
+        ModsimError: Something else went wrong.
+    """
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return
+    if isinstance(error, ModsimError):
+        raise error
+    raise ModsimError(f"a Dask worker cannot do a task: {type(error).__name__}: {error}")
