@@ -6,7 +6,7 @@ import logging
 import pickle
 import time
 import uuid
-from collections import Counter
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -39,9 +39,9 @@ class DaskEngine:
         except (OSError, ValueError, TypeError) as error:
             raise ModsimError(f"no Dask scheduler answers at {address}: {str(error).splitlines()[0]}") from None
         self._name, self._key, self._number = address, uuid.uuid4().hex, 0
-        self._handed: dict[str, tuple[Any, Task, str]] = {}
+        self._handed: dict[str, tuple[Any, Task]] = {}
         self._ended: SimpleQueue[str] = SimpleQueue()
-        self._workers: list[str] = []
+        self._workers = 0
         self._looked = float("-inf")
 
     @property
@@ -49,24 +49,20 @@ class DaskEngine:
         """Number of worker processes that there are now; 1 if there is none yet."""
         if time.monotonic() - self._looked > LOOK_S:
             with suppress(OSError):  # the connection is lost: `next` finds out whether it comes back
-                self._workers = sorted(self._client.nthreads())
+                self._workers = len(self._client.nthreads())
             self._looked = time.monotonic()
-        return max(1, len(self._workers))
+        return max(1, self._workers)
 
     def submit(self, task: Task) -> None:
-        """Hand in a task.
+        """Hand in a task; Dask chooses the worker.
 
-        It goes to the worker that has the fewest, because one does a single task at a time and Dask counts its threads;
-        to any other if that worker goes away.
+        It is bound to none, not even loosely: Dask would never give such a task to a worker that comes after all others
+        have gone.
         """
-        _ = self.width
         self._number += 1
         key = f"modsim3d-{self._key}-{self._number}"
-        loads = Counter(worker for _, _, worker in self._handed.values())
-        worker = min(self._workers, key=lambda each: loads[each], default="")
-        place: dict[str, Any] = {"workers": [worker], "allow_other_workers": True} if worker else {}
-        future = self._client.submit(work_on, self._key, pickle.dumps(task), key=key, pure=False, retries=0, **place)
-        self._handed[key] = future, task, worker
+        future = self._client.submit(work_on, self._key, pickle.dumps(task), key=key, pure=False, retries=0)
+        self._handed[key] = future, task
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
 
     def next(self) -> tuple[Task, TaskReport | None]:
@@ -79,21 +75,23 @@ class DaskEngine:
             key = self._next_ended()
             if key not in self._handed:
                 continue
-            future, task, _ = self._handed.pop(key)
-            if future.status == "finished":
-                report: TaskReport | None = future.result()
-                return task, report
-            if future.status == "error":
+            future, task = self._handed.pop(key)
+            status = future.status
+            if status == "error":
                 _raise_unless_killed(future.exception())
                 return task, None
-            self._wait_for_scheduler()  # cancelled, since the connection was lost, or lost
+            if status == "finished":
+                with suppress(CancelledError, OSError):  # the connection may be lost just now
+                    report: TaskReport | None = future.result()
+                    return task, report
+            self._wait_for_scheduler()  # it was cancelled when the connection was lost, or its result is lost
             self.submit(task)
 
     def close(self) -> None:
         """End what is handed in, and leave the cluster."""
         with suppress(Exception):  # the scheduler may be gone, and its tasks with it
             if self._handed:
-                self._client.cancel([future for future, _, _ in self._handed.values()], force=True)
+                self._client.cancel([future for future, _ in self._handed.values()], force=True)
             self._client.run(give_up, self._key, on_error="ignore")
         self._client.close()
 
@@ -103,7 +101,7 @@ class DaskEngine:
             try:
                 return self._ended.get(timeout=LOOK_S)
             except Empty:
-                for key, (future, _, _) in self._handed.items():
+                for key, (future, _) in self._handed.items():
                     if future.status not in ("pending", "finished"):
                         return key
 
