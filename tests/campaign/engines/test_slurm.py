@@ -16,21 +16,18 @@ from tests.campaign.engines.campaigns import Campaigns, alive, content, waited_f
 
 SBATCH = """#!/bin/sh
 cp "$1" {folder}/script
-setsid sh "$1" > {folder}/log 2>&1 &
+setsid sh {folder}/script > {folder}/log 2>&1 &
 echo $! >> {folder}/jobs
 echo "Submitted batch job $!"
 """
 SCANCEL = """#!/bin/sh
 kill -- "-$1"
 """
-CONFIGURATION = """
-jobqueue:
-  slurm:
-    cores: 1
-    memory: 1 GiB
-    interface: lo
-    walltime: "00:10:00"
-"""
+CONFIGURATION = {
+    "jobqueue.slurm.cores": 1,
+    "jobqueue.slurm.memory": "1 GiB",
+    "jobqueue.slurm.interface": "lo",
+}
 
 
 @pytest.fixture
@@ -53,9 +50,10 @@ def jobs_in(folder: Path) -> list[int]:
 
 def test_jobs_make_the_runs_and_end_with_the_campaign(campaigns: Campaigns, slurm: Path) -> None:
     import dask
+    import dask_jobqueue  # noqa: F401 - it brings the defaults of its configuration
 
-    dask.config.update(dask.config.config, __import__("yaml").safe_load(CONFIGURATION))
-    campaigns.run("plain", lambda: SlurmEngine(1), slurm / "out")
+    with dask.config.set(CONFIGURATION):
+        campaigns.run("plain", lambda: SlurmEngine(1), slurm / "out")
     assert content(slurm / "out") == campaigns.reference
     assert "#SBATCH --cpus-per-task=1" in (slurm / "script").read_text()
     (job,) = jobs_in(slurm)
@@ -64,9 +62,10 @@ def test_jobs_make_the_runs_and_end_with_the_campaign(campaigns: Campaigns, slur
 
 def test_a_configuration_without_cores_is_told() -> None:
     import dask
+    import dask_jobqueue  # noqa: F401 - it brings the defaults of its configuration
 
     with (
-        dask.config.set({"jobqueue.slurm.cores": None}),
+        dask.config.set({"jobqueue.slurm.cores": None, "jobqueue.slurm.memory": None}),
         pytest.raises(ModsimError, match=r"set jobqueue\.slurm\.cores and jobqueue\.slurm\.memory"),
     ):
         SlurmEngine(2)
