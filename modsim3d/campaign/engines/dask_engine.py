@@ -134,14 +134,13 @@ class SlurmEngine(DaskEngine):
             ModsimError: A library is missing, the configuration is not complete, or Slurm refuses a job.
         """
         cluster_type = _library("dask_jobqueue").SLURMCluster
-        try:
-            self._cluster = cluster_type(scheduler_options={"dashboard_address": None})
-        except ValueError as error:
+        settings = _library("dask").config
+        if missing := [key for key in ("cores", "memory") if settings.get(f"jobqueue.slurm.{key}", None) is None]:
             raise ModsimError(
-                f"Slurm: {str(error).splitlines()[0]}: set jobqueue.slurm.cores and jobqueue.slurm.memory in the "
-                "configuration of Dask, ~/.config/dask/jobqueue.yaml"
-            ) from None
-        self._jobs, self._scaled = jobs, time.monotonic()
+                f"Slurm: the configuration of Dask does not say what a job has: set jobqueue.slurm.{missing[0]} in "
+                "~/.config/dask/jobqueue.yaml"
+            )
+        self._cluster = cluster_type(scheduler_options={"dashboard_address": None})
         self._cluster.scale(jobs=jobs)
         super().__init__(self._cluster.scheduler_address)
 
