@@ -229,10 +229,21 @@ class _DiedError(Exception):
     """A worker process died."""
 
 
+def end_with_parent(parent: int | None = None) -> None:
+    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers.
+
+    Args:
+        parent: Number of the parent; if it has ended already, this process ends now.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if parent is not None and os.getppid() != parent:
+        os._exit(1)
+
+
 def _serve(pipe: Connection, set_up: Callable[..., AbstractContextManager[Any]], arguments: tuple[Any, ...]) -> None:
     """Set up the worker of this process, and do what comes through a pipe until None comes."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)  # a killed parent must not leave workers behind
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process tells the user what was interrupted
     with ExitStack() as opened:
         worker, problem = None, None

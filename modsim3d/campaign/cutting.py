@@ -41,8 +41,8 @@ class Cutter:
     """Gives the numbers of the runs of one task after another; learns from tasks that are done how long a run takes."""
 
     def __init__(self, width: int) -> None:
-        """Take the number of tasks that are worked on at once."""
-        self._width = width
+        """Take the number of tasks that are worked on at once; it may change."""
+        self.width = width
         self._groups: deque[list[int]] = deque()
         self._run_s: float | None = None
         self.waiting = 0
@@ -62,10 +62,11 @@ class Cutter:
     def next(self) -> list[int]:
         """The runs of the next task."""
         most = FIRST_RUNS if self._run_s is None else max(1, int(TASK_S / self._run_s))
-        fair = max(1, self.waiting // (2 * self._width))  # towards the end smaller ones, so that all end together
+        fair = max(1, self.waiting // (2 * self.width))  # towards the end smaller ones, so that all end together
         taken = self._groups.popleft()
         if len(taken) > most:
-            taken, rest = taken[:most], taken[most:]
+            cut = min(most, max(fair, FIRST_RUNS))
+            taken, rest = taken[:cut], taken[cut:]
             self._groups.appendleft(rest)
         while self._groups and len(taken) + len(self._groups[0]) <= min(most, fair):
             taken = taken + self._groups.popleft()
@@ -74,4 +75,4 @@ class Cutter:
 
     def seconds(self, runs: int) -> float | None:
         """How long some runs will take at this rate; None while nothing is known."""
-        return None if self._run_s is None else runs * self._run_s / self._width
+        return None if self._run_s is None else runs * self._run_s / self.width

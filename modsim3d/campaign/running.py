@@ -13,15 +13,21 @@ import pyarrow.compute as pc
 
 from modsim3d.campaign.cutting import Cutter, same_truth
 from modsim3d.campaign.engines.interface import Engine
+from modsim3d.campaign.results.done_rows import DoneRows
 from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
-from modsim3d.campaign.results.gather import done_numbers, done_rows, results_table, write_results, write_verdicts
+from modsim3d.campaign.results.gather import remove_done, results_table, write_results, write_verdicts
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.task import Task, TaskReport, store_crashed
+from modsim3d.errors import ModsimError, OutputError
 
 DEATHS = 2
 """A run that ends its worker so often is given up."""
+AHEAD = 2
+"""Tasks that are handed in for each worker, so that none waits."""
+READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
+"""Waits for a file that another machine has written; a network file system shows it after up to a minute."""
 DIED = "its worker process was killed, or ran out of memory"
 
 
@@ -99,22 +105,38 @@ def run_plan(
         ModsimError: The folder holds another plan or cannot be written, or the engine fails.
     """
     if shard is not None:
+        _check_shard(campaign, *shard)
         here = planned(campaign, folder)
-        _Campaign(campaign, here, shard, cache, progress).make(engine)
+        if not here.finished:
+            _Campaign(campaign, here, shard, cache, progress).make(engine)
         return None
     with locked_campaign(folder):
         here = planned(campaign, folder)
         if not here.finished:
             started = time.perf_counter()
             running = _Campaign(campaign, here, None, cache, progress)
-            end = running.make(engine)
-            rows = done_rows(here)
-            write_results(here, rows.filter(pc.less(rows["run"], end)))
+            write_results(here, running.rows(running.make(engine)))
             running.log(time.perf_counter() - started)
+        remove_done(here)
         table = results_table(here)
         verdicts = judged(here.plan, table)
         write_verdicts(here, verdicts)
     return CampaignResult(here, table, verdicts)
+
+
+def _check_shard(campaign: CheckedCampaign, part: int, parts: int) -> None:
+    """Refuse what cannot be done in parts.
+
+    Raises:
+        ModsimError: There is no such part, or what is run depends on what was run before.
+    """
+    keys = campaign.file.keys
+    if not 1 <= part <= parts:
+        raise ModsimError(f"--shard {part}/{parts}: there are the parts 1/{parts} to {parts}/{parts}")
+    if keys.search is not None:
+        raise ModsimError("--shard: what a search runs next depends on all that it has run: leave --shard out")
+    if keys.stop == "sequential":
+        raise ModsimError("--shard: stop: sequential looks at the runs of all parts: leave --shard out, or stop: once")
 
 
 class _Campaign:
@@ -132,7 +154,8 @@ class _Campaign:
         self._reports: list[TaskReport] = []
         self._looked = 0
         mine = self._mine()
-        done = set(done_numbers(folder).tolist())
+        self._rows = DoneRows(folder).read(None if shard is None else set(mine))
+        done = set(self._rows.numbers().tolist())
         self._state = _State(len(mine), {number for number in mine if number in done})
         runs = len(self._plan)
         self._batch = runs if self._plan.keys.stop == "once" else self._plan.keys.batch * self._plan.runs_by_seed
@@ -141,6 +164,8 @@ class _Campaign:
             if number not in self._state.done:
                 self._todo[number // self._batch].append(number)
         self._missing = [len(numbers) for numbers in self._todo]
+        if self._state.done:
+            self._state.crashed = self._rows.crashed()
 
     def make(self, engine: Callable[[], Engine]) -> int:
         """Make all rows; the number of the first run that does not count any more."""
@@ -151,6 +176,18 @@ class _Campaign:
             return self._work(opened)
         finally:
             opened.close()
+
+    def rows(self, end: int) -> pa.Table:
+        """The rows of all runs before the run `end`.
+
+        Raises:
+            OutputError: Some are missing, because files were removed.
+        """
+        table = self._rows.table()
+        table = table.filter(pc.less(table["run"], end))
+        if len(table) < end:
+            raise OutputError(f"{self._folder.done}: files were removed while the campaign ran: start it again")
+        return table
 
     def _mine(self) -> list[int]:
         """The runs of this part: every n-th truth."""
@@ -168,7 +205,7 @@ class _Campaign:
             stop = min(self._looked * self._batch, len(self._plan))
             if stop == len(self._plan):
                 return stop
-            rows = done_rows(self._folder)
+            rows = self._rows.table()
             self._state.verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
             if all(verdict.outcome != "undecided" for verdict in self._state.verdicts):
                 return stop
@@ -178,7 +215,8 @@ class _Campaign:
         cutter, split, state = Cutter(engine.width), list[Task](), self._state
         ahead = tasks = 0
         while True:
-            while tasks < 2 * engine.width:
+            cutter.width = width = engine.width
+            while tasks < AHEAD * width:
                 while not cutter.waiting and not split and ahead < len(self._todo):
                     cutter.add(same_truth(self._plan, self._campaign.facts, self._todo[ahead]))
                     ahead += 1
@@ -202,13 +240,32 @@ class _Campaign:
             self._progress(Progress(state.total, len(state.done), state.running, state.crashed, left_s, state.verdicts))
 
     def _take(self, task: Task, report: TaskReport) -> None:
-        """Note that a task is done."""
+        """Note that a task is done.
+
+        Raises:
+            OutputError: Its file cannot be read here.
+        """
+        self._read_back(task)
         self._reports.append(report)
         self._state.crashed += report.crashed
         for run in task.runs:
             if run.number not in self._state.done:
                 self._state.done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
+
+    def _read_back(self, task: Task) -> None:
+        """Read the rows of a task; the file of another machine may take a while to be seen on this one.
+
+        Raises:
+            OutputError: It is not.
+        """
+        for wait_s in (0.0, *READ_AGAIN_S):
+            time.sleep(wait_s)
+            if self._rows.add(task.path):
+                return
+        raise OutputError(
+            f"{task.path} was written, and cannot be read here: all workers need the folder of the campaign itself"
+        )
 
     def _died(self, task: Task, split: list[Task]) -> TaskReport | None:
         """A task ended its worker: try its halves, and give up a run that does so alone."""

@@ -8,13 +8,11 @@ from modsim3d.campaign.work.task import Task, TaskReport, Worker
 
 
 class Engine(Protocol):
-    """Does tasks.
+    """Does tasks."""
 
-    Attributes:
-        width: How many tasks should be handed in at once so that no worker waits.
-    """
-
-    width: int
+    @property
+    def width(self) -> int:
+        """How many tasks can be done at once now, at least 1; it may change."""
 
     def submit(self, task: Task) -> None:
         """Hand in a task."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,14 +16,14 @@ from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.files import differing_files
-from modsim3d.campaign.work.task import DONE_FOLDER, Work
+from modsim3d.campaign.work.task import DONE_FOLDER, PLAN, Work
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.locks import locked_folder
-from modsim3d.outputs.placing import write_files
+from modsim3d.outputs.placing import make_folder, sync_file, sync_folder
 from modsim3d.paths import StrPath, as_path
 
 FORMAT = 1
-FILE, PLAN, LOG, VERDICTS = "campaign.yaml", "plan.json", "campaign.log", "verdicts.json"
+FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
 RESULTS = "results"
 
 
@@ -85,38 +87,75 @@ def opened_campaign(folder: StrPath) -> CampaignFolder:
 
 
 def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
-    """Write the plan of a campaign into a folder, or find it there.
+    """Write the plan of a campaign into a folder, or find it there; several processes may do so at once.
 
     Raises:
         OutputError: The folder holds another plan or other files, or cannot be written.
     """
     facts = _facts(campaign)
     content = orjson.dumps(facts, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
-    plan = folder / PLAN
-    if plan.is_file():
-        _check_same(plan, facts)
-    else:
-        others = (
-            sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")) if folder.is_dir() else []
-        )
-        if others:
-            raise OutputError(f"{folder} holds other files ({others[0]}): choose a new folder for the campaign")
-        write_files({folder / FILE: campaign.file.path.read_bytes(), plan: content})
-    return CampaignFolder(folder, orjson.loads(content), campaign.plan)
+    try:
+        _place_plan(folder, content)
+        _check_same(folder / PLAN, facts)
+        if not (folder / FILE).exists():  # after the plan, so that a folder with a file and no plan is not one of ours
+            _place(folder / FILE, campaign.file.path.read_bytes())
+        here = CampaignFolder(folder, orjson.loads(content), campaign.plan)
+        if not here.finished:
+            make_folder(here.done)
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written to: {error.strerror or error}") from error
+    return here
+
+
+def _place_plan(folder: Path, content: bytes) -> None:
+    """Write the plan if there is none.
+
+    Raises:
+        OutputError: The folder holds other files.
+        OSError: It cannot be written.
+    """
+    make_folder(folder)
+    names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+    if PLAN in names or (folder / PLAN).exists():
+        return
+    if names:
+        raise OutputError(f"{folder} holds other files ({names[0]}): choose a new folder for the campaign")
+    _place(folder / PLAN, content)
+
+
+def _place(path: Path, content: bytes) -> None:
+    """Write a file whole unless another process has done so before; whoever comes second leaves the first one's."""
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        partial.write_bytes(content)
+        sync_file(partial)
+        try:
+            path.hardlink_to(partial)
+        except FileExistsError:
+            return
+        except OSError:  # a file system without links: equal plans have equal bytes
+            partial.replace(path)
+        sync_folder(path.parent)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked_campaign(folder: Path) -> Iterator[None]:
     """Hold the lock of the folder, which is made if it is not there.
 
+    On a file system without locks it is not held: two writers then write the same bytes.
+
     Raises:
         OutputError: Another process works on it, or it cannot be written.
     """
-    try:
-        with locked_folder(folder):
-            yield
-    except OSError as error:
-        raise OutputError(f"{folder} cannot be written to: {error.strerror or error}") from error
+    with ExitStack() as lock:
+        try:
+            lock.enter_context(locked_folder(folder))
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                raise OutputError(f"{folder} cannot be written to: {error.strerror or error}") from error
+        yield
 
 
 def _facts(campaign: CheckedCampaign) -> dict[str, Any]:

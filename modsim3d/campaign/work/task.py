@@ -8,6 +8,7 @@ import resource
 import time
 import uuid
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -24,6 +25,8 @@ from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, t
 from modsim3d.campaign.work.stored_layers import CACHE_FOLDER
 from modsim3d.errors import ModsimError, OutputError
 
+PLAN = "plan.json"
+"""In the folder of a campaign: its plan."""
 DONE_FOLDER = "done"
 """In the folder of a campaign that is not finished: the rows that are done, a file for each task."""
 _REPORT = b"modsim3d"
@@ -137,8 +140,8 @@ class Worker:
         """
         try:
             return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
-        except OutputError:
-            raise  # a layer that cannot be kept: nothing that the run has done
+        except OutputError:  # the disk is full: that says nothing about the run
+            raise
         except Exception as error:
             return crashed_row(run.number, f"{type(error).__name__}: {error}")
 
@@ -164,29 +167,38 @@ def store(path: Path, table: pa.Table, report: TaskReport) -> None:
     """Write rows whole, under a name of their own until they are; another process may write the same file.
 
     Raises:
-        OutputError: The file cannot be written.
+        OutputError: The file cannot be written. So it is when the folder is gone: the campaign has ended without it.
     """
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    table = table.replace_schema_metadata({_REPORT: orjson.dumps(asdict(report))})
     try:
-        path.parent.mkdir(exist_ok=True)
         with partial.open("wb") as out:
-            pq.write_table(
-                table.replace_schema_metadata({_REPORT: orjson.dumps(asdict(report))}), out, compression="zstd"
-            )
+            pq.write_table(table, out, compression="zstd", write_page_checksum=True)
             out.flush()
             os.fsync(out.fileno())
         partial.replace(path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def read_rows(path: Path) -> pa.Table | None:
+    """The rows of a task's file, with its report; None if there is no such file, or it is damaged."""
+    try:
+        with path.open("rb") as opened:
+            content = pa.BufferReader(opened.read())
+        return pq.ParquetFile(content, page_checksum_verification=True).read(use_threads=False)
+    except (OSError, pa.ArrowException):
+        return None
 
 
 def stored_report(path: Path) -> TaskReport | None:
     """What a file of rows says of its task; None if there is no such file, or it is damaged."""
+    table = read_rows(path)
     try:
-        metadata = pq.read_schema(path).metadata or {}
-        return TaskReport(**orjson.loads(metadata[_REPORT]))
-    except (OSError, pa.ArrowInvalid, KeyError, TypeError, orjson.JSONDecodeError):
+        return None if table is None else TaskReport(**orjson.loads(table.schema.metadata[_REPORT]))
+    except (KeyError, TypeError, orjson.JSONDecodeError):
         return None
 
 

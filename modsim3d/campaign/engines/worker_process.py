@@ -1,0 +1,144 @@
+"""A worker in a process of its own, so that a run that ends its process ends nothing else.
+
+It is a new interpreter and no fork: a fork is not safe where threads run, and `multiprocessing` would import the
+user's script again. This module imports little, because a Dask worker imports it only to hand tasks on.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from modsim3d.errors import ModsimError
+
+if TYPE_CHECKING:
+    from modsim3d.campaign.work.task import Task, TaskReport
+
+READY = "ready"
+"""What a process says when it can take tasks."""
+_END_S = 10.0
+"""How long an idle process may take to close its OpenGL context."""
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Processes share the cores; threads of each would only wait for each other."""
+
+
+class ProcessDiedError(Exception):
+    """The process of a worker ended while it did a task."""
+
+
+class WorkerProcess:
+    """A process that does tasks one after the other, in one thread, with one OpenGL context.
+
+    Nobody else holds the other end of its pipe, so that the pipe ends when the process does, whatever it was doing.
+    """
+
+    def __init__(self) -> None:
+        """Start the process; tasks may be handed to it at once."""
+        self.pipe, other_end = multiprocessing.Pipe()
+        self._busy = self._ready = False
+        with other_end:
+            self._process = _started(other_end)
+
+    @property
+    def id(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def hand(self, task: Task) -> None:
+        """Hand it a task.
+
+        Raises:
+            ProcessDiedError: The process has ended.
+        """
+        self._busy = True
+        try:
+            self.pipe.send(task)
+        except OSError:
+            raise self._died() from None
+
+    def answer(self) -> TaskReport | None:
+        """Read one message from the pipe: the report on the task, or None if the process only says that it is ready.
+
+        Raises:
+            ProcessDiedError: The process ended while it did the task.
+            ModsimError: It could not start, or the task cannot be done.
+        """
+        try:
+            message = self.pipe.recv()
+        except (EOFError, OSError):
+            raise self._died() from None
+        if message == READY:
+            self._ready = True
+            return None
+        self._busy = False
+        report: TaskReport | None
+        report, error = message
+        if error is not None:
+            raise error
+        return report
+
+    def do(self, task: Task) -> TaskReport:
+        """Do a task, and wait for it.
+
+        Raises:
+            ProcessDiedError: The process ended while it did the task.
+            ModsimError: It could not start, or the task cannot be done.
+        """
+        self.hand(task)
+        while (report := self.answer()) is None:
+            pass
+        return report
+
+    def kill(self) -> None:
+        """End the process, whatever it is doing."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End the process: an idle one closes its OpenGL context first."""
+        self.pipe.close()
+        if self._busy:
+            self.kill()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+        self.kill()
+        self._process.wait()
+
+    def _died(self) -> ProcessDiedError | ModsimError:
+        """What a broken pipe means."""
+        try:
+            code = self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:  # it lives, and something in it closed the pipe
+            self.kill()
+            code = self._process.wait()
+        if self._ready:
+            return ProcessDiedError()
+        return ModsimError(f"a worker process could not start: {_said(code)}, see above")
+
+
+def _said(code: int) -> str:
+    return f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+
+
+def _started(pipe: Connection) -> subprocess.Popen[bytes]:
+    """A process that serves a pipe.
+
+    It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what was
+    interrupted. What trackers print goes to standard error, because standard output is the command's.
+    """
+    paths = [path or str(Path.cwd()) for path in sys.path]
+    environment = {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    return subprocess.Popen(
+        # -P: the working directory may hold files that are named like modules
+        [sys.executable, "-P", "-m", "modsim3d.campaign.engines.serving", str(pipe.fileno()), str(os.getpid())],
+        env=environment,
+        pass_fds=[pipe.fileno()],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        process_group=0,
+    )

@@ -1,0 +1,50 @@
+"""A plug-in tracker that waits or ends its process when it is told to, and campaigns with it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from tests.campaign.engines.campaigns import Campaigns
+
+TRACKER = """
+import os, time
+from pathlib import Path
+import numpy as np
+from modsim3d import TrackedFrame, Tracker
+
+class Fragile(Tracker):
+    fatal: bool = False
+
+    def follow(self, frames, camera):
+        hold = Path(os.environ.get("FRAGILE_HOLD", "/nowhere"))
+        if hold.is_dir():
+            (hold / str(os.getpid())).touch()
+            while hold.is_dir():
+                time.sleep(0.01)
+        if self.fatal:
+            os._exit(9)
+        for frame in frames:
+            yield TrackedFrame(np.arange(len(frame.boxes_px)), frame.boxes_px, frame.label, frame.confidence)
+"""
+
+
+@pytest.fixture(scope="session")
+def campaigns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Campaigns]:
+    folder = tmp_path_factory.mktemp("engines")
+    site = folder / "site"
+    (site / "fragile-1.0.dist-info").mkdir(parents=True)
+    (site / "fragile.py").write_text(TRACKER, encoding="utf-8")
+    (site / "fragile-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fragile\nVersion: 1.0\n")
+    (site / "fragile-1.0.dist-info" / "entry_points.txt").write_text("[modsim3d.trackers]\nfragile = fragile:Fragile\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(site)
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(Path(__file__).resolve().parents[3])]))
+        patch.setenv("FRAGILE_HOLD", str(folder / "hold"))
+        made = Campaigns(folder)
+        made.run("plain", ThisProcess, "reference")
+        yield made

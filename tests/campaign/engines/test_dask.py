@@ -1,0 +1,95 @@
+"""A real scheduler and workers that are killed, come late or lose their scheduler."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.engines.dask_engine import DaskEngine
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.running import DIED
+from modsim3d.errors import ModsimError
+from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
+from tests.campaign.engines.cluster import Cluster, cluster, free_port
+
+
+@pytest.fixture(scope="module")
+def shared(campaigns: Campaigns, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A scheduler with one worker, for tests that leave it alive."""
+    with cluster(tmp_path_factory.mktemp("cluster"), 1) as made:
+        yield made
+
+
+def test_a_run_that_ends_its_process_each_time_is_reported_and_the_worker_stays(
+    campaigns: Campaigns, shared: Cluster, tmp_path: Path
+) -> None:
+    result = campaigns.run("fatal", lambda: DaskEngine(shared.address), tmp_path / "out")
+    assert result is not None
+    assert result.table["error"].to_pylist() == [None, DIED]
+
+
+def test_a_client_that_is_killed_and_started_again_ends_with_the_same_bytes(
+    campaigns: Campaigns, shared: Cluster, tmp_path: Path
+) -> None:
+    with campaigns.holding() as hold, campaigns.coordinator(shared.address, tmp_path / "out") as client:
+        waited_for(lambda: numbers_in(hold))
+        client.kill()
+    campaigns.run("plain", lambda: DaskEngine(shared.address), tmp_path / "out")
+    assert content(tmp_path / "out") == campaigns.reference
+
+
+def test_what_is_not_wanted_any_more_is_ended_at_once(campaigns: Campaigns, shared: Cluster, tmp_path: Path) -> None:
+    _, tasks = campaigns.planned(tmp_path / "out")
+    engine = DaskEngine(shared.address)
+    with campaigns.holding() as hold:
+        for task in tasks:
+            engine.submit(task)
+        waited_for(lambda: numbers_in(hold))
+        (worker,) = numbers_in(hold)  # a single one: the second thread waits
+        engine.close()
+        waited_for(lambda: not alive(worker))
+
+
+def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Cluster, tmp_path: Path) -> None:
+    here, tasks = campaigns.planned(tmp_path / "out")
+    (here.path / "plan.json").rename(tmp_path / "elsewhere")
+    engine = DaskEngine(shared.address)
+    engine.submit(tasks[0])
+    with pytest.raises(ModsimError, match=r"the worker on .* cannot read .*/plan.json \(No such file or directory\)"):
+        engine.next()
+    engine.close()
+
+
+def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("modsim3d.campaign.engines.dask_engine.CONNECT_S", 0.2)
+    with pytest.raises(ModsimError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1"):
+        DaskEngine(f"tcp://127.0.0.1:{free_port()}")
+
+
+def test_workers_and_the_scheduler_are_lost_and_others_come(campaigns: Campaigns, tmp_path: Path) -> None:
+    here, tasks = campaigns.planned(tmp_path / "out")
+    with cluster(tmp_path, 0) as made:
+        scheduler, first = made._processes[0], made.start_worker()
+        engine = DaskEngine(made.address)
+        engine.submit(tasks[0])
+        waited_for(tasks[0].path.exists)
+        first.kill()  # after it has finished, before anybody has asked for the result
+        with campaigns.holding() as hold:
+            second = made.start_worker()  # it was not there when the task was handed in
+            engine.submit(tasks[1])
+            waited_for(lambda: numbers_in(hold))
+            (killed,) = numbers_in(hold)
+            second.kill()  # in the middle; its process ends with it
+            waited_for(lambda: not alive(killed))
+            scheduler.kill()
+            scheduler.wait()
+            made.start_scheduler()
+            made.start_worker()
+        done = [engine.next() for _ in range(2)]
+        assert {task.path for task, _ in done} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
+        assert all(report is not None and report.crashed == 0 for _, report in done)
+        engine.close()
+    campaigns.run("plain", ThisProcess, tmp_path / "out")
+    assert content(tmp_path / "out") == campaigns.reference

@@ -1,0 +1,65 @@
+"""Processes on this machine: they die, are killed, and end with the main process."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.engines.pool import ProcessPool
+from modsim3d.campaign.running import DIED
+from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
+
+
+def test_a_run_that_ends_its_process_each_time_is_reported_and_the_rest_goes_on(
+    campaigns: Campaigns, tmp_path: Path
+) -> None:
+    result = campaigns.run("fatal", lambda: ProcessPool(1), tmp_path / "out")
+    assert result is not None
+    assert (
+        result.table.select(["tracker", "status", "error"]).to_pylist()
+        == [
+            {"tracker": "reference", "status": "done", "error": None},
+            {"tracker": "fatal", "status": "crashed", "error": DIED},
+        ]
+        * 2
+    )
+
+
+def test_a_process_that_is_killed_in_the_middle_of_a_task_is_replaced(campaigns: Campaigns, tmp_path: Path) -> None:
+    here, tasks = campaigns.planned(tmp_path / "out")
+    pool = ProcessPool(2)
+    with campaigns.holding() as hold:
+        for task in tasks[:2]:
+            pool.submit(task)
+        waited_for(lambda: len(numbers_in(hold)) == 2)
+        killed, other = numbers_in(hold)
+        os.kill(killed, signal.SIGKILL)
+        died, report = pool.next()
+        assert died in tasks
+        assert report is None
+        assert alive(other)
+        pool.submit(died)  # nothing waits for the other process
+        waited_for(lambda: len(numbers_in(hold)) == 3)
+    assert {pool.next()[0].path, pool.next()[0].path} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
+    pool.close()
+    campaigns.run("plain", ThisProcess, tmp_path / "out")
+    assert content(tmp_path / "out") == campaigns.reference
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(
+    campaigns: Campaigns, tmp_path: Path, number: signal.Signals
+) -> None:
+    out = tmp_path / "out"
+    with campaigns.holding() as hold, campaigns.coordinator("pool", out) as coordinator:
+        waited_for(lambda: len(numbers_in(hold)) == 2)
+        workers = numbers_in(hold)
+        coordinator.send_signal(number)
+        assert coordinator.wait(30) in (-number, 1)
+        waited_for(lambda: not any(alive(worker) for worker in workers))
+    campaigns.run("plain", ThisProcess, out)
+    assert content(out) == campaigns.reference

@@ -1,0 +1,51 @@
+"""Parts of a campaign that know nothing of each other, and what is made of them."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.engines.interface import Engine, ThisProcess
+from modsim3d.campaign.results.folder import planned
+from modsim3d.errors import ModsimError, OutputError
+from tests.campaign.engines.campaigns import Campaigns, content
+
+
+def no_engine() -> Engine:
+    raise AssertionError("there is nothing to do")
+
+
+def test_shards_make_each_run_once_and_the_command_without_them_only_gathers(
+    campaigns: Campaigns, tmp_path: Path
+) -> None:
+    out, made = tmp_path / "out", set[Path]()
+    for part, engine in ((3, ThisProcess), (1, ThisProcess), (2, ThisProcess), (1, no_engine)):
+        before = {path: path.read_bytes() for path in made}
+        assert campaigns.run("plain", engine, out, (part, 3)) is None
+        made = set((out / "done").iterdir())
+        assert {path: path.read_bytes() for path in before} == before
+    assert not (out / "results").exists()
+    campaigns.run("plain", no_engine, out)
+    assert content(out) == campaigns.reference
+    campaigns.run("plain", no_engine, out, (2, 3))  # a job that starts when all is over
+    assert content(out) == campaigns.reference
+
+
+def test_what_depends_on_other_runs_is_refused(campaigns: Campaigns, tmp_path: Path) -> None:
+    with pytest.raises(ModsimError, match="stop: sequential looks at the runs of all parts"):
+        campaigns.run("sequential", no_engine, tmp_path / "out", (1, 2))
+    with pytest.raises(ModsimError, match=r"--shard 3/2: there are the parts 1/2 to 2/2"):
+        campaigns.run("plain", no_engine, tmp_path / "out", (3, 2))
+    assert not (tmp_path / "out").exists()
+
+
+def test_shards_that_start_at_once_agree_on_the_plan(campaigns: Campaigns, tmp_path: Path) -> None:
+    campaign = campaigns.checked()
+    with ThreadPoolExecutor(16) as threads:
+        found = list(threads.map(lambda _: planned(campaign, tmp_path / "out"), range(64)))
+    assert len({each.work.plan_sha256 for each in found}) == 1
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["campaign.yaml", "done", "plan.json"]
+    with pytest.raises(OutputError, match="another plan"):
+        planned(campaigns.checked("fatal"), tmp_path / "out")

@@ -1,0 +1,62 @@
+"""A campaign that stops when all is decided counts the same runs whoever makes them, in whatever order."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from modsim3d.campaign import running
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.task import Task, TaskReport
+from tests.campaign.engines.campaigns import Campaigns, content
+
+
+class Shuffled(ThisProcess):
+    """Does tasks in another order than they come in, as many workers do."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.width, self._chance = width, random.Random(width)
+
+    def next(self) -> tuple[Task, TaskReport | None]:
+        self._chance.shuffle(self._waiting)
+        return super().next()
+
+
+def decided_by_the_second_seed(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
+    seeds = len(set(table["traffic_seed"].to_pylist()))
+    outcome = "met" if seeds >= 2 else "undecided"
+    return (Verdict(0, "", "", 0, outcome, "", 0.95, None, None, None, seeds),)
+
+
+@pytest.mark.parametrize("width", [2, 8])
+def test_runs_beyond_the_end_are_left_out(
+    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, width: int
+) -> None:
+    monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
+    one_by_one = campaigns.run("sequential", ThisProcess, tmp_path / "one")
+    assert one_by_one is not None
+    assert one_by_one.table["run"].to_pylist() == list(range(8))  # two of four seeds
+    campaigns.run("sequential", lambda: Shuffled(width), tmp_path / "many")
+    assert content(tmp_path / "many") == content(tmp_path / "one")
+
+
+def test_a_campaign_that_went_on_beyond_its_end_and_was_killed_ends_where_it_should(
+    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
+    campaigns.run("sequential", ThisProcess, tmp_path / "one")
+    here, tasks = campaigns.planned(tmp_path / "killed", "sequential")
+    engine = ThisProcess()
+    for task in (tasks[3], tasks[1], tasks[0]):  # the third is missing
+        engine.submit(task)
+        engine.next()
+    engine.close()
+    assert len(list(here.done.iterdir())) == 3
+    campaigns.run("sequential", ThisProcess, tmp_path / "killed")
+    assert content(tmp_path / "killed") == content(tmp_path / "one")
