@@ -66,7 +66,10 @@ def done_row(task: Task) -> dict[str, Any] | None:
     """The row of a task of one run; None if it is not done."""
     if stored_report(task.path) is None:
         return None
-    rows: list[dict[str, Any]] = pq.read_table(task.path).to_pylist()
+    try:
+        rows: list[dict[str, Any]] = pq.read_table(task.path, partitioning=None).to_pylist()
+    except (OSError, pa.ArrowException):
+        return None  # damaged
     return rows[0]
 
 
@@ -125,7 +128,7 @@ def search_table(folder: CampaignFolder) -> pa.Table:
         path = folder.path / SEARCH / _PART
         try:
             return pq.read_table(path, partitioning=None)
-        except (OSError, pa.ArrowInvalid) as error:
+        except (OSError, pa.ArrowException) as error:
             raise ModsimError(f"{path} is damaged: {error}") from None
     scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
     runs, rows = [], []

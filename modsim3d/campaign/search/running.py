@@ -35,6 +35,10 @@ from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, store_crashed
+from modsim3d.errors import OutputError
+
+READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
+"""Waits for a file that another machine has written; a network file system shows it after up to a minute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +137,9 @@ class _Trials:
             running -= 1
             if report is None and not self._given_up(task):
                 waiting.append(task)
-            elif (row := done_row(task)) is None:
-                waiting.append(task)  # its file was damaged since
             else:
                 self._made += 1
-                found[task.runs[0].number] = self._known(row, task.runs[0])
+                found[task.runs[0].number] = self._known(_read_back(task), task.runs[0])
             self._tell(len(found), running)
         self.runs += runs
         self.rows += [found[run.number] for run in runs]
@@ -162,6 +164,19 @@ class _Trials:
         each_s = (time.perf_counter() - self._started) / self._made if self._made else None
         left_s = None if each_s is None else each_s * (budget - done)
         self._progress(Progress(budget, done, running, self._crashed, left_s))
+
+
+def _read_back(task: Task) -> dict[str, Any]:
+    """The row of a task that is done; the file of another machine may take a while to be seen on this one.
+
+    Raises:
+        OutputError: It is not.
+    """
+    for wait_s in (0.0, *READ_AGAIN_S):
+        time.sleep(wait_s)
+        if (row := done_row(task)) is not None:
+            return row
+    raise OutputError(f"{task.path} was written, and cannot be read here: all workers need the folder of the search")
 
 
 def _log(folder: CampaignFolder, trials: int, seconds: float) -> None:
