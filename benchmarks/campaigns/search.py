@@ -180,8 +180,11 @@ def page(data: dict[str, Any]) -> str:
         f"better for a search. It took {data['cpu_s'] / 60:.0f} minutes of processor.",
         "",
     ]
-    for name, found in data["problems"].items():
-        lines += table(name, PROBLEMS[name], found)
+    for name in PROBLEMS:
+        if name in data["problems"]:
+            lines += table(name, PROBLEMS[name], data["problems"][name])
+    if missing := [name for name in PROBLEMS if name not in data["problems"]]:
+        lines += [f"Not run yet: {', '.join(missing)}."]
     return "\n".join(lines).rstrip() + "\n"
 
 
