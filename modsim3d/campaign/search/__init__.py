@@ -1,1 +1,1 @@
-"""The search for scenes in which a tracker fails."""
+"""A search for the scenes and seeds in which a tracker fails: evidence of failure, and never part of a rate."""

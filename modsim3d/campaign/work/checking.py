@@ -9,12 +9,13 @@ from typing import Any
 
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.file.reading import CampaignFile
-from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.plan.plan import Plan, PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
 from modsim3d.campaign.work.files import checksums
 from modsim3d.campaign.work.requirement_problems import judging_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.campaign.work.search_checks import middle_run, search_problems
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.validation import nearest
 from modsim3d.tracking.trackers.registry import named_tracker
@@ -79,12 +80,21 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     paths: set[Path] = set()
     for index, values in enumerate(plan.conditions):
         try:
-            facts.append(_facts(plan, index, scenes, paths))
+            facts.append(
+                _facts(plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers)), plan, scenes, paths)
+            )
         except InputError as error:
             said = ", ".join(f"{key} {value}" for key, value in values.values.items()) or "as it is"
             problems += [f"{values.scene} ({said}): {error.source}: {problem}" for problem in error.problems]
         except ModsimError as error:
             problems.append(f"{values.scene}: {error}")
+    if not problems and (middle := middle_run(plan)) is not None:
+        try:
+            _facts(middle, plan, scenes)
+        except InputError as error:
+            problems += [f"search.over, at its middle: {error.source}: {problem}" for problem in error.problems]
+        except ModsimError as error:
+            problems.append(f"search.over, at its middle: {error}")
     if problems:
         raise InputError(f"campaign {file.path}", dict.fromkeys(problems))
     problems = [*_requirement_problems(plan, facts)]
@@ -114,6 +124,7 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
         )
     if keys.stop == "sequential" and not keys.require:
         yield "stop: sequential ends when the requirements are decided, and there is no require"
+    yield from search_problems(keys)
     try:
         rules_of(keys.score)
     except ModsimError as error:
@@ -126,9 +137,7 @@ def _keys_of(factor: Any) -> Iterator[str]:
     yield from factor.grid or factor.pairs or factor.latin_hypercube or factor.uniform or ()
 
 
-def _facts(plan: Plan, index: int, scenes: Scenes, paths: set[Path]) -> ConditionFacts:
-    """What is known of a condition; the files that it is made of are added to the paths."""
-    run = plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers))
+def _facts(run: PlannedRun, plan: Plan, scenes: Scenes) -> ConditionFacts:
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()

@@ -1,0 +1,49 @@
+"""The committed comparison of the search with random trials, and a small sample of it."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import yaml
+
+from benchmarks.campaigns import search as benchmark
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.search.running import run_search
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.layers import Layers
+
+pytest.importorskip("optuna")
+CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
+PROBLEM = {**benchmark.PROBLEMS["seeds"], "steps": 6}
+
+
+def test_the_committed_page_is_what_the_campaign_makes_of_its_figures() -> None:
+    data = json.loads((CAMPAIGNS / "search.json").read_text(encoding="utf-8"))
+    assert (CAMPAIGNS / "search.md").read_text(encoding="utf-8") == benchmark.page(data)
+
+
+def test_the_benchmark_searches_as_the_command_does(tmp_path: Path) -> None:
+    keys = benchmark.keys_of(PROBLEM, 3, 12)
+    campaign = tmp_path / "campaign.yaml"
+    campaign.write_text(
+        yaml.safe_dump(keys.model_dump(mode="json", by_alias=True, exclude_unset=True)), encoding="utf-8"
+    )
+    found = run_search(checked(read_campaign(campaign)), tmp_path / "out", ThisProcess).table["hota"].to_pylist()
+    with closing(Layers(keys, Path())) as layers:
+        assert benchmark.searched(keys, layers) == found
+
+
+def test_the_best_score_never_rises_and_skips_trials_without_one() -> None:
+    assert benchmark.best([0.5, None, 0.6, 0.4]) == [0.5, 0.5, 0.5, 0.4]
+
+
+@pytest.mark.parametrize(("gain", "said"), [(-0.1, "found lower scores"), (0.1, "The random trials found lower")])
+def test_the_verdict_follows_the_interval_of_the_differences(gain: float, said: str) -> None:
+    found = [{"search": [0.5, 0.4 + gain + 0.001 * each], "random": [0.5, 0.4]} for each in range(5)]
+    assert said in benchmark.verdict(found)
+    mixed = [{"search": [0.4 + 0.1 * (-1) ** each], "random": [0.4]} for each in range(4)]
+    assert "no advantage is shown" in benchmark.verdict(mixed)

@@ -1,0 +1,100 @@
+"""What a search proposes: inside its ranges, from the seed and what came of earlier batches, and better in time."""
+
+from __future__ import annotations
+
+from statistics import mean
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from modsim3d.campaign.file.keys import SearchKeys
+from modsim3d.campaign.search.proposing import Tried, proposed
+from modsim3d.campaign.search.space import Point
+
+pytest.importorskip("optuna")
+
+
+def search_of(**keys: object) -> SearchKeys:
+    return SearchKeys.model_validate({"minimise": "hota", "over": {"x": [0, 1]}, "budget": 60, **keys})
+
+
+def tried_of(points: list[Point], score: object, crashed: bool = False) -> list[Tried]:
+    return [Tried(point, None if crashed else score(point), crashed) for point in points]  # type: ignore[operator]
+
+
+def run(search: SearchKeys, seed: int, score: object) -> list[Tried]:
+    """All trials of a search for the least score."""
+    found: list[Tried] = []
+    for batch in range(-(-search.budget // search.batch)):
+        found += tried_of(proposed(search, seed, batch, found), score)
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    low=st.floats(1e-9, 1e6, allow_subnormal=False),
+    width=st.floats(1e-12, 10),
+    log=st.booleans(),
+    seed=st.integers(1, 9000),
+)
+def test_no_point_is_outside_of_its_range(low: float, width: float, log: bool, seed: int) -> None:
+    """Also where the ends have more digits than the points."""
+    high = low * (1 + width)
+    if not low < high:
+        return
+    over = {
+        "x": {"low": low, "high": high, "scale": "log" if log else "linear"},
+        "n": {"low": 2, "high": 4, "whole": True, "scale": "log" if log else "linear"},
+        "c": {"choices": [None, "a", [1, 2]]},
+    }
+    search = search_of(over=over, budget=24, batch=12, seeds=3)
+    first = proposed(search, seed, 0, [])
+    points = first + proposed(search, seed, 1, tried_of(first, lambda point: -point.places["x"]))
+    for point in points:
+        values = point.values(search.over)
+        assert low <= values["x"] <= high
+        assert values["n"] in (2, 3, 4) and isinstance(values["n"], int)
+        assert values["c"] in (None, "a", [1, 2])
+        assert point.seed_index in (0, 1, 2)
+
+
+def test_a_batch_follows_from_the_seed_its_number_and_the_scores_before_it() -> None:
+    search = search_of(over={"x": [0, 1], "y": [0, 1]})
+    known = tried_of(proposed(search, 1, 0, []), lambda point: point.places["x"])
+    other = tried_of(proposed(search, 1, 0, []), lambda point: point.places["y"])
+    assert proposed(search, 1, 1, known) == proposed(search, 1, 1, known)
+    assert proposed(search, 1, 1, known) != proposed(search, 1, 1, other)
+    assert proposed(search, 1, 0, []) != proposed(search, 2, 0, [])
+    assert len({point.places["x"] for batch in (0, 1) for point in proposed(search, 1, batch, [])}) == 20
+
+
+def test_the_last_batch_is_what_is_left_of_the_budget() -> None:
+    search = search_of(budget=25)
+    assert [len(proposed(search, 1, batch, [])) for batch in range(3)] == [10, 10, 5]
+
+
+@pytest.mark.parametrize("goal", ["minimise", "maximise"])
+def test_a_search_comes_closer_to_the_worst_point(goal: str) -> None:
+    sign = 1 if goal == "minimise" else -1
+    keys = {"over": {"x": [0, 1], "y": [0, 1]}, "minimise": None, goal: "hota"}
+    found = run(search_of(**keys), 1, lambda point: sign * abs(point.places["x"] - 0.2))
+    distances = [abs(each.point.places["x"] - 0.2) for each in found]
+    assert mean(distances[-20:]) < 0.4 * mean(distances[:20])
+
+
+def test_a_seed_that_is_bad_is_tried_more_often() -> None:
+    found = run(search_of(seeds=4), 1, lambda point: float(point.seed_index != 2) + point.places["x"])
+    assert sum(each.point.seed_index == 2 for each in found[-40:]) > 15  # 10 by chance
+
+
+def test_points_that_the_scene_refuses_are_avoided() -> None:
+    found = run(search_of(), 1, lambda point: None if point.places["x"] > 0.5 else point.places["x"])
+    assert sum(each.value is None for each in found[-20:]) < sum(each.value is None for each in found[:20]) / 2
+
+
+def test_crashes_do_not_steer() -> None:
+    search = search_of()
+    first = tried_of(proposed(search, 1, 0, []), lambda point: point.places["x"])
+    crashes = tried_of(proposed(search, 2, 0, []), None, crashed=True)
+    assert proposed(search, 1, 2, [*first, *crashes]) == proposed(search, 1, 2, first)
