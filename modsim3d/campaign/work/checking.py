@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.file.keys import CampaignKeys, Requirement
+from modsim3d.campaign.file.keys import CampaignKeys, Requirement, TrackerKeys
 from modsim3d.campaign.file.reading import CampaignFile
-from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.plan.conditions import Condition, count_conditions
+from modsim3d.campaign.plan.drawn import value_at
+from modsim3d.campaign.plan.plan import Plan, PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
+from modsim3d.campaign.work.refusals import condition_problems, tracker_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.validation import nearest
+from modsim3d.inputs.validation import nearest, shown
+from modsim3d.scene.reading import shipped_scenes
 from modsim3d.tracking.trackers.registry import named_tracker
+
+MOST_CONDITIONS = 10_000
+"""Each is read and checked before the first run, and is a row of the tables."""
+MOST_RUNS = 5_000_000
+_ELSEWHERE = {
+    "seed": "seeds",
+    "detector_seed": "seeds",
+    "steps": "steps",
+    "scene": "scenes",
+    "scenes": "scenes",
+    "tracker": "trackers",
+    "trackers": "trackers",
+}
+"""Keys that cannot be varied, and the key of the campaign that is for it."""
 
 
 @dataclass(frozen=True)
@@ -62,32 +81,100 @@ class CheckedCampaign:
 
 
 def checked(file: CampaignFile) -> CheckedCampaign:
-    """Check a campaign with the first traffic seed of each condition.
+    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values.
 
     Raises:
         InputError: With every problem.
     """
-    plan, problems, facts = Plan.of(file.keys), list(_problems(file.keys)), []
+    keys, source = file.keys, f"campaign {file.path}"
+    if too_large := [*_size_problems(keys)]:
+        raise InputError(source, too_large)
+    plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base)
+    wrong_keys = [*_vary_problems(keys)]
+    problems = [*_problems(keys), *wrong_keys, *_scene_problems(file)]
+    known = [*_known_trackers(keys, problems)]
+    facts = [] if wrong_keys else [*_facts_of_all(plan, scenes, known, problems)]
+    problems += _requirement_problems(plan, facts)
     if problems:
-        raise InputError(f"campaign {file.path}", problems)
-    scenes = Scenes(file.keys.steps, file.base)
-    for index, values in enumerate(plan.conditions):
-        try:
-            facts.append(_facts(plan, index, scenes))
-        except InputError as error:
-            said = ", ".join(f"{key} {value}" for key, value in values.values.items()) or "as it is"
-            problems += [f"{values.scene} ({said}): {error.source}: {problem}" for problem in error.problems]
-        except ModsimError as error:
-            problems.append(f"{values.scene}: {error}")
-    if problems:
-        raise InputError(f"campaign {file.path}", dict.fromkeys(problems))
-    problems = [*_requirement_problems(plan, facts)]
-    if problems:
-        raise InputError(f"campaign {file.path}", problems)
+        raise InputError(source, dict.fromkeys(problems))
     content = file.keys.model_dump(mode="json", by_alias=True)
     packages = versions()
     sha256 = digest(content, [vars(each) for each in facts], packages)
     return CheckedCampaign(file, plan, tuple(facts), packages, sha256)
+
+
+def _size_problems(keys: CampaignKeys) -> Iterator[str]:
+    """A plan that is too large to be made, with its numbers."""
+    count = count_conditions(keys.scenes, keys.vary)
+    runs = count * keys.seeds.traffic * keys.seeds.detector * len(keys.trackers)
+    if count > MOST_CONDITIONS:
+        yield (
+            f"vary: {count:,} conditions, and at most {MOST_CONDITIONS:,} are possible: take fewer values, pairs in "
+            "place of grid, or draw values with uniform or latin_hypercube"
+        )
+    elif runs > MOST_RUNS:
+        yield (
+            f"{runs:,} runs, and at most {MOST_RUNS:,} are possible: {count:,} conditions × {keys.seeds.traffic:,} "
+            f"traffic seeds × {keys.seeds.detector:,} detector seeds × {len(keys.trackers):,} trackers"
+        )
+
+
+def _scene_problems(file: CampaignFile) -> Iterator[str]:
+    """Scenes that are not there, or are given twice."""
+    shipped = shipped_scenes()
+    for place, scene in enumerate(file.keys.scenes):
+        if scene not in shipped and not (file.base / scene).exists():
+            yield (
+                f"scenes[{place}]: {file.base / scene}: no such file, and no shipped scene is called '{scene}' "
+                f"({nearest(scene, shipped)})"
+            )
+    names = [Path(scene).stem for scene in file.keys.scenes]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        yield f"scenes: two are called '{twice[0]}', and tables could not tell them apart"
+
+
+def _known_trackers(keys: CampaignKeys, problems: list[str]) -> Iterator[TrackerKeys]:
+    """The trackers that are there and take their settings; what is wrong with the others is added to the problems."""
+    for place, each in enumerate(keys.trackers):
+        try:
+            named_tracker(each.tracker, each.settings, None).origin  # noqa: B018
+        except ModsimError as error:
+            problems += tracker_problems(place, error)
+        else:
+            yield each
+
+
+def _facts_of_all(
+    plan: Plan, scenes: Scenes, trackers: Sequence[TrackerKeys], problems: list[str]
+) -> Iterator[ConditionFacts]:
+    """What is known of the conditions that can be run; what is wrong with the others is added to the problems."""
+    missing = {
+        scene for place, scene in enumerate(plan.keys.scenes) for p in problems if p.startswith(f"scenes[{place}]")
+    }
+    first = [
+        plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers)) for index in range(len(plan.conditions))
+    ]
+    for run in first:
+        if run.condition.scene not in missing:
+            try:
+                yield _facts(run, scenes, trackers)
+            except ModsimError as error:
+                problems += condition_problems(run.condition, error)
+    for values in _ends(plan):
+        run = replace(first[0], condition=first[0].condition.with_values(values))
+        if run.condition.scene not in missing:
+            try:
+                _facts(run, scenes, trackers)
+            except ModsimError as error:
+                problems += condition_problems(run.condition, error)
+
+
+def _ends(plan: Plan) -> Iterator[dict[str, Any]]:
+    """Values at the ends of each range that is drawn from, or each choice, a key at a time."""
+    for factor in plan.keys.vary:
+        for key, each in (factor.latin_hypercube or factor.uniform or {}).items():
+            for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
+                yield {key: value}
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
@@ -95,12 +182,6 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
     labels = [tracker.label for tracker in keys.trackers]
     if twice := sorted({label for label in labels if labels.count(label) > 1}):
         yield f"trackers: two are called '{twice[0]}': give one another name"
-    found = [key for factor in keys.vary for key in _keys_of(factor)]
-    if twice := sorted({key for key in found if found.count(key) > 1}):
-        yield f"vary: '{twice[0]}' is varied twice"
-    for key in found:
-        if key in ("seed", "detector_seed", "steps", "scene", "tracker"):
-            yield f"vary: '{key}' cannot be varied: the keys seed, seeds, steps, scenes and trackers are for that"
     if keys.stop == "sequential" and any(factor.latin_hypercube for factor in keys.vary):
         yield (
             "stop: sequential needs draws that do not depend on each other, and those of latin_hypercube do: use "
@@ -111,7 +192,17 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
     try:
         rules_of(keys.score)
     except ModsimError as error:
-        yield f"score: {error}"
+        yield f"score: {str(error).replace('--similarity', 'similarity').replace('--scale', 'scale_px')}"
+
+
+def _vary_problems(keys: CampaignKeys) -> Iterator[str]:
+    """Keys that are varied twice, or cannot be."""
+    found = [key for factor in keys.vary for key in _keys_of(factor)]
+    for key in dict.fromkeys(found):
+        if found.count(key) > 1:
+            yield f"vary: '{key}' is varied by two factors: put its values into one"
+        if key in _ELSEWHERE:
+            yield f"vary: '{key}' cannot be varied here: the key {_ELSEWHERE[key]} of the campaign is for that"
 
 
 def _keys_of(factor: Any) -> Iterator[str]:
@@ -120,13 +211,12 @@ def _keys_of(factor: Any) -> Iterator[str]:
     yield from factor.grid or factor.pairs or factor.latin_hypercube or factor.uniform or ()
 
 
-def _facts(plan: Plan, index: int, scenes: Scenes) -> ConditionFacts:
-    run = plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers))
+def _facts(run: PlannedRun, scenes: Scenes, trackers: Sequence[TrackerKeys]) -> ConditionFacts:
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     settings = run.condition.of_tracker()
-    trackers = {
+    origins = {
         each.label: vars(named_tracker(each.tracker, {**each.settings, **settings}, scene.name).origin)
-        for each in plan.keys.trackers
+        for each in trackers
     }
     return ConditionFacts(
         scene.name,
@@ -136,31 +226,66 @@ def _facts(plan: Plan, index: int, scenes: Scenes) -> ConditionFacts:
         scene.traffic_has_seed,
         tuple(state.name for state in scene.detector.states),
         tuple(camera.name for camera in scene.cameras),
-        trackers,
+        origins,
     )
 
 
-def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[str]:
+def _requirement_problems(plan: Plan, facts: Sequence[ConditionFacts]) -> Iterator[str]:
+    """Scores that are not there, and a `where` that selects nothing; states only where all conditions are known."""
     labels = [tracker.label for tracker in plan.keys.trackers]
-    states = {state for each in facts for state in each.states}
+    complete = len(facts) == len(plan.conditions)
+    states = sorted({state for each in facts for state in each.states}) if complete else None
     for place, requirement in enumerate(plan.keys.require):
         where = f"require[{place}]"
         if requirement.score not in SCORES:
             yield f"{where}.score: there is no score '{requirement.score}' ({nearest(requirement.score, SCORES)})"
-        yield from _where_problems(requirement, where, plan, labels, states)
+        yield from _where_problems(requirement, f"{where}.where", plan, labels, states)
 
 
 def _where_problems(
-    requirement: Requirement, where: str, plan: Plan, labels: list[str], states: set[str]
+    requirement: Requirement, where: str, plan: Plan, labels: Sequence[str], states: Sequence[str] | None
 ) -> Iterator[str]:
-    known = ["tracker", "scene", "state", *plan.parameters]
+    known = dict.fromkeys(["tracker", "scene", "state", *plan.parameters])
+    found = False
     for key, value in requirement.where.items():
-        values = value if isinstance(value, list) else [value]
         if key not in known:
-            yield f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})"
+            yield f"{where}.{key}: is not varied in this campaign ({nearest(key, known)})"
+        elif key in plan.drawn:
+            yield f"{where}.{key}: is drawn anew for each traffic seed, so it selects no condition: leave it out"
+        else:
+            possible = _possible(key, plan, labels, states)
+            values = value if isinstance(value, list) else [value]
+            wrong = [each for each in values if possible is not None and each not in possible]
+            for each in wrong:
+                yield f"{where}.{key}: there is no {shown(each)} ({nearest(_text(each), map(_text, possible or ()))})"
+            found = found or bool(wrong)
             continue
-        possible: set[Any] = set(labels) if key == "tracker" else states
-        if key == "tracker" or (key == "state" and "state" not in plan.parameters):
-            for each in values:
-                if each not in possible:
-                    yield f"{where}.where.{key}: there is no '{each}' ({nearest(str(each), sorted(possible))})"
+        found = True
+    if not found and not any(_selects(requirement, condition) for condition in plan.conditions):
+        yield f"{where}: no condition of the campaign has all these values"
+
+
+def _possible(key: str, plan: Plan, labels: Sequence[str], states: Sequence[str] | None) -> Sequence[Any] | None:
+    """The values that a key of `where` may have; None if they are not known."""
+    if key == "tracker":
+        return labels
+    if key == "scene":
+        return [Path(scene).stem for scene in plan.keys.scenes]
+    if key == "state" and key not in plan.parameters:
+        return states
+    values = [condition.values[key] for condition in plan.conditions if key in condition.values]
+    return list({shown(value): value for value in values}.values())  # each once; some values have no hash
+
+
+def _selects(requirement: Requirement, condition: Condition) -> bool:
+    """Whether a requirement is about a condition, whatever the tracker."""
+    values = {**condition.values, "scene": Path(condition.scene).stem}
+    return all(
+        values[key] in (wanted if isinstance(wanted, list) else [wanted])
+        for key, wanted in requirement.where.items()
+        if key in values
+    ) and all(key in values or key in ("tracker", "state") for key in requirement.where)
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else shown(value)
