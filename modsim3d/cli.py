@@ -10,6 +10,9 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.ais import ais_command
+from modsim3d.commands.campaign import campaign_command
+from modsim3d.commands.campaign_status import campaign_status_command
+from modsim3d.commands.campaign_table import campaign_table_command
 from modsim3d.commands.compare import compare_command
 from modsim3d.commands.detect import detect_command
 from modsim3d.commands.export import export_command
@@ -44,7 +47,7 @@ modsim3d view runs/first --film all    a film of it
 modsim3d verify runs/first             does it obey its detector file?
 modsim3d run -h                        all options of a command
 """
-RUN, LOOK, TEST, CHECK, MAKE = "Run", "Look", "Test a tracker", "Check", "Make"
+RUN, LOOK, TEST, CAMPAIGNS, CHECK, MAKE = "Run", "Look", "Test a tracker", "Campaigns", "Check", "Make"
 COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (RUN, "run", run_command, "Simulate a scene: truth, detections and a contact sheet."),
     (RUN, "detect", detect_command, "Run another detector or seed over the truth of a run."),
@@ -55,6 +58,9 @@ COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (LOOK, "rerun", rerun_command, "A recording for the Rerun viewer."),
     (TEST, "track", track_command, "Run a tracker over the detections of a run."),
     (TEST, "score", score_command, "How well do tracks follow the vessels of a run?"),
+    (CAMPAIGNS, "campaign", campaign_command, "Many runs: their scores, and verdicts on requirements."),
+    (CAMPAIGNS, "campaign-status", campaign_status_command, "How far a campaign is."),
+    (CAMPAIGNS, "campaign-table", campaign_table_command, "Mean scores of a campaign with intervals."),
     (CHECK, "check", check_command, "Everything that is wrong with a scene, at once."),
     (CHECK, "verify", verify_command, "Does a run obey its detector file?"),
     (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),
