@@ -95,6 +95,7 @@ def run_campaign(
     workers: WorkerCount = "auto",
     scheduler: str | None = None,
     slurm: int | None = None,
+    cache: StrPath | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Campaign:
     """Run a campaign, or go on with one that was interrupted.
@@ -109,6 +110,7 @@ def run_campaign(
         workers: Number of processes on this machine; `auto`: one for each CPU.
         scheduler: Address of a Dask scheduler, such as `tcp://10.0.0.1:8786`, whose workers do the work instead.
         slurm: Number of Slurm jobs that do the work instead.
+        cache: Where layers that are kept are read and written; `cache` in the folder if None.
         progress: Called after each task.
 
     Raises:
@@ -121,7 +123,8 @@ def run_campaign(
     found = checked(read_campaign(campaign))
     if found.file.keys.search is not None:
         raise ModsimError(f"{found.file.path} is a search: modsim3d campaign {found.file.path} --out {folder}")
-    result = run_plan(found, folder, engine_of(workers, scheduler, slurm), progress=progress)
+    layers = None if cache is None else as_path(cache, "cache", "a folder")
+    result = run_plan(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
     assert result is not None
     return Campaign(folder, result.table, result.verdicts, True)
 

@@ -109,7 +109,7 @@ def campaign_command(
             result = None
         else:
             searched = None
-            result = run_plan(found, folder, engine, shard=shard, progress=advance)
+            result = run_plan(found, folder, engine, shard=shard, cache=cache, progress=advance)
     if searched is not None:
         _print_search(searched)
         say_json({**_json(found, folder, warnings), "finished": True, "trials": len(searched.table)})
@@ -158,17 +158,20 @@ def _introduced(campaign: CheckedCampaign) -> list[str]:
 
 def _print_result(result: CampaignResult) -> None:
     from modsim3d.campaign.results.means import mean_rows, usual_keys, usual_scores
+    from modsim3d.campaign.verdicts.levels import levels_of
     from modsim3d.commands.campaign_text import print_crashed, print_means, print_verdicts
 
     console, plan, folder = open_console(), result.folder.plan, result.folder.path
     print_verdicts(console, "requirements", result.verdicts, reasons=True)
+    for sentence in levels_of(plan).sentences():
+        print_prose(console, sentence, "dim")
     rows = mean_rows(result.table, usual_keys(plan), usual_scores(plan))
     print_means(console, "mean scores [95 % interval over traffic seeds]", rows)
     print_crashed(console, result.table, folder)
     print_line(console, "")
     print_prose(console, _conclusion(result), "bold")
     print_path(console, "campaign", folder)
-    for line in (f"modsim3d campaign-report {folder}", f"modsim3d campaign-table {folder} --by …"):
+    for line in (f"modsim3d campaign-report {folder}", f"modsim3d campaign-table {folder}"):
         print_line(console, f"  {line}", "dim")
 
 

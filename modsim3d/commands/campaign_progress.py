@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modsim3d.commands.campaign_text import FIRST, STYLES, duration_text, interval_text, values_text
+from modsim3d.commands.campaign_text import FIRST, STYLES, about_text, duration_text, interval_text
 from modsim3d.commands.terminal import open_console, remark
 from modsim3d.display import counted
 
@@ -117,9 +117,8 @@ def present_text(verdict: Verdict, once: bool) -> str:
         verdict: On what is done.
         once: Whether it is judged at the end only.
     """
-    about = ", ".join(filter(None, [verdict.tracker, values_text(verdict.values)]))
     known = "nothing yet"
     if verdict.estimate is not None:
         known = f"{verdict.estimate:.3f} {interval_text(verdict.low, verdict.high)}"
     known += f", {counted(verdict.seeds, 'seed')}"
-    return f"{verdict.text} ({about}): " + (f"so far {known}" if once else f"{verdict.outcome}, {known}")
+    return f"{about_text(verdict)}: " + (f"so far {known}" if once else f"{verdict.outcome}, {known}")

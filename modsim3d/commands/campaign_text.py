@@ -141,7 +141,7 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
         console: Where to.
         title: Above them.
         verdicts: The verdicts.
-        reasons: Whether to say what those rest on that are not met.
+        reasons: Whether to say why some are undecided.
     """
     ordered = sorted(verdicts, key=lambda verdict: FIRST.index(verdict.outcome))
     shown_ones = ordered[:MOST_ROWS]
@@ -155,9 +155,15 @@ def print_verdicts(console: Console, title: str, verdicts: Sequence[Verdict], re
     )
     _print_rest(console, len(ordered))
     if reasons:
-        why = dict.fromkeys(verdict.why for verdict in shown_ones if verdict.outcome != "met" and verdict.why)
-        for text in list(why)[:MOST_ERRORS]:
-            print_prose(console, text, "dim")
+        undecided = [verdict for verdict in shown_ones if verdict.outcome == "undecided"]
+        for verdict in undecided[:MOST_ERRORS]:
+            print_prose(console, f"{about_text(verdict)}: {verdict.why}", "dim")
+
+
+def about_text(verdict: Verdict) -> str:
+    """What a verdict is about, in a few words."""
+    about = ", ".join(filter(None, [verdict.tracker, values_text(verdict.values)]))
+    return f"{verdict.text} ({about})"
 
 
 def verdict_row(verdict: Verdict) -> tuple[str, ...]:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement, TrackerKeys
 from modsim3d.campaign.file.reading import CampaignFile
-from modsim3d.campaign.plan.conditions import Condition, count_conditions
+from modsim3d.campaign.plan.conditions import count_conditions
 from modsim3d.campaign.plan.drawn import value_at
 from modsim3d.campaign.plan.plan import Plan, PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
 from modsim3d.campaign.work.refusals import condition_problems, tracker_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.display import counted
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.validation import nearest, shown
+from modsim3d.inputs.validation import nearest
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.tracking.trackers.registry import named_tracker
 
@@ -92,9 +93,11 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base)
     wrong_keys = [*_vary_problems(keys)]
     problems = [*_problems(keys), *wrong_keys, *_scene_problems(file)]
-    known = [*_known_trackers(keys, problems)]
-    facts = [] if wrong_keys else [*_facts_of_all(plan, scenes, known, problems)]
-    problems += _requirement_problems(plan, facts)
+    facts = [] if wrong_keys else [*_facts_of_all(_with_known_trackers(plan, problems), scenes, problems)]
+    if len(facts) == len(plan.conditions):
+        problems += _requirement_problems(plan, facts)
+    else:
+        problems += _score_problems(keys)
     if problems:
         raise InputError(source, dict.fromkeys(problems))
     content = file.keys.model_dump(mode="json", by_alias=True)
@@ -114,8 +117,9 @@ def _size_problems(keys: CampaignKeys) -> Iterator[str]:
         )
     elif runs > MOST_RUNS:
         yield (
-            f"{runs:,} runs, and at most {MOST_RUNS:,} are possible: {count:,} conditions × {keys.seeds.traffic:,} "
-            f"traffic seeds × {keys.seeds.detector:,} detector seeds × {len(keys.trackers):,} trackers"
+            f"{runs:,} runs, and at most {MOST_RUNS:,} are possible: {counted(count, 'condition')} × "
+            f"{counted(keys.seeds.traffic, 'traffic seed')} × {counted(keys.seeds.detector, 'detector seed')} × "
+            f"{counted(len(keys.trackers), 'tracker')}"
         )
 
 
@@ -133,48 +137,55 @@ def _scene_problems(file: CampaignFile) -> Iterator[str]:
         yield f"scenes: two are called '{twice[0]}', and tables could not tell them apart"
 
 
-def _known_trackers(keys: CampaignKeys, problems: list[str]) -> Iterator[TrackerKeys]:
-    """The trackers that are there and take their settings; what is wrong with the others is added to the problems."""
-    for place, each in enumerate(keys.trackers):
+def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
+    """The plan with the trackers that are there and take their settings; those of the others go to the problems."""
+    known = []
+    for place, each in enumerate(plan.keys.trackers):
         try:
             named_tracker(each.tracker, each.settings, None).origin  # noqa: B018
+            known.append(each)
         except ModsimError as error:
             problems += tracker_problems(place, error)
-        else:
-            yield each
+    trackers = known or [TrackerKeys(tracker="reference")]
+    return replace(plan, keys=plan.keys.model_copy(update={"trackers": trackers}))
 
 
-def _facts_of_all(
-    plan: Plan, scenes: Scenes, trackers: Sequence[TrackerKeys], problems: list[str]
-) -> Iterator[ConditionFacts]:
+def _facts_of_all(plan: Plan, scenes: Scenes, problems: list[str]) -> Iterator[ConditionFacts]:
     """What is known of the conditions that can be run; what is wrong with the others is added to the problems."""
+    first = [plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions))]
+    ends = [replace(first[0], condition=first[0].condition.with_values(values)) for values in _ends(plan.keys)]
     missing = {
-        scene for place, scene in enumerate(plan.keys.scenes) for p in problems if p.startswith(f"scenes[{place}]")
+        scene
+        for place, scene in enumerate(plan.keys.scenes)
+        if any(p.startswith(f"scenes[{place}]:") for p in problems)
     }
-    first = [
-        plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers)) for index in range(len(plan.conditions))
-    ]
-    for run in first:
-        if run.condition.scene not in missing:
-            try:
-                yield _facts(run, scenes, trackers)
-            except ModsimError as error:
-                problems += condition_problems(run.condition, error)
-    for values in _ends(plan):
-        run = replace(first[0], condition=first[0].condition.with_values(values))
-        if run.condition.scene not in missing:
-            try:
-                _facts(run, scenes, trackers)
-            except ModsimError as error:
-                problems += condition_problems(run.condition, error)
+    for place, run in enumerate((*first, *ends)):
+        if run.condition.scene in missing:
+            continue
+        try:
+            facts = _facts(run, plan, scenes)
+        except ModsimError as error:
+            problems += condition_problems(run.condition, error, "search.over" if plan.keys.search else "vary")
+        else:
+            if place < len(first):
+                yield facts
 
 
-def _ends(plan: Plan) -> Iterator[dict[str, Any]]:
-    """Values at the ends of each range that is drawn from, or each choice, a key at a time."""
-    for factor in plan.keys.vary:
-        for key, each in (factor.latin_hypercube or factor.uniform or {}).items():
+def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
+    """Values at the ends of each range that is drawn from or searched, and each choice, a key at a time."""
+    drawn = [factor.latin_hypercube or factor.uniform or {} for factor in keys.vary]
+    for ranges in (*drawn, keys.search.over if keys.search else {}):
+        for key, each in ranges.items():
             for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
                 yield {key: value}
+
+
+def _score_problems(keys: CampaignKeys) -> Iterator[str]:
+    """Scores that are not there, where no more can be said of the requirements yet."""
+    for place, requirement in enumerate(keys.require):
+        if requirement.score not in SCORES:
+            hint = nearest(requirement.score, SCORES)
+            yield f"require[{place}].score: there is no score '{requirement.score}' ({hint})"
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
@@ -211,12 +222,12 @@ def _keys_of(factor: Any) -> Iterator[str]:
     yield from factor.grid or factor.pairs or factor.latin_hypercube or factor.uniform or ()
 
 
-def _facts(run: PlannedRun, scenes: Scenes, trackers: Sequence[TrackerKeys]) -> ConditionFacts:
+def _facts(run: PlannedRun, plan: Plan, scenes: Scenes) -> ConditionFacts:
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     settings = run.condition.of_tracker()
-    origins = {
+    trackers = {
         each.label: vars(named_tracker(each.tracker, {**each.settings, **settings}, scene.name).origin)
-        for each in trackers
+        for each in plan.keys.trackers
     }
     return ConditionFacts(
         scene.name,
@@ -226,66 +237,31 @@ def _facts(run: PlannedRun, scenes: Scenes, trackers: Sequence[TrackerKeys]) -> 
         scene.traffic_has_seed,
         tuple(state.name for state in scene.detector.states),
         tuple(camera.name for camera in scene.cameras),
-        origins,
+        trackers,
     )
 
 
-def _requirement_problems(plan: Plan, facts: Sequence[ConditionFacts]) -> Iterator[str]:
-    """Scores that are not there, and a `where` that selects nothing; states only where all conditions are known."""
+def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[str]:
     labels = [tracker.label for tracker in plan.keys.trackers]
-    complete = len(facts) == len(plan.conditions)
-    states = sorted({state for each in facts for state in each.states}) if complete else None
+    states = {state for each in facts for state in each.states}
     for place, requirement in enumerate(plan.keys.require):
         where = f"require[{place}]"
         if requirement.score not in SCORES:
             yield f"{where}.score: there is no score '{requirement.score}' ({nearest(requirement.score, SCORES)})"
-        yield from _where_problems(requirement, f"{where}.where", plan, labels, states)
+        yield from _where_problems(requirement, where, plan, labels, states)
 
 
 def _where_problems(
-    requirement: Requirement, where: str, plan: Plan, labels: Sequence[str], states: Sequence[str] | None
+    requirement: Requirement, where: str, plan: Plan, labels: list[str], states: set[str]
 ) -> Iterator[str]:
-    known = dict.fromkeys(["tracker", "scene", "state", *plan.parameters])
-    found = False
+    known = ["tracker", "scene", "state", *plan.parameters]
     for key, value in requirement.where.items():
+        values = value if isinstance(value, list) else [value]
         if key not in known:
-            yield f"{where}.{key}: is not varied in this campaign ({nearest(key, known)})"
-        elif key in plan.drawn:
-            yield f"{where}.{key}: is drawn anew for each traffic seed, so it selects no condition: leave it out"
-        else:
-            possible = _possible(key, plan, labels, states)
-            values = value if isinstance(value, list) else [value]
-            wrong = [each for each in values if possible is not None and each not in possible]
-            for each in wrong:
-                yield f"{where}.{key}: there is no {shown(each)} ({nearest(_text(each), map(_text, possible or ()))})"
-            found = found or bool(wrong)
+            yield f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})"
             continue
-        found = True
-    if not found and not any(_selects(requirement, condition) for condition in plan.conditions):
-        yield f"{where}: no condition of the campaign has all these values"
-
-
-def _possible(key: str, plan: Plan, labels: Sequence[str], states: Sequence[str] | None) -> Sequence[Any] | None:
-    """The values that a key of `where` may have; None if they are not known."""
-    if key == "tracker":
-        return labels
-    if key == "scene":
-        return [Path(scene).stem for scene in plan.keys.scenes]
-    if key == "state" and key not in plan.parameters:
-        return states
-    values = [condition.values[key] for condition in plan.conditions if key in condition.values]
-    return list({shown(value): value for value in values}.values())  # each once; some values have no hash
-
-
-def _selects(requirement: Requirement, condition: Condition) -> bool:
-    """Whether a requirement is about a condition, whatever the tracker."""
-    values = {**condition.values, "scene": Path(condition.scene).stem}
-    return all(
-        values[key] in (wanted if isinstance(wanted, list) else [wanted])
-        for key, wanted in requirement.where.items()
-        if key in values
-    ) and all(key in values or key in ("tracker", "state") for key in requirement.where)
-
-
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else shown(value)
+        possible: set[Any] = set(labels) if key == "tracker" else states
+        if key == "tracker" or (key == "state" and "state" not in plan.parameters):
+            for each in values:
+                if each not in possible:
+                    yield f"{where}.where.{key}: there is no '{each}' ({nearest(str(each), sorted(possible))})"

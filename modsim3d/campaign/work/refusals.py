@@ -13,12 +13,13 @@ _OPTIONS = {"state": "--state", "from": "--from", "detector": "--detector"}
 """Keys of a condition that messages of scenes call by the option of a command."""
 
 
-def condition_problems(condition: Condition, error: ModsimError) -> Iterator[str]:
+def condition_problems(condition: Condition, error: ModsimError, section: str = "vary") -> Iterator[str]:
     """The problems of a condition, each with the varied key that it is about, or with all of them.
 
     Args:
         condition: The condition with the values of all its keys.
         error: What its scene, its detector or a tracker said.
+        section: Where its keys are in the file.
     """
     if not isinstance(error, InputError):
         yield f"{_in_words(condition)}: {error}"
@@ -29,7 +30,7 @@ def condition_problems(condition: Condition, error: ModsimError) -> Iterator[str
         if key is None:
             yield f"{_in_words(condition)}: {said}"
         else:
-            yield f"vary: {key} {shown(condition.values[key])}: {_without(problem, _option_of(key))}"
+            yield f"{section}: {key} {shown(condition.values[key])}: {_without(problem, _option_of(key))}"
 
 
 def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:
