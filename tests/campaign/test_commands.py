@@ -13,7 +13,11 @@ import pytest
 from scipy import stats
 
 import modsim3d as package
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.checking import checked
 from modsim3d.commands.campaign import exit_status
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.locks import locked_folder
@@ -44,20 +48,22 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished campaign; tests leave it as it is."""
     folder = tmp_path_factory.mktemp("finished") / "tiny"
-    package.run_campaign(file, folder, workers=1)
+    with pytest.MonkeyPatch.context() as patch:  # processes have tests of their own
+        patch.setattr("modsim3d.campaign.campaign.engine_of", lambda *_: ThisProcess)
+        package.run_campaign(file, folder)
     return folder
 
 
 @pytest.fixture(scope="module")
 def begun(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign half of whose runs are done; tests leave it as it is."""
-    from modsim3d.campaign.engines.interface import ThisProcess
-    from modsim3d.campaign.file.reading import read_campaign
-    from modsim3d.campaign.running import run_plan
-    from modsim3d.campaign.work.checking import checked
+    """A campaign that was interrupted after its first task; tests leave it as it is."""
+
+    def stop(progress: Progress) -> None:
+        raise KeyboardInterrupt
 
     folder = tmp_path_factory.mktemp("begun") / "tiny"
-    run_plan(checked(read_campaign(file)), folder, ThisProcess, shard=(1, 2))
+    with pytest.raises(KeyboardInterrupt):
+        run_plan(checked(read_campaign(file)), folder, ThisProcess, progress=stop)
     return folder
 
 
@@ -94,7 +100,10 @@ def test_a_folder_with_another_plan_is_refused_with_what_differs(
     assert "holds a campaign with another plan: seeds.traffic is 3 there and 4 now" in said.err
 
 
-def test_a_part_is_made_and_the_whole_gathered(modsim3d: Modsim3d, file: Path, tmp_path: Path, finished: Path) -> None:
+def test_a_part_is_made_and_the_whole_gathered(
+    modsim3d: Modsim3d, file: Path, tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modsim3d.campaign.campaign.engine_of", lambda *_: ThisProcess)
     out = tmp_path / "out"
     said = modsim3d("campaign", file, "--out", out, "--workers", 1, "--shard", "1/2", "--json")
     assert (said.status, json.loads(said.out)["finished"]) == (0, False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from modsim3d.campaign.plan.conditions import TRACKER, Condition
+from modsim3d.campaign.plan.conditions import TRACKER, Condition, layer_of
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.validation import shown
 
@@ -26,17 +26,25 @@ def condition_problems(condition: Condition, error: ModsimError, section: str = 
         return
     for problem in error.problems:
         said = f"{error.source}: {problem}"
-        key = next((key for key in _longest_first(condition.values) if _option_of(key) in said), None)
+        key = next((key for key in _longest_first(condition.values) if _is_about(key, problem, said)), None)
         if key is None:
             yield f"{_in_words(condition)}: {said}"
         else:
-            yield f"{section}: {key} {shown(condition.values[key])}: {_without(problem, _option_of(key))}"
+            source = f" ({error.source})" if layer_of(key) == "tracks" else ""
+            yield f"{section}: {key} {shown(condition.values[key])}: {_without(problem, _option_of(key))}{source}"
 
 
 def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:
     """The problems of a tracker, with its place in the file."""
     for problem in error.problems if isinstance(error, InputError) else (str(error),):
         yield f"trackers[{place}]: {problem.removeprefix('--set ')}"
+
+
+def _is_about(key: str, problem: str, said: str) -> bool:
+    """Whether a problem, or what is said with its source, is about a key."""
+    if layer_of(key) == "tracks":
+        return problem.startswith(f"{_option_of(key)}:")
+    return _option_of(key) in said
 
 
 def _longest_first(values: Mapping[str, Any]) -> list[str]:
@@ -47,7 +55,7 @@ def _option_of(key: str) -> str:
     """What messages call a key."""
     if key in _OPTIONS:
         return _OPTIONS[key]
-    return f"--set {key.removeprefix(f'{TRACKER}.')}"
+    return key.removeprefix(f"{TRACKER}.") if layer_of(key) == "tracks" else f"--set {key}"
 
 
 def _without(problem: str, option: str) -> str:
