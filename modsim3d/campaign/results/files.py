@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from modsim3d.campaign.results.folder import FILE, PLAN, VERDICTS, CampaignFolder
+from modsim3d.campaign.results.folder import FILE, CampaignFolder
 
 
 def files_of_campaign(folder: CampaignFolder) -> list[Path]:
-    """Its plan and its rows."""
+    """Its file, its plan, its verdicts and its rows."""
     rows = [folder.results.glob("scene=*/part-*.parquet"), folder.done.glob("[0-9]*.parquet")]
-    named = [folder.path / name for name in (FILE, PLAN, VERDICTS)]
-    return [*(path for path in named if path.is_file()), *(path for each in rows for path in sorted(each))]
+    return [folder.path / FILE, *sorted(folder.path.glob("*.json")), *(path for each in rows for path in sorted(each))]

@@ -20,6 +20,7 @@ from modsim3d.outputs.claims import check_free
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.ais.ais_builders import SAMPLES
+from tests.campaign.small_campaign import small_campaign
 from tests.commands.bad_input import writers
 from tests.commands.bad_input.builders import Call, Inputs
 from tests.scenes import crossing
@@ -315,8 +316,10 @@ def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path, how) -> Non
 @pytest.mark.parametrize("name", writers.NO_WRITERS)
 def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_path, monkeypatch, name) -> None:
     monkeypatch.chdir(tmp_path)
+    small_campaign(tmp_path)
     before = content(tmp_path)
     lines = {"check": ("scene.yaml",), "scenes": (), "repeat": ("run",), "stream": ("scene.yaml", "--steps", 3)}
+    lines["campaign-status"] = ("campaign",)
     assert call(name, *lines[name])[0] == 0
     assert content(tmp_path) == before
 
