@@ -66,7 +66,7 @@ COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),
     (CHECK, "compare", compare_command, "Does the rendered truth agree with exact geometry?"),
     (MAKE, "ais", ais_command, "A scene from real traffic, out of AIS logs."),
-    (MAKE, "learn", learn_command, "A detector file from a detector's results on labelled images."),
+    (MAKE, "learn", learn_command, "A detector file from results on labelled images."),
     (MAKE, "guess", guess_command, "A guess of a detector in other weather."),
     (MAKE, "export", export_command, "A run in another program's format."),
 )
