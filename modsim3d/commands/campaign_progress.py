@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modsim3d.commands.campaign_text import FIRST, STYLES, about_text, duration_text, interval_text
+from modsim3d.commands.campaign_text import FIRST, STYLES, about_text, duration_text, interval_text, number_text
 from modsim3d.commands.terminal import open_console, remark
 from modsim3d.display import counted
 
@@ -84,7 +84,7 @@ def _looks(folder: Path) -> Callable[[Progress], Sequence[Verdict]]:
     def look(progress: Progress) -> Sequence[Verdict]:
         nonlocal latest, after
         started = time.monotonic()
-        if started >= after:
+        if progress.done and started >= after:
             latest = present_state(opened_campaign(folder)).verdicts
             ended = time.monotonic()
             after = ended + max(LEAST_LOOK_S, (ended - started) / LOOK_COST)
@@ -119,6 +119,8 @@ def present_text(verdict: Verdict, once: bool) -> str:
     """
     known = "nothing yet"
     if verdict.estimate is not None:
-        known = f"{verdict.estimate:.3f} {interval_text(verdict.low, verdict.high)}"
+        known = number_text(verdict.estimate)
+        if verdict.low is not None or verdict.high is not None:
+            known += f" {interval_text(verdict.low, verdict.high)}"
     known += f", {counted(verdict.seeds, 'seed')}"
     return f"{about_text(verdict)}: " + (f"so far {known}" if once else f"{verdict.outcome}, {known}")
