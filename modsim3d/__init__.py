@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from modsim3d.campaign.campaign import Campaign, open_campaign, run_campaign
     from modsim3d.detector.file.reading import load_detector
     from modsim3d.errors import ModsimError
     from modsim3d.learn.learning import learn_detector
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Campaign",
     "ModsimError",
     "Scene",
     "TrackedFrame",
@@ -44,7 +46,9 @@ __all__ = [
     "load_detector",
     "load_scene",
     "locate",
+    "open_campaign",
     "open_run",
+    "run_campaign",
     "run_scene",
     "score_run",
     "simulate_frames",
@@ -53,6 +57,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Campaign": "modsim3d.campaign.campaign",
     "ModsimError": "modsim3d.errors",
     "Scene": "modsim3d.scene.scene",
     "TrackedFrame": "modsim3d.tracking.trackers.interface",
@@ -63,7 +68,9 @@ _HOMES = {
     "load_detector": "modsim3d.detector.file.reading",
     "load_scene": "modsim3d.scene.reading",
     "locate": "modsim3d.positions.locating",
+    "open_campaign": "modsim3d.campaign.campaign",
     "open_run": "modsim3d.runs.stored_run",
+    "run_campaign": "modsim3d.campaign.campaign",
     "run_scene": "modsim3d.runs.run",
     "score_run": "modsim3d.tracking.score_run",
     "simulate_frames": "modsim3d.runs.pipeline",

@@ -10,7 +10,11 @@ from typing import Annotated
 import typer
 
 from modsim3d.commands.ais import ais_command
+from modsim3d.commands.campaign import campaign_command
+from modsim3d.commands.campaign_report import campaign_report_command
 from modsim3d.commands.campaign_run import campaign_run_command
+from modsim3d.commands.campaign_status import campaign_status_command
+from modsim3d.commands.campaign_table import campaign_table_command
 from modsim3d.commands.compare import compare_command
 from modsim3d.commands.detect import detect_command
 from modsim3d.commands.export import export_command
@@ -56,13 +60,17 @@ COMMANDS: tuple[tuple[str, str, Callable[..., None], str], ...] = (
     (LOOK, "rerun", rerun_command, "A recording for the Rerun viewer."),
     (TEST, "track", track_command, "Run a tracker over the detections of a run."),
     (TEST, "score", score_command, "How well do tracks follow the vessels of a run?"),
-    (CAMPAIGNS, "campaign-run", campaign_run_command, "A run of a campaign again, with a film of what went wrong."),
+    (CAMPAIGNS, "campaign", campaign_command, "Many runs: their scores, and verdicts on requirements."),
+    (CAMPAIGNS, "campaign-status", campaign_status_command, "How far a campaign is."),
+    (CAMPAIGNS, "campaign-table", campaign_table_command, "Mean scores of a campaign with intervals."),
+    (CAMPAIGNS, "campaign-report", campaign_report_command, "A page: verdicts, charts, the worst runs."),
+    (CAMPAIGNS, "campaign-run", campaign_run_command, "A run of a campaign again; films its worst moment."),
     (CHECK, "check", check_command, "Everything that is wrong with a scene, at once."),
     (CHECK, "verify", verify_command, "Does a run obey its detector file?"),
     (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),
     (CHECK, "compare", compare_command, "Does the rendered truth agree with exact geometry?"),
     (MAKE, "ais", ais_command, "A scene from real traffic, out of AIS logs."),
-    (MAKE, "learn", learn_command, "A detector file from a detector's results on labelled images."),
+    (MAKE, "learn", learn_command, "A detector file from results on labelled images."),
     (MAKE, "guess", guess_command, "A guess of a detector in other weather."),
     (MAKE, "export", export_command, "A run in another program's format."),
 )

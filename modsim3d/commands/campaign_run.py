@@ -83,7 +83,7 @@ def campaign_run_command(
 
 
 def _print_run(again: RunAgain) -> None:
-    from modsim3d.campaign.results.gather import text_of
+    from modsim3d.campaign.results.done_rows import text_of
 
     run = again.run
     rows = [

@@ -14,10 +14,19 @@ def complete_scene(incomplete: str) -> list[str]:
 
     Where no shipped scene does, there is nothing, and the shell completes the names of files and folders by itself.
     """
-    shipped = [path.stem for path in sorted(data_folder("scenes").glob("*.yaml")) if path.stem.startswith(incomplete)]
+    return _completed(incomplete, data_folder("scenes"), _SCENE_FILES)
+
+
+def complete_campaign(incomplete: str) -> list[str]:
+    """Shipped campaigns, and YAML files of the working directory, that begin so; or nothing, as for scenes."""
+    return _completed(incomplete, data_folder("scenes") / "campaigns", _SCENE_FILES[:2])
+
+
+def _completed(incomplete: str, folder: Path, endings: tuple[str, ...]) -> list[str]:
+    shipped = [path.stem for path in sorted(folder.glob("*.yaml")) if path.stem.startswith(incomplete)]
     if not shipped:
         return []
-    files = (path.name for path in sorted(Path().iterdir()) if path.suffix in _SCENE_FILES and path.is_file())
+    files = (path.name for path in sorted(Path().iterdir()) if path.suffix in endings and path.is_file())
     return shipped + [name for name in files if name.startswith(incomplete)]
 
 

@@ -35,6 +35,9 @@ SceneArgument = Annotated[
 ]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory, finished or interrupted.")]
 FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory of a finished run.")]
+CampaignArgument = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder of a campaign, finished or not, also while it is worked on.")
+]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist; never what is read.")]
 WorkersOption = Annotated[
     Any,

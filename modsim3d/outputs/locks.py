@@ -30,6 +30,25 @@ def locked_folder(folder: Path) -> Iterator[None]:
         yield
 
 
+def holder_of(folder: Path) -> str | None:
+    """The process that writes to a folder; None if there is none.
+
+    Raises:
+        OSError: The lock in it cannot be read.
+    """
+    try:
+        descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _holder(descriptor)
+    finally:
+        os.close(descriptor)
+    return None
+
+
 @contextmanager
 def locked_file(path: Path) -> Iterator[None]:
     """Hold the lock of a file that is written; it lies beside the file, whose folder is made as by `locked_folder`.

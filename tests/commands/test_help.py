@@ -44,8 +44,13 @@ def test_the_help_of_an_option_can_be_read_alone(command: str, parameter: Any) -
 
 def test_out_has_one_meaning() -> None:
     metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
-    folders = dict.fromkeys(("run", "detect", "ais", "compare", "verify", "export", "track", "score"), "DIR")
-    assert metavars == {**folders, **dict.fromkeys(("learn", "guess", "report", "rerun", "view"), "FILE")}
+    folders = dict.fromkeys(
+        ("run", "detect", "ais", "compare", "verify", "export", "track", "score", "campaign"), "DIR"
+    )
+    assert metavars == {
+        **folders,
+        **dict.fromkeys(("learn", "guess", "report", "rerun", "view", "campaign-table"), "FILE"),
+    }
 
 
 def test_the_root_help_has_every_command_on_one_line_of_80_columns(

@@ -246,7 +246,9 @@ class CampaignKeys(Strict):
     @classmethod
     def _one_scene(cls, value: Any) -> Any:
         """`scene: fairway` stands for `scenes: [fairway]`."""
-        if isinstance(value, dict) and "scene" in value and "scenes" not in value:
+        if isinstance(value, dict) and "scene" in value and "scenes" in value:
+            raise ValueError("give either scene or scenes")
+        if isinstance(value, dict) and "scene" in value:
             return {
                 ("scenes" if key == "scene" else key): [each] if key == "scene" else each for key, each in value.items()
             }

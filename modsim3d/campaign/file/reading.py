@@ -11,7 +11,7 @@ from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.errors import InputError
 from modsim3d.inputs.shipped import data_folder
 from modsim3d.inputs.strict_yaml import load_yaml
-from modsim3d.inputs.validation import describe, nearest
+from modsim3d.inputs.validation import describe, kind_of, nearest
 from modsim3d.paths import StrPath, as_path
 
 
@@ -62,8 +62,17 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
         TypeError: It is neither text nor a path.
     """
     path = find_campaign(campaign)
+    data = load_yaml(path, "campaign")
+    if not isinstance(data, dict):
+        needed = f"a mapping of keys is needed (got {kind_of(data)})"
+        raise InputError(f"campaign {path}", ["the file is empty" if data is None else needed])
     try:
-        keys = CampaignKeys.model_validate(load_yaml(path, "campaign"))
+        keys = CampaignKeys.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"campaign {path}", describe(error, CampaignKeys)) from None
+        raise InputError(f"campaign {path}", _in_words(error)) from None
     return CampaignFile(path, keys)
+
+
+def _in_words(error: ValidationError) -> list[str]:
+    """The problems, without the colon that stands before one of the whole file."""
+    return [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]

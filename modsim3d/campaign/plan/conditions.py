@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from math import prod
 from typing import Any
 
 from modsim3d.campaign.file.keys import Factor
@@ -61,6 +62,19 @@ def conditions(scenes: Sequence[str], factors: Sequence[Factor]) -> list[Conditi
         for scene in scenes
         for chosen in product(*levels)
     ]
+
+
+def count_conditions(scenes: Sequence[str], factors: Sequence[Factor]) -> int:
+    """How many combinations there are, without making them."""
+    return len(scenes) * prod(_count(factor) for factor in factors)
+
+
+def _count(factor: Factor) -> int:
+    if factor.grid is not None:
+        return prod(len(values) for values in factor.grid.values())
+    if factor.pairs is not None:
+        return len(next(iter(factor.pairs.values())))
+    return 1 if factor.conditions is None else len(factor.conditions)
 
 
 def _levels(factor: Factor) -> Iterator[dict[str, Any]]:

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Mask
 from modsim3d.campaign.file.keys import CampaignKeys, Range
-from modsim3d.campaign.results.gather import text_of
+from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.work.row import DONE
 
 TENTHS, QUARTERS = 10, 4

@@ -14,6 +14,7 @@ import orjson
 
 from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.results.differences import differences
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.files import differing_files
 from modsim3d.campaign.work.task import DONE_FOLDER, PLAN, Work
@@ -186,10 +187,6 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
         raise OutputError(f"{plan} is damaged: {error}") from None
     if isinstance(found, dict) and found.get("sha256") == facts["sha256"]:
         return
-    parts = ("campaign", "versions", "conditions")
-    differing = [name for name in parts if not isinstance(found, dict) or found.get(name) != facts[name]]
-    if isinstance(found, dict):
-        differing = differing_files(found.get("files", {}), facts["files"]) or differing
-    raise OutputError(
-        f"{plan.parent} holds a campaign with another plan ({', '.join(differing)} differ): choose another folder"
-    )
+    files = differing_files(found.get("files", {}), facts["files"]) if isinstance(found, dict) else []
+    differing = "; ".join(files or differences(found, facts))
+    raise OutputError(f"{plan.parent} holds a campaign with another plan: {differing}. Choose another folder")

@@ -3,22 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.file.keys import CampaignKeys, Requirement
+from modsim3d.campaign.file.keys import CampaignKeys, Requirement, TrackerKeys
 from modsim3d.campaign.file.reading import CampaignFile
+from modsim3d.campaign.plan.conditions import count_conditions
+from modsim3d.campaign.plan.drawn import value_at
 from modsim3d.campaign.plan.plan import Plan, PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
 from modsim3d.campaign.work.files import checksums
+from modsim3d.campaign.work.refusals import condition_problems, tracker_problems
 from modsim3d.campaign.work.requirement_problems import judging_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.search_checks import middle_run, search_problems
+from modsim3d.campaign.work.search_checks import search_problems, search_versions
+from modsim3d.display import counted
 from modsim3d.errors import InputError, ModsimError
 from modsim3d.inputs.validation import nearest
+from modsim3d.scene.reading import shipped_scenes
 from modsim3d.tracking.trackers.registry import named_tracker
+
+MOST_CONDITIONS = 10_000
+"""Each is read and checked before the first run, and is a row of the tables."""
+MOST_RUNS = 5_000_000
+_ELSEWHERE = {
+    "seed": "seeds",
+    "detector_seed": "seeds",
+    "steps": "steps",
+    "scene": "scenes",
+    "scenes": "scenes",
+    "tracker": "trackers",
+    "trackers": "trackers",
+}
+"""Keys that cannot be varied, and the key of the campaign that is for it."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +73,7 @@ class CheckedCampaign:
         file: The file.
         plan: Its plan.
         facts: What is known of each condition.
-        files: Checksum of each file that scenes and detectors are made of, see `files`.
+        files: Checksum of each file that scenes and detectors are made of.
         versions: Version of every package that decides the results.
         sha256: Checksum of all that decides the results.
     """
@@ -68,42 +87,116 @@ class CheckedCampaign:
 
 
 def checked(file: CampaignFile) -> CheckedCampaign:
-    """Check a campaign with the first traffic seed of each condition.
+    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values.
 
     Raises:
         InputError: With every problem.
     """
-    plan, problems, facts = Plan.of(file.keys), list(_problems(file.keys)), []
-    if problems:
-        raise InputError(f"campaign {file.path}", problems)
-    scenes = Scenes(file.keys.steps, file.base, learned=file.keys.uncertainty == "learned")
+    keys, source = file.keys, f"campaign {file.path}"
+    if too_large := [*_size_problems(keys)]:
+        raise InputError(source, too_large)
+    plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
     paths: set[Path] = set()
-    for index, values in enumerate(plan.conditions):
-        try:
-            facts.append(
-                _facts(plan.run(index * plan.keys.seeds.detector * len(plan.keys.trackers)), plan, scenes, paths)
-            )
-        except InputError as error:
-            said = ", ".join(f"{key} {value}" for key, value in values.values.items()) or "as it is"
-            problems += [f"{values.scene} ({said}): {error.source}: {problem}" for problem in error.problems]
-        except ModsimError as error:
-            problems.append(f"{values.scene}: {error}")
-    if not problems and (middle := middle_run(plan)) is not None:
-        try:
-            _facts(middle, plan, scenes)
-        except InputError as error:
-            problems += [f"search.over, at its middle: {error.source}: {problem}" for problem in error.problems]
-        except ModsimError as error:
-            problems.append(f"search.over, at its middle: {error}")
+    wrong_keys = [*_vary_problems(keys)]
+    problems = [*_problems(keys), *wrong_keys, *_scene_problems(file)]
+    facts = [] if wrong_keys else [*_facts_of_all(_with_known_trackers(plan, problems), scenes, paths, problems)]
+    if len(facts) == len(plan.conditions):
+        problems += _requirement_problems(plan, facts)
+    else:
+        problems += _score_problems(keys)
     if problems:
-        raise InputError(f"campaign {file.path}", dict.fromkeys(problems))
-    problems = [*_requirement_problems(plan, facts)]
-    if problems:
-        raise InputError(f"campaign {file.path}", problems)
-    content = file.keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
-    packages = versions()
+        raise InputError(source, dict.fromkeys(problems))
+    content = keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
+    packages = {**versions(), **search_versions(keys)}
     sha256 = digest(content, [vars(each) for each in facts], packages)
     return CheckedCampaign(file, plan, tuple(facts), checksums(paths, file.base), packages, sha256)
+
+
+def _size_problems(keys: CampaignKeys) -> Iterator[str]:
+    """A plan that is too large to be made, with its numbers."""
+    count = count_conditions(keys.scenes, keys.vary)
+    runs = count * keys.seeds.traffic * keys.seeds.detector * len(keys.trackers)
+    if count > MOST_CONDITIONS:
+        yield (
+            f"vary: {count:,} conditions, and at most {MOST_CONDITIONS:,} are possible: take fewer values, pairs in "
+            "place of grid, or draw values with uniform or latin_hypercube"
+        )
+    elif runs > MOST_RUNS:
+        yield (
+            f"{runs:,} runs, and at most {MOST_RUNS:,} are possible: {counted(count, 'condition')} × "
+            f"{counted(keys.seeds.traffic, 'traffic seed')} × {counted(keys.seeds.detector, 'detector seed')} × "
+            f"{counted(len(keys.trackers), 'tracker')}"
+        )
+
+
+def _scene_problems(file: CampaignFile) -> Iterator[str]:
+    """Scenes that are not there, or are given twice."""
+    shipped = shipped_scenes()
+    for place, scene in enumerate(file.keys.scenes):
+        if scene not in shipped and not (file.base / scene).exists():
+            yield (
+                f"scenes[{place}]: {file.base / scene}: no such file, and no shipped scene is called '{scene}' "
+                f"({nearest(scene, shipped)})"
+            )
+    names = [Path(scene).stem for scene in file.keys.scenes]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        yield f"scenes: two are called '{twice[0]}', and tables could not tell them apart"
+
+
+def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
+    """The plan with the trackers that are there and take their settings; those of the others go to the problems."""
+    known = []
+    for place, each in enumerate(plan.keys.trackers):
+        try:
+            named_tracker(each.tracker, each.settings, None).origin  # noqa: B018
+            known.append(each)
+        except ModsimError as error:
+            problems += tracker_problems(place, error)
+    trackers = known or [TrackerKeys(tracker="reference")]
+    return replace(plan, keys=plan.keys.model_copy(update={"trackers": trackers}))
+
+
+def _facts_of_all(
+    plan: Plan, scenes: Scenes, paths: set[Path], problems: list[str]
+) -> Iterator[ConditionFacts]:
+    """What is known of the conditions that can be run.
+
+    The files that they are made of are added to the paths, and what is wrong with the others to the problems.
+    """
+    first = [plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions))]
+    ends = [replace(first[0], condition=first[0].condition.with_values(values)) for values in _ends(plan.keys)]
+    missing = {
+        scene
+        for place, scene in enumerate(plan.keys.scenes)
+        if any(p.startswith(f"scenes[{place}]:") for p in problems)
+    }
+    for place, run in enumerate((*first, *ends)):
+        if run.condition.scene in missing:
+            continue
+        try:
+            facts = _facts(run, plan, scenes, paths)
+        except ModsimError as error:
+            problems += condition_problems(run.condition, error, "search.over" if plan.keys.search else "vary")
+        else:
+            if place < len(first):
+                yield facts
+
+
+def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
+    """Values at the ends of each range that is drawn from or searched, and each choice, a key at a time."""
+    drawn = [factor.latin_hypercube or factor.uniform or {} for factor in keys.vary]
+    for ranges in (*drawn, keys.search.over if keys.search else {}):
+        for key, each in ranges.items():
+            for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
+                yield {key: value}
+
+
+def _score_problems(keys: CampaignKeys) -> Iterator[str]:
+    """Scores that are not there, where no more can be said of the requirements yet."""
+    for place, requirement in enumerate(keys.require):
+        if requirement.score not in SCORES:
+            hint = nearest(requirement.score, SCORES)
+            yield f"require[{place}].score: there is no score '{requirement.score}' ({hint})"
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
@@ -111,12 +204,6 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
     labels = [tracker.label for tracker in keys.trackers]
     if twice := sorted({label for label in labels if labels.count(label) > 1}):
         yield f"trackers: two are called '{twice[0]}': give one another name"
-    found = [key for factor in keys.vary for key in _keys_of(factor)]
-    if twice := sorted({key for key in found if found.count(key) > 1}):
-        yield f"vary: '{twice[0]}' is varied twice"
-    for key in found:
-        if key in ("seed", "detector_seed", "steps", "scene", "tracker"):
-            yield f"vary: '{key}' cannot be varied: the keys seed, seeds, steps, scenes and trackers are for that"
     if keys.stop == "sequential" and any(factor.latin_hypercube for factor in keys.vary):
         yield (
             "stop: sequential needs draws that do not depend on each other, and those of latin_hypercube do: use "
@@ -128,7 +215,17 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
     try:
         rules_of(keys.score)
     except ModsimError as error:
-        yield f"score: {error}"
+        yield f"score: {str(error).replace('--similarity', 'similarity').replace('--scale', 'scale_px')}"
+
+
+def _vary_problems(keys: CampaignKeys) -> Iterator[str]:
+    """Keys that are varied twice, or cannot be."""
+    found = [key for factor in keys.vary for key in _keys_of(factor)]
+    for key in dict.fromkeys(found):
+        if found.count(key) > 1:
+            yield f"vary: '{key}' is varied by two factors: put its values into one"
+        if key in _ELSEWHERE:
+            yield f"vary: '{key}' cannot be varied here: the key {_ELSEWHERE[key]} of the campaign is for that"
 
 
 def _keys_of(factor: Any) -> Iterator[str]:
@@ -137,7 +234,8 @@ def _keys_of(factor: Any) -> Iterator[str]:
     yield from factor.grid or factor.pairs or factor.latin_hypercube or factor.uniform or ()
 
 
-def _facts(run: PlannedRun, plan: Plan, scenes: Scenes) -> ConditionFacts:
+def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path]) -> ConditionFacts:
+    """What is known of a condition; the files that it is made of are added to the paths."""
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 from modsim3d.campaign.file.keys import CampaignKeys, SearchKeys
-from modsim3d.campaign.plan.drawn import value_at
-from modsim3d.campaign.plan.plan import Plan, PlannedRun
+from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.row import SCORES
 from modsim3d.errors import ModsimError
 from modsim3d.inputs.validation import nearest
@@ -48,15 +46,6 @@ def _range_problems(plan: Plan, search: SearchKeys) -> Iterator[str]:
             yield f"search.over: '{key}' cannot be searched; search.seeds is the number of seeds to choose from"
         if key in plan.parameters:
             yield f"search.over: '{key}' is in vary too"
-
-
-def middle_run(plan: Plan) -> PlannedRun | None:
-    """The run in the middle of all ranges that are searched; None without a search."""
-    if plan.keys.search is None:
-        return None
-    values = {key: value_at(each, 0.5) for key, each in plan.keys.search.over.items()}
-    run = plan.run(0)
-    return replace(run, condition=run.condition.with_values(values))
 
 
 def search_versions(keys: CampaignKeys) -> dict[str, str]:

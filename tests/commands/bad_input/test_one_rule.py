@@ -20,6 +20,7 @@ from modsim3d.outputs.claims import check_free
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.ais.ais_builders import SAMPLES
+from tests.campaign.small_campaign import small_campaign
 from tests.commands.bad_input import writers
 from tests.commands.bad_input.builders import Call, Inputs
 from tests.scenes import crossing
@@ -45,15 +46,18 @@ def run(tmp_path: Path) -> Path:
 
 def test_the_tables_of_these_tests_have_every_command_and_every_path_that_one_is_given() -> None:
     named = {name.partition(":")[0] for name in writers.WRITERS}
-    assert named | {*writers.FOLDER_WRITERS, *writers.NO_WRITERS} == COMMANDS.keys()
+    assert named | {*writers.FOLDER_WRITERS, *writers.CONTINUING, *writers.NO_WRITERS} == COMMANDS.keys()
     defaults = set()
     for name, parameters in COMMANDS.items():
         paths = {each.name for each in parameters if "Path" in str(each.annotation)}
         assert paths <= writers.READ | writers.WRITTEN, f"{name}: is it read or written?"
         writes = name not in writers.NO_WRITERS
-        assert writes == ("overwrite" in {each.name for each in parameters}) == bool(paths & writers.WRITTEN), name
+        replaces = "overwrite" in {each.name for each in parameters}
+        assert writes == bool(paths & writers.WRITTEN) == (replaces or name in writers.CONTINUING), name
         optional = {each.name for each in parameters if each.default is None}
-        if name in named and "out" in optional and name not in ("compare", "score"):  # which write nothing without it
+        if (
+            name in named and "out" in optional and name not in ("compare", "score", "campaign-table")
+        ):  # which write nothing without it
             defaults.add(name)
     assert {name.partition(":")[0] for name in writers.DEFAULTS} == defaults
 
@@ -312,8 +316,10 @@ def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path, how) -> Non
 @pytest.mark.parametrize("name", writers.NO_WRITERS)
 def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_path, monkeypatch, name) -> None:
     monkeypatch.chdir(tmp_path)
+    small_campaign(tmp_path)
     before = content(tmp_path)
     lines = {"check": ("scene.yaml",), "scenes": (), "repeat": ("run",), "stream": ("scene.yaml", "--steps", 3)}
+    lines["campaign-status"] = ("campaign",)
     assert call(name, *lines[name])[0] == 0
     assert content(tmp_path) == before
 

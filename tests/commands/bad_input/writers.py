@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from tests.campaign.small_campaign import small_campaign
+
 
 def scene_file(run: Path) -> Path:
     """The scene in the copy that a run keeps."""
@@ -32,6 +34,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
     "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
     "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
+    "campaign-table": ("means.csv", lambda run, out: ("campaign-table", small_campaign(run.parent), "--out", out)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",
@@ -56,12 +59,15 @@ TRACKS = "step,track,x_min_px,y_min_px,x_max_px,y_max_px\n5,1,100,100,120,110\n"
 INPUTS: dict[str, Callable[[Path], Path]] = {
     "compare": scene_file,
     "guess": lambda run: run / "scene" / "detector.yaml",
+    "campaign-table": lambda run: small_campaign(run.parent) / "plan.json",
     "detect: truth": lambda run: run.parent / "coco" / "gt.json",
 }
 """A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais")
 """Those that write a folder of their own, which they alone recognise."""
-NO_WRITERS = ("check", "scenes", "repeat", "stream")
+CONTINUING = ("campaign",)
+"""Those that go on with a folder of their own and never replace one, so that they have no `--overwrite`."""
+NO_WRITERS = ("check", "scenes", "repeat", "stream", "campaign-status")
 DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]] = {
     "report": (("report.html",), lambda run: ("report", run)),
     "rerun": (("run.rrd",), lambda run: ("rerun", run)),
@@ -77,7 +83,7 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
     "view: sheet": (("contact_sheet.png",), lambda run: ("view", run, "--sheet")),
 }
 """What a command writes into the run directory unless told otherwise."""
-READ = {"scene", "run", "truth", "detections", "detector", "sequence", "files", "tracks"}
+READ = {"scene", "campaign", "run", "truth", "detections", "detector", "sequence", "files", "tracks"}
 """Parameters that name what is read."""
-WRITTEN = {"out", "page"}
+WRITTEN = {"out", "page", "cache"}
 """Parameters that name what is written."""

@@ -1,0 +1,180 @@
+"""Campaigns from Python: run one, go on with one, open one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pyarrow as pa
+
+from modsim3d.campaign.engines.interface import Engine
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.present import crashed_runs, present_state
+from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
+from modsim3d.campaign.results.means import Mean, MeanRow, mean_rows, usual_keys, usual_scores
+from modsim3d.campaign.running import Progress, run_plan
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.checking import checked
+from modsim3d.display import column_table, counted
+from modsim3d.errors import ModsimError
+from modsim3d.paths import StrPath, as_path
+from modsim3d.processes import WorkerCount, worker_count
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign:
+    """A campaign, finished or not.
+
+        campaign = modsim3d.open_campaign("runs/example")
+        campaign.verdicts, campaign.table.to_pandas(), campaign.means(["state"])
+
+    Attributes:
+        folder: Its folder.
+        table: A row for each run that is done, in the order of the plan, with its parameters and all its scores.
+        verdicts: The verdicts on its requirements; of a campaign that is not finished, on what is done.
+        finished: Whether all runs are done.
+    """
+
+    folder: Path
+    table: pa.Table
+    verdicts: tuple[Verdict, ...]
+    finished: bool
+
+    def __repr__(self) -> str:
+        """Where it is, and its outcome, in a line."""
+        return f"<Campaign {self.folder}: {self.conclusion}>"
+
+    def _repr_html_(self) -> str:
+        """The outcome, and the mean scores of each tracker in each condition."""
+        keys, scores = [*usual_keys(self._opened.plan), "tracker"], usual_scores(self._opened.plan)
+        rows = [
+            (*(str(row.values[key]) for key in keys), f"{row.runs:,}", *(_text(row.means[score]) for score in scores))
+            for row in self.means()
+        ]
+        return column_table(f"Campaign {self.folder}: {self.conclusion}", [*keys, "runs", *scores], rows)
+
+    @property
+    def conclusion(self) -> str:
+        """The outcome in a sentence."""
+        plan, done = self._opened.plan, counted(len(self.table), "run")
+        said = done if self.finished else f"{len(self.table):,} of {counted(len(plan), 'run')}, not finished"
+        parts = [said]
+        if crashed := crashed_runs(self.table):
+            parts.append(f"{crashed:,} crashed")
+        outcomes = [verdict.outcome for verdict in self.verdicts]
+        counts = {each: outcomes.count(each) for each in ("met", "failed", "undecided")}
+        parts += [f"{count} {outcome}" for outcome, count in counts.items() if count]
+        return ", ".join(parts)
+
+    def means(self, by: Sequence[str] | None = None, scores: Sequence[str] | None = None) -> list[MeanRow]:
+        """Mean scores over traffic seeds with 95 % intervals, for each tracker.
+
+        Args:
+            by: The varied keys to tell apart; all that are not drawn if None.
+            scores: Columns of the table; HOTA and some others if None, and those of the requirements.
+
+        Raises:
+            ModsimError: There is no such key or score.
+        """
+        plan = self._opened.plan
+        return mean_rows(
+            self.table, usual_keys(plan) if by is None else by, usual_scores(plan) if scores is None else scores
+        )
+
+    @cached_property
+    def _opened(self) -> CampaignFolder:
+        return opened_campaign(self.folder)
+
+
+def run_campaign(
+    campaign: StrPath,
+    out: StrPath,
+    *,
+    workers: WorkerCount = "auto",
+    scheduler: str | None = None,
+    slurm: int | None = None,
+    cache: StrPath | None = None,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> Campaign:
+    """Run a campaign, or go on with one that was interrupted.
+
+        campaign = modsim3d.run_campaign("campaign.yaml", "runs/campaign", workers=2)
+
+    A script that starts workers must do so under `if __name__ == "__main__":`.
+
+    Args:
+        campaign: A campaign file, or the name of a shipped campaign; one with `search` is for the command line.
+        out: The folder of the campaign.
+        workers: Number of processes on this machine; `auto`: one for each CPU.
+        scheduler: Address of a Dask scheduler, such as `tcp://10.0.0.1:8786`, whose workers do the work instead.
+        slurm: Number of Slurm jobs that do the work instead.
+        cache: Where layers that are kept are read and written; `cache` in the folder if None.
+        progress: Called after each task.
+
+    Raises:
+        InputError: With every problem of the file.
+        OutputError: The folder holds another campaign, or cannot be written.
+        ModsimError: This is no number of workers, the workers are lost, or the campaign is a search.
+        TypeError: The file or the folder is neither text nor a path.
+    """
+    folder = as_path(out, "out", "the folder of the campaign")
+    found = checked(read_campaign(campaign))
+    if found.file.keys.search is not None:
+        raise ModsimError(f"{found.file.path} is a search: modsim3d campaign {found.file.path} --out {folder}")
+    layers = None if cache is None else as_path(cache, "cache", "a folder")
+    result = run_plan(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
+    assert result is not None
+    return Campaign(folder, result.table, result.verdicts, True)
+
+
+def open_campaign(folder: StrPath) -> Campaign:
+    """Open the folder of a campaign, finished or not, also while it is worked on.
+
+        campaign = modsim3d.open_campaign("runs/campaign")
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        ModsimError: It is no folder of a campaign, or its files are damaged.
+        TypeError: It is neither text nor a path.
+    """
+    opened = opened_campaign(folder)
+    found = present_state(opened)
+    return Campaign(opened.path, found.table, found.verdicts, found.finished)
+
+
+def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | None = None) -> Callable[[], Engine]:
+    """What opens the engine that is asked for.
+
+    Args:
+        workers: Number of processes on this machine, if neither of the others is given.
+        scheduler: Address of a Dask scheduler.
+        slurm: Number of Slurm jobs.
+
+    Raises:
+        ModsimError: This is no number of workers, or both others are given.
+    """
+    worker_count(workers)
+    if scheduler is not None and slurm is not None:
+        raise ModsimError("--scheduler and --slurm contradict each other: leave one out")
+
+    def opened() -> Engine:
+        if scheduler is not None or slurm is not None:
+            from modsim3d.campaign.engines.dask_engine import DaskEngine, SlurmEngine
+
+            return DaskEngine(scheduler) if scheduler is not None else SlurmEngine(slurm or 1)
+        from modsim3d.campaign.engines.pool import ProcessPool
+
+        return ProcessPool(workers)
+
+    return opened
+
+
+def _text(mean: Mean) -> str:
+    """A mean with its interval."""
+    if mean.value is None:
+        return "–"
+    return f"{mean.value:.3f}" if mean.low is None else f"{mean.value:.3f} [{mean.low:.3f}, {mean.high:.3f}]"

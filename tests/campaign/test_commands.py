@@ -1,0 +1,237 @@
+"""The commands campaign, campaign-status and campaign-table, and campaigns from Python."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from scipy import stats
+
+import modsim3d as package
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.running import Progress, run_plan
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.checking import checked
+from modsim3d.commands.campaign import exit_status
+from modsim3d.errors import ModsimError, OutputError
+from modsim3d.outputs.locks import locked_folder
+from tests.commands.conftest import Modsim3d
+from tests.commands.test_json import documented
+
+TEXT = """\
+scene: harbour
+steps: 20
+seeds: {traffic: 3}
+vary:
+  - grid: {state: [excellent, bad]}
+trackers: [sort, reference]
+require:
+  - {score: hota, at_least: 0.01}
+"""
+RUNS = 12
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("file") / "tiny.yaml"
+    path.write_text(TEXT)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished campaign; tests leave it as it is."""
+    folder = tmp_path_factory.mktemp("finished") / "tiny"
+    with pytest.MonkeyPatch.context() as patch:  # processes have tests of their own
+        patch.setattr("modsim3d.campaign.campaign.engine_of", lambda *_: ThisProcess)
+        package.run_campaign(file, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def begun(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign that was interrupted after its first task; tests leave it as it is."""
+
+    def stop(progress: Progress) -> None:
+        raise KeyboardInterrupt
+
+    folder = tmp_path_factory.mktemp("begun") / "tiny"
+    with pytest.raises(KeyboardInterrupt):
+        run_plan(checked(read_campaign(file)), folder, ThisProcess, progress=stop)
+    return folder
+
+
+def test_a_campaign_is_introduced_run_and_judged(modsim3d: Modsim3d, file: Path, finished: Path) -> None:
+    said = modsim3d("campaign", file, "--out", finished)
+    assert said.status == 0, said.err
+    lines = [" ".join(line.split()) for line in said.out.splitlines()]
+    assert f"runs {RUNS} = 2 conditions × 3 traffic seeds × 2 trackers" in lines
+    assert "scenes harbour (this traffic only), 20 steps" in lines
+    assert "required mean hota at least 0.01 (95 % confidence)" in lines
+    assert f"{RUNS} runs, 4 met" in lines
+    assert "the results hold for this traffic only" in said.err
+
+
+def test_an_interrupted_campaign_says_how_to_go_on(
+    modsim3d: Modsim3d, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("modsim3d.campaign.running.run_plan", interrupted)
+    said = modsim3d("campaign", file, "--out", tmp_path / "out")
+    assert said.status == 130
+    assert f"runs that are done are kept in {tmp_path / 'out'}: the same command goes on" in said.err
+
+
+def test_a_folder_with_another_plan_is_refused_with_what_differs(
+    modsim3d: Modsim3d, finished: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(TEXT.replace("traffic: 3", "traffic: 4"))
+    said = modsim3d("campaign", other, "--out", finished)
+    assert said.status == 2
+    assert "holds a campaign with another plan: seeds.traffic is 3 there and 4 now" in said.err
+
+
+def test_a_part_is_made_and_the_whole_gathered(
+    modsim3d: Modsim3d, file: Path, tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modsim3d.campaign.campaign.engine_of", lambda *_: ThisProcess)
+    out = tmp_path / "out"
+    said = modsim3d("campaign", file, "--out", out, "--workers", 1, "--shard", "1/2", "--json")
+    assert (said.status, json.loads(said.out)["finished"]) == (0, False)
+    assert modsim3d("campaign", file, "--out", out, "--workers", 1, "-q").status == 0
+    rows = [package.open_campaign(folder).table for folder in (out, finished)]
+    assert rows[0].equals(rows[1])
+
+
+@pytest.mark.parametrize("wrong", ["0/3", "4/3", "3", "1/0", "a/b", "1/200000"])
+def test_a_wrong_part_is_one_line(modsim3d: Modsim3d, file: Path, wrong: str) -> None:
+    said = modsim3d("campaign", file, "--shard", wrong)
+    assert said.status == 2
+    assert said.err.startswith("modsim3d: --shard: needs K/N") and said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status"),
+    [([], 0), (["met"], 0), (["met", "undecided"], 3), (["undecided", "failed"], 1), (["met", "failed"], 1)],
+)
+def test_exit_status(outcomes: list[str], status: int) -> None:
+    one = Verdict(0, "hota at least 0.6", "sort", 0, "met", "", 0.95, None, None, None, 1)
+    verdicts = tuple(replace(one, outcome=outcome) for outcome in outcomes)  # type: ignore[arg-type]
+    assert exit_status(verdicts) == status
+
+
+@pytest.mark.parametrize("command", ["campaign", "campaign-status", "campaign-table"])
+def test_json_has_the_documented_keys(modsim3d: Modsim3d, file: Path, finished: Path, command: str) -> None:
+    line = (command, file, "--out", finished) if command == "campaign" else (command, finished)
+    found = json.loads(modsim3d(*line, "--json").out)
+    assert set(found) == documented(command)
+    assert found["finished"] is True
+
+
+def test_status_of_a_campaign_that_is_not_finished(modsim3d: Modsim3d, begun: Path) -> None:
+    said = modsim3d("campaign-status", begun)
+    assert said.status == 0
+    assert f"of {RUNS} runs are done, 0 of them crashed" in said.out
+    assert "nobody holds its folder" in said.out
+    assert "requirements so far" in said.out and "so far" in said.out
+    assert not any(f" {outcome}" in said.out for outcome in ("met,", "failed,"))
+    found = json.loads(modsim3d("campaign-status", begun, "--json").out)
+    assert 0 < found["done"] < RUNS and not found["finished"] and found["left_s"] is None
+
+
+def test_status_while_another_process_works_on_it(modsim3d: Modsim3d, begun: Path) -> None:
+    with locked_folder(begun):
+        said = modsim3d("campaign-status", begun)
+        assert said.status == 0 and "worked on by " in said.out
+    assert json.loads(modsim3d("campaign-status", begun, "--json").out)["worked_on_by"] is None
+
+
+def test_means_are_those_of_a_plain_loop_over_traffic_seeds(finished: Path) -> None:
+    campaign = package.open_campaign(finished)
+    rows = campaign.table.to_pylist()
+    for row in campaign.means(["state"], ["hota"]):
+        values = [each["hota"] for each in rows if all(each[key] == value for key, value in row.values.items())]
+        mean, found = float(np.mean(values)), row.means["hota"]
+        low, high = stats.t.interval(0.95, len(values) - 1, mean, stats.sem(values))
+        assert (found.value, found.low, found.high) == pytest.approx((mean, low, high))
+        assert (found.seeds, row.runs, row.crashed) == (3, 3, 0)
+
+
+def test_runs_of_one_traffic_seed_count_once(finished: Path) -> None:
+    found = package.open_campaign(finished).means([], ["hota"])
+    assert [(row.runs, row.means["hota"].seeds) for row in found] == [(6, 3), (6, 3)]
+
+
+def test_tables_are_written_as_csv_and_parquet(modsim3d: Modsim3d, finished: Path, tmp_path: Path) -> None:
+    means, runs = tmp_path / "means.csv", tmp_path / "runs.parquet"
+    line = ("campaign-table", finished, "--by", "state", "--score", "hota")
+    assert modsim3d(*line, "--out", means).status == 0
+    table = pyarrow.csv.read_csv(means)
+    assert table.column_names == [
+        "state",
+        "tracker",
+        "runs",
+        "crashed",
+        "hota",
+        "hota_low",
+        "hota_high",
+        "hota_seeds",
+    ]
+    assert len(table) == 4
+    assert modsim3d("campaign-table", finished, "--runs", "--out", runs).status == 0
+    assert pq.read_table(runs).equals(package.open_campaign(finished).table)
+    assert modsim3d(*line, "--out", means).status == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (("--by", "stat"), "--by stat: is not varied in this campaign (did you mean 'state'?)"),
+        (("--score", "hotta"), "--score hotta: there is no such score in this campaign (did you mean 'hota'?)"),
+        (("--score", "tracker"), "--score tracker: there is no such score"),
+        (("--runs",), "--runs writes a file: name it with --out"),
+        (("--out", "means.txt"), "the name must end in .csv or .parquet"),
+    ],
+)
+def test_wrong_options_of_a_table_are_one_line(
+    modsim3d: Modsim3d, finished: Path, options: tuple[str, ...], part: str
+) -> None:
+    said = modsim3d("campaign-table", finished, *options)
+    assert (said.status, said.out) == (2, "")
+    assert part in said.err and said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["campaign-status", "campaign-table"])
+def test_a_folder_that_is_no_campaign_is_one_line(modsim3d: Modsim3d, tmp_path: Path, command: str) -> None:
+    said = modsim3d(command, tmp_path)
+    assert said.status == 2
+    assert "is no folder of a campaign" in said.err and said.err.count("\n") == 1
+
+
+def test_a_campaign_shows_itself(finished: Path, begun: Path) -> None:
+    campaign = package.open_campaign(finished)
+    assert repr(campaign) == f"<Campaign {finished}: {RUNS} runs, 4 met>"
+    html = campaign._repr_html_()
+    assert html.startswith("<table>") and html.count("<tr>") == 5 and "excellent" in html
+    assert "not finished" in repr(package.open_campaign(begun))
+
+
+def test_python_refuses_what_the_command_refuses(file: Path, finished: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(TEXT.replace("steps: 20", "steps: 21"))
+    with pytest.raises(OutputError, match="steps is 20 there and 21 now"):
+        package.run_campaign(other, finished)
+    with pytest.raises(ModsimError, match="workers"):
+        package.run_campaign(file, tmp_path / "out", workers=0)
+    with pytest.raises(TypeError, match="folder of the campaign"):
+        package.run_campaign(file, 3)  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()

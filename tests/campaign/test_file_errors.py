@@ -1,0 +1,120 @@
+"""A campaign file: every problem at once, each with the key and the value, before anything is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.file.reading import read_campaign, shipped_campaigns
+from modsim3d.campaign.work.checking import checked
+from modsim3d.errors import InputError
+from tests.commands.conftest import Modsim3d
+
+HARBOUR = "scene: harbour\nsteps: 20\ntrackers: [sort]\n"
+
+
+def problems(tmp_path: Path, text: str) -> tuple[str, ...]:
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        checked(read_campaign(path))
+    assert str(path) in refused.value.source
+    return refused.value.problems
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["the file is empty"]),
+        ("[]", ["a mapping of keys is needed (got a list)"]),
+        ("scene: harbour\n", ["trackers: missing"]),
+        ("scene: harbour\ntracker: sort\n", ["tracker: unknown key (did you mean 'trackers'?)"]),
+        (HARBOUR + "scenes: [strait]\n", ["give either scene or scenes"]),
+        (HARBOUR + "seeds: {trafic: 3}\n", ["seeds.trafic: unknown key (did you mean 'traffic'?)"]),
+        (HARBOUR + "vary: [{grid: {state: [good]}, pairs: {x: [1]}}]\n", ["vary[0]: give exactly one of grid, pairs"]),
+        (HARBOUR + "require: [{score: hota}]\n", ["require[0]: give either at_least or at_most"]),
+        (HARBOUR + "score: {similarity: centre}\n", ["score: similarity centre needs scale_px"]),
+        (HARBOUR + "vary: [{list: [{steps: 3}]}]\n", ["vary: 'steps' cannot be varied here: the key steps"]),
+        (HARBOUR + "vary: [{grid: {state: [good]}}, {pairs: {state: [bad]}}]\n", ["'state' is varied by two factors"]),
+        (HARBOUR + "vary: [{grid: {state: [good, god]}}]\n", ["vary: state 'god': unknown state 'god' (did you mean"]),
+        (HARBOUR + "vary: [{grid: {waves.levl: [small]}}]\n", ["vary: waves.levl 'small': unknown key waves.levl"]),
+        (HARBOUR + "vary: [{grid: {tracker.lost: [3]}}]\n", ["tracker.lost 3: unknown key (did you mean 'lost_s'?)"]),
+        (HARBOUR + "vary: [{grid: {detector: [thesi]}}]\n", ["harbour with detector 'thesi'", "thesi: no such file"]),
+    ],
+)
+def test_a_problem_is_named_with_its_key_and_value(tmp_path: Path, text: str, parts: list[str]) -> None:
+    found = "\n".join(problems(tmp_path, text))
+    for part in parts:
+        assert part in found
+
+
+def test_all_problems_are_found_at_once(tmp_path: Path) -> None:
+    text = "scene: harbur\nsteps: 20\ntrackers: [srt, {tracker: sort, set: {lost: 3}}]\n"
+    text += "require: [{score: hotta, at_least: 0.5}]\n"
+    found = problems(tmp_path, text)
+    assert [problem.partition(":")[0] for problem in found] == [
+        "scenes[0]",
+        "trackers[0]",
+        "trackers[1]",
+        "require[0].score",
+    ]
+    for name in ("harbour", "sort", "lost_s", "hota"):
+        assert sum(f"did you mean '{name}'?" in problem for problem in found) == 1
+
+
+def test_a_value_that_a_scene_refuses_is_named_once_however_many_conditions_have_it(tmp_path: Path) -> None:
+    text = HARBOUR + "vary: [{grid: {waves.level: [small, 9], state: [good, bad]}}]\n"
+    assert problems(tmp_path, text) == ("vary: waves.level 9: text is needed (got 9)",)
+
+
+def test_both_ends_of_a_range_are_tried(tmp_path: Path) -> None:
+    text = HARBOUR + "vary: [{uniform: {detector.false_positives.rate: [0.1, 1001]}}]\n"
+    text = text.replace("0.1, 1001", "-1, 1001")
+    found = problems(tmp_path, text)
+    assert any("rate -1" in problem for problem in found)
+    assert any("rate 100" in problem for problem in found)
+
+
+def test_ranges_whose_ends_are_possible_are_taken(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.yaml"
+    path.write_text(HARBOUR + "vary: [{uniform: {detector.confidence_threshold: [0.1, 0.4]}}]\n")
+    assert len(checked(read_campaign(path)).plan) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        (
+            "vary: [{grid: {" + ", ".join(f"k{n}: [1,2,3,4,5,6,7,8,9,0]" for n in range(7)) + "}}]\n",
+            "10,000,000 conditions",
+        ),
+        ("seeds: {traffic: 1000000, detector: 10}\n", "10,000,000 runs, and at most 5,000,000 are possible"),
+    ],
+)
+def test_a_plan_that_is_too_large_is_refused_with_its_number(tmp_path: Path, text: str, part: str) -> None:
+    (found,) = problems(tmp_path, HARBOUR + text)
+    assert part in found
+
+
+def test_nothing_is_written_for_a_wrong_file(tmp_path: Path, modsim3d: Modsim3d) -> None:
+    path = tmp_path / "campaign.yaml"
+    path.write_text(HARBOUR + "vary: [{grid: {state: [god]}}]\n")
+    said = modsim3d("campaign", path, "--out", tmp_path / "out")
+    assert (said.status, said.out) == (2, "")
+    assert said.err.startswith(f"modsim3d: campaign {path}:\n  vary: state 'god'")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", shipped_campaigns())
+def test_a_shipped_campaign_has_no_problem(name: str) -> None:
+    assert len(checked(read_campaign(name)).plan) > 0
+
+
+def test_the_example_has_24_runs() -> None:
+    assert len(checked(read_campaign("example")).plan) == 24
+
+
+def test_a_name_that_is_no_campaign_has_a_hint() -> None:
+    with pytest.raises(InputError, match=r"no shipped campaign has this name .*example"):
+        read_campaign("exmple")
