@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -15,6 +14,7 @@ from modsim3d.campaign.report.other_rooms import made_by
 from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
 from modsim3d.campaign.report.runs_shown import crash_sections, worst_sections
+from modsim3d.campaign.report.tables import facts_table
 from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
@@ -43,7 +43,7 @@ def write_campaign_page(folder: CampaignFolder, path: Path, advance: Callable[[i
         ModsimError: The results are damaged, or the page cannot be written.
     """
     table = results_table(folder)
-    verdicts = judged(folder.plan, whole_seeds(folder.plan, table))
+    verdicts = judged(folder.plan, table)
     lead = verdict_sentence(folder.plan, verdicts, folder.finished)
     write_files({path: campaign_page(folder, table, verdicts, advance)})
     return lead
@@ -67,7 +67,7 @@ def campaign_page(
     body = [
         page.paragraph(verdict_sentence(plan, verdicts, folder.finished), "lead"),
         *(page.paragraph(text, kind) for text, kind in cautions(folder, table)),
-        page.table(facts(folder, table)),
+        facts_table(facts(folder, table)),
     ]
     if plan.keys.require:
         body += [page.heading("Requirements"), *requirement_sections(plan, verdicts), *_levels(plan)]
@@ -78,15 +78,8 @@ def campaign_page(
         body += crash_sections(folder, table)
         body += _sections("report.coverage", "coverage_sections", folder, table)
         body += _sections("report.coverage", "trace_sections", folder, table, verdicts)
-    return page.page(f"{folder.path.resolve().name}: are the requirements met?", body)
-
-
-def whole_seeds(plan: Plan, table: pa.Table) -> pa.Table:
-    """The rows of the traffic seeds all of whose runs are there, up to the first that is not."""
-    runs = table["run"].to_numpy()
-    missing = np.flatnonzero(runs != np.arange(len(runs)))
-    first = int(missing[0]) if len(missing) else len(runs)
-    return table.slice(0, first - first % plan.runs_by_seed)
+    asked = "are its requirements met?" if plan.keys.require else "what does it compare?"
+    return page.page(f"Campaign {folder.path.resolve().name}: {asked}", body)
 
 
 def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
@@ -128,13 +121,9 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
 def _levels(plan: Plan) -> list[str]:
     """At which level the requirements hold together."""
     levels_of = made_by("verdicts.levels", "levels_of")
-    return [] if levels_of is None else [page.paragraph(text) for text in _texts(levels_of(plan))]
-
-
-def _texts(found: object) -> list[str]:
-    if isinstance(found, str):
-        return [found]
-    return [str(each) for each in found] if isinstance(found, list | tuple) else [str(found)]
+    if levels_of is None:
+        return []
+    return ["<h3>How often verdicts are wrong</h3>", page.paragraph(" ".join(levels_of(plan).sentences()))]
 
 
 def _sections(module: str, name: str, *given: object) -> list[str]:

@@ -12,6 +12,8 @@ from modsim3d.campaign.plan.plan import Plan
 
 LEVEL = 0.95
 """Of the intervals of means."""
+SAME = 1e-12
+"""Values that differ by less, relative to their mean, are one value, from which nothing follows for others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ def over_seeds(values: Array) -> Estimates:
     square = np.where(known, values - mean, 0.0) ** 2
     freedom = np.maximum(count - 1, 1)
     error = np.sqrt(square.sum(axis=0) / freedom / np.maximum(count, 1))
-    half = np.where(count > 1, t.ppf((1 + LEVEL) / 2, freedom) * error, np.nan)
+    half = np.where((count > 1) & (error > SAME * np.abs(mean)), t.ppf((1 + LEVEL) / 2, freedom) * error, np.nan)
     return Estimates(mean, mean - half, mean + half, count)
 
 

@@ -12,14 +12,14 @@ from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.cells import LEVEL, over_seeds, seed_cells
 from modsim3d.campaign.report.other_rooms import made_by
-from modsim3d.campaign.report.tables import grid
+from modsim3d.campaign.report.tables import grid, without_empty
 from modsim3d.campaign.report.words import (
+    MOST_KEYS,
     Score,
-    in_words,
+    condition_cells,
     number,
     required_scores,
     table_scores,
-    values_of,
     varying,
     with_interval,
 )
@@ -28,6 +28,8 @@ from modsim3d.view.pages import page
 from modsim3d.view.pages.intervals import Interval, span_of, strip
 
 MOST_ROWS = 200
+"""Of a table."""
+CRASHED_RUNS = "crashed runs"
 
 
 def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
@@ -47,7 +49,7 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
     keys = varying(plan)
     rows = [
         (
-            in_words(values_of(plan, c), keys),
+            *condition_cells(plan, c, keys),
             plan.keys.trackers[t].label,
             *(with_interval(each.mean[c, t], each.low[c, t], each.high[c, t]) for each in found),
             f"{found[0].seeds[c, t]:,}",
@@ -55,16 +57,17 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
         )
         for c, t in places
     ]
-    header = ("condition", "tracker", *(score.name for score in scores), "seeds", "crashed")
+    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    header = (*columns, "tracker", *(score.name for score in scores), "seeds", CRASHED_RUNS)
     bad = {place for place, each in enumerate(places) if crashed[each]}
     return [
         page.paragraph(
-            f"Mean over traffic seeds [{LEVEL:.0%} interval by Student's t]. The value of a seed is the mean over its "
-            "detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: of "
+            f"Mean over traffic seeds [{100 * LEVEL:g} % interval by Student's t]. The value of a seed is the mean over "
+            "its detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: of "
             f"twenty, one is expected to miss.{_stopped(plan)}{remark}",
             "soft",
         ),
-        grid(rows, header, bad=bad),
+        grid(*without_empty(rows, header, (CRASHED_RUNS,)), bad=bad),
     ]
 
 
@@ -97,11 +100,8 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
     paired = made_by("verdicts.paired", "paired")
-    found = (
-        []
-        if paired is None
-        else [each for score in required_scores(plan) for each in paired(plan, table, score.column)]
-    )
+    scores = dict.fromkeys(score.key for score in required_scores(plan))
+    found = [] if paired is None else [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
     keys, span = varying(plan), {}
@@ -111,7 +111,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     rows = [
         (
             Score(each.score).name,
-            in_words(values_of(plan, each.condition), keys),
+            *condition_cells(plan, each.condition, keys),
             f"{each.first} − {each.second}",
             with_interval(each.mean, each.low, each.high),
             _difference(each, span[each.score]),
@@ -120,16 +120,18 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
         )
         for each in found[:MOST_ROWS]
     ]
-    header = ("score", "condition", "difference", "mean [interval]", "against 0", "seeds", "variance ratio")
+    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    header = ("score", *columns, "difference", "mean [interval]", "against 0", "seeds", "variance ratio")
     return [
         page.heading("Differences between trackers"),
         page.paragraph(
-            "Mean of the difference with the same traffic seeds, with its 95 % interval: if 0 lies inside, this campaign "
-            "does not tell which tracker is better. The variance ratio says how many times as many seeds would have been "
-            "needed for this interval with other seeds for each tracker; near 1 pairing gained nothing.",
+            "Mean of the difference with the same traffic seeds, with its interval at 95 %: if 0 lies inside, this "
+            "campaign does not tell which tracker is better. The variance ratio says how many times as many seeds "
+            "would have been needed for this interval with other seeds for each tracker; near 1, pairing gained "
+            "nothing.",
             "soft",
         ),
-        grid(rows, header, markup=(4,)),
+        grid(rows, header, markup=(len(columns) + 3,)),
     ]
 
 

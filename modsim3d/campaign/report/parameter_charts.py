@@ -33,13 +33,13 @@ def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
         return []
     cells = {score.column: seed_cells(plan, table, score.column)[:, :, : len(trackers)] for score in scores}
     caption = (
-        f"Mean over traffic seeds with its {LEVEL:.0%} interval by Student's t; the value of a seed is the mean over "
-        "all its runs at that level, whatever else is varied. Dashed: what a requirement asks of the mean."
+        f"Mean over traffic seeds with its {100 * LEVEL:g} % interval by Student's t; the value of a seed is the mean "
+        "over all its runs at that level, whatever else is varied."
     )
     parts = [page.heading("Scores against what is varied"), page.paragraph(caption, "soft"), legend(trackers)]
     for parameter in parameters[:MOST_PARAMETERS]:
         drawings = [_chart(parameter, score, cells[score.column], trackers) for score in scores]
-        parts.append(charts.figure(drawings, _remark(parameter, plan, parameters)))
+        parts.append(charts.figure(drawings, _remark(parameter, plan, parameters, scores)))
     if len(parameters) > MOST_PARAMETERS:
         rest = ", ".join(each.key for each in parameters[MOST_PARAMETERS:])
         parts.append(page.paragraph(f"Not shown: {rest}.", "soft"))
@@ -54,12 +54,14 @@ def tied(first: Parameter, second: Parameter) -> bool:
     return len(found) <= max(len({a for a, _ in found}), len({b for _, b in found}))
 
 
-def _remark(parameter: Parameter, plan: Plan, parameters: Sequence[Parameter]) -> str:
+def _remark(parameter: Parameter, plan: Plan, parameters: Sequence[Parameter], scores: Sequence[Score]) -> str:
     said = f"By {parameter.key}."
     if parameter.key in plan.drawn:
         said += " It is drawn for each traffic seed, so each level has other seeds."
     if others := [each.key for each in parameters if each is not parameter and tied(parameter, each)]:
         said += f" It changes together with {', '.join(others)}: this chart cannot say which of them does it."
+    if dashed := [f"{score.name} {text}" for score in scores for text, _ in score.threshold_words]:
+        said += f" Dashed: {', '.join(dashed)}."
     return said
 
 
@@ -93,7 +95,8 @@ def _lines(parameter: Parameter, score: Score, cells: Array, found: Estimates, t
         [*found.mean.flat, *found.low.flat, *found.high.flat, *score.thresholds, *(v for d in dots for v in d[1])]
     )
     x_values = [*parameter.on_axis, *(v for d in dots for v in d[0])]
-    axes = charts.Axes(span_of(x_values, 0.06), y, 470, 310, _x_ticks(parameter))
+    top = y[1] + 0.06 * (y[1] - y[0])  # the name of the axis stands there
+    axes = charts.Axes(span_of(x_values, 0.06), (y[0], top), 470, 310, _x_ticks(parameter))
     content = "".join(marks(axes, *each, series, opacity=0.3) for series, each in enumerate(dots))
     for series in range(found.mean.shape[1]):
         known = np.isfinite(found.low[:, series])
@@ -106,8 +109,15 @@ def _lines(parameter: Parameter, score: Score, cells: Array, found: Estimates, t
         known = np.isfinite(found.mean[:, series])
         x, mean = parameter.on_axis[known], found.mean[known, series]
         content += charts.line(axes, x, mean, charts.colour_of(series)) + marks(axes, x, mean, series)
-    for value in score.thresholds:
+    return _with_thresholds(axes, content, score, title, parameter)
+
+
+def _with_thresholds(axes: charts.Axes, content: str, score: Score, title: str, parameter: Parameter) -> str:
+    """The drawing with a dashed line at each threshold, which its side of what is right is written at."""
+    for text, value in score.threshold_words:
         content += charts.line(axes, np.array(axes.x), np.full(2, value), "var(--ink)", dashed=True, width=1.4)
+        x, y = axes.place(axes.x[1], value)
+        content += f'<text x="{x - 4:.1f}" y="{y - 4:.1f}" text-anchor="end">{text}</text>'
     return axes.drawing(content, title, axis_of(parameter.key), score.label)
 
 
@@ -145,7 +155,9 @@ def _heat_maps(parameters: Sequence[Parameter], score: Score, cells: Array, trac
     parts = [
         page.heading("Two at a time"),
         page.paragraph(
-            f"Mean {score.label} over traffic seeds; small: number of seeds; the darker, the higher.{remark}", "soft"
+            f"Mean {score.label} over traffic seeds; small, where they differ: numbers of seeds; the darker, the "
+            f"higher.{remark}",
+            "soft",
         ),
     ]
     for first, second in shown:
@@ -155,9 +167,11 @@ def _heat_maps(parameters: Sequence[Parameter], score: Score, cells: Array, trac
         found = by_level(cells, index, shape[0] * shape[1])
         parts.append(f"<h3>{html.escape(f'{first.key} × {second.key}')}</h3>")
         span = span_of([*found.mean.flat], 0)
+        parts.append('<div style="display: flex; flex-wrap: wrap; gap: 0 2.5rem">')
         for place, tracker in enumerate(trackers):
             mean, seeds = found.mean.reshape(shape)[:, :, place], found.seeds.reshape(shape)[:, :, place]
             parts.append(_heat_map(first, second, mean, seeds, span, tracker))
+        parts.append("</div>")
     return parts
 
 
@@ -165,12 +179,13 @@ def _heat_map(
     first: Parameter, second: Parameter, mean: Array, seeds: Indices, span: tuple[float, float], name: str
 ) -> str:
     head = "".join(f'<th class="number">{html.escape(level)}</th>' for level in second.levels)
-    lines = [f"<tr><th>{html.escape(first.key)}</th>{head}</tr>"]
+    lines = [f"<tr><th>{html.escape(axis_of(first.key))}</th>{head}</tr>"]
+    differ = len(np.unique(seeds)) > 1
     for level, values, counts in zip(first.levels, mean.tolist(), seeds.tolist(), strict=True):
-        cells = "".join(_cell(value, count, span) for value, count in zip(values, counts, strict=True))
+        cells = "".join(_cell(value, count if differ else 0, span) for value, count in zip(values, counts, strict=True))
         lines.append(f"<tr><th>{html.escape(level)}</th>{cells}</tr>")
-    title = f"<caption style='text-align:left'>{html.escape(name)}; columns: {html.escape(second.key)}</caption>"
-    return scrolling(f"<table>{title}\n" + "\n".join(lines) + "\n</table>")
+    title = f"{name}: columns are {axis_of(second.key)}"
+    return f"<div>{page.paragraph(title, 'soft')}{scrolling('<table>' + ''.join(lines) + '</table>')}</div>"
 
 
 def _cell(value: float, seeds: int, span: tuple[float, float]) -> str:
@@ -178,7 +193,6 @@ def _cell(value: float, seeds: int, span: tuple[float, float]) -> str:
         return f'<td class="number">{number(None)}</td>'
     share = (value - span[0]) / (span[1] - span[0])
     shade = f"color-mix(in srgb, {charts.COLOURS[0]} {5 + 55 * share:.0f}%, transparent)"
-    return (
-        f'<td class="number" style="background:{shade};padding:0.25rem 0.6rem">{number(value)} '
-        f'<small class="soft">{seeds:,}</small></td>'
+    return f'<td class="number" style="background:{shade};padding:0.25rem 0.6rem">{number(value)}' + (
+        f' <small class="soft">{seeds:,}</small></td>' if seeds else "</td>"
     )

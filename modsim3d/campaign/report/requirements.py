@@ -10,8 +10,8 @@ import numpy as np
 
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.tables import closed, grid
-from modsim3d.campaign.report.words import in_words, number, values_of, varying, with_interval
+from modsim3d.campaign.report.tables import closed, grid, without_empty
+from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, varying, with_interval
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.display import counted
 from modsim3d.view.pages import page
@@ -19,6 +19,8 @@ from modsim3d.view.pages.intervals import Interval, span_of, strip
 
 SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecided": "? undecided"}
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
+OFTEN_EMPTY = ("why", "crashed runs", "seeds without a value")
+"""Columns that are left out where they say nothing."""
 MOST_OPEN, MOST_ROWS = 12, 200
 """Verdicts on a requirement that are shown at once, and at all."""
 
@@ -39,12 +41,14 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict], finished: bool) ->
     if not finished:
         return f"The campaign is not finished: nothing on this page is a verdict on its {_requirements(total)}."
     how = f"at {confidences(plan)} confidence each"
+    sign = {"failed": "✗", "undecided": "?", "met": "✓"}[next(each for each in ORDER if count[each])]
     if count["met"] == total:
         one = "The requirement is" if total == 1 else f"All {total} requirements are"
-        return f"{one} met, {how}."
-    parts = [f"{count[outcome]} {outcome}" for outcome in ORDER if count[outcome]]
+        return f"{sign} {one} met, {how}."
     lead = "Not met" if count["failed"] else "Not decided"
-    return f"{lead}: of {_requirements(total)}, {' and '.join(parts) if len(parts) < 3 else _three(parts)}, {how}."
+    parts = [_told(count[outcome], outcome) for outcome in ORDER if count[outcome]]
+    said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return f"{sign} {lead}: of {_requirements(total)} {said}, {how}."
 
 
 def confidences(plan: Plan) -> str:
@@ -56,7 +60,8 @@ def confidences(plan: Plan) -> str:
 
 def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
     """Each requirement with its verdicts, and their intervals against the threshold."""
-    parts = []
+    said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
+    parts = [page.paragraph(said, "soft")]
     for place, found in enumerate(_by_requirement(plan, verdicts)):
         text = found[0].text if found else plan.keys.require[place].score
         count = Counter(each.outcome for each in found)
@@ -75,19 +80,13 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     limit, least = _limit(requirement)
     span = span_of([limit, *(_or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
     what = "share of seeds" if requirement.share is not None else "mean"
-    header = (
-        "tracker",
-        "condition",
-        "outcome",
-        f"{what} [interval]",
-        _axis(limit, least, span),
-        "seeds",
-        "crashed",
-        "why",
-    )
     keys = varying(plan)
+    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    header = ("tracker", *columns, "outcome", f"{what} [interval]", _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
     rows = [_row(each, plan, keys, limit, least, span) for each in shown]
-    table = grid(rows, header, markup=(4,), bad={i for i, each in enumerate(shown) if each.outcome == "failed"})
+    kept, names = without_empty(rows, header, OFTEN_EMPTY)
+    bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
+    table = grid(kept, names, markup=(len(columns) + 3,), bad=bad)
     if len(rows) > MOST_OPEN:
         first = sum(each.outcome != "met" for each in shown)
         opened = 0 < first <= MOST_OPEN
@@ -105,13 +104,14 @@ def _row(
     said = with_interval(*values)
     return (
         each.tracker,
-        in_words(values_of(plan, each.condition), keys),
+        *condition_cells(plan, each.condition, keys),
         SIGNS[each.outcome],
         said,
         strip(Interval(*values), limit, least, span, f"{said} against {number(limit)}"),
-        f"{each.seeds:,}",
+        each.why if each.outcome != "met" or each.crashed or each.undefined else "",  # else the interval says it
         f"{each.crashed:,}",
-        each.why + (f" Without a value: {counted(each.undefined, 'seed')}." if each.undefined else ""),
+        f"{each.undefined:,}",
+        f"{each.seeds:,}",
     )
 
 
@@ -138,8 +138,8 @@ def _requirements(count: int) -> str:
     return counted(count, "requirement")
 
 
-def _three(parts: Sequence[str]) -> str:
-    return f"{parts[0]}, {parts[1]} and {parts[2]}"
+def _told(count: int, outcome: Outcome) -> str:
+    return f"{count} failed" if outcome == "failed" else f"{count} {'is' if count == 1 else 'are'} {outcome}"
 
 
 def _or_nan(value: float | None) -> float:

@@ -15,7 +15,7 @@ from PIL import Image
 
 from modsim3d.campaign.report.other_rooms import made_by
 from modsim3d.campaign.report.tables import grid
-from modsim3d.campaign.report.words import Score, in_words, number
+from modsim3d.campaign.report.words import Score, in_words, number, values_of, varying
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import DONE
@@ -60,8 +60,9 @@ def worst_sections(
 
 def _worst_run(folder: CampaignFolder, each: Any) -> list[str]:
     run = folder.plan.run(each.number)
+    values = {**values_of(folder.plan, each.condition), **run.condition.values}
     what = "crashed" if each.value is None else f"{Score(each.score).name} {number(each.value)}"
-    said = in_words(run.condition.values, list(run.condition.values))
+    said = in_words(values, [*varying(folder.plan), *folder.plan.drawn])
     parts = [
         f"<h3>{html.escape(f'Run {each.number}: {each.tracker}, {what}')}</h3>",
         page.paragraph(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft"),

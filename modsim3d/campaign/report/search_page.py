@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from modsim3d.campaign.file.keys import Range, SearchKeys
 from modsim3d.campaign.report.other_rooms import made_by
-from modsim3d.campaign.report.tables import grid
+from modsim3d.campaign.report.tables import facts_table, grid
 from modsim3d.campaign.report.words import Score, number
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import text_of
@@ -82,8 +82,8 @@ def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table) -> 
     body += [page.heading("How it went"), _progress(search, score, table)] if len(table) else []
     body += [page.heading("The worst trials"), *_worst(folder, search, score, table)]
     body += [page.heading("Others"), *_others(table)] if _others(table) else []
-    body += [page.heading("Where it looked"), page.table(_ranges(search), ("key", "range")), page.table(_facts(folder))]
-    return page.page(f"{folder.path.resolve().name}: failures that were searched for", body)
+    body += [page.heading("Where it looked"), facts_table([*_ranges(search), *_facts(folder)])]
+    return page.page(f"Campaign {folder.path.resolve().name}: what a search found", body)
 
 
 def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:

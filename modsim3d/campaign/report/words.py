@@ -17,6 +17,8 @@ from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN
 
 USUAL = ("hota", "deta", "assa", "id_switches")
 """Scores that the table of means always has."""
+MOST_KEYS = 4
+"""Keys that have columns of their own in a table."""
 UNITS = {
     "_px": "px",
     "_s": "s",
@@ -71,6 +73,12 @@ class Score:
         return self.key in _SHARES or self.key == "mota"
 
     @property
+    def threshold_words(self) -> list[tuple[str, float]]:
+        """What its mean is held against, in words and as a number."""
+        sides = {(each.threshold, each.at_least is not None) for each in self.requirements}
+        return [(f"at {'least' if least else 'most'} {value:g}", value) for value, least in sorted(sides)]
+
+    @property
     def thresholds(self) -> tuple[float, ...]:
         """What its mean is held against, ascending."""
         return tuple(sorted({each.threshold for each in self.requirements}))
@@ -116,7 +124,7 @@ def varying(plan: Plan) -> list[str]:
 def constant(plan: Plan) -> dict[str, str]:
     """The keys that are set and the same in all conditions."""
     differing, first = {*varying(plan), "scene"}, values_of(plan, 0)
-    return {key: text_of(value) for key, value in first.items() if key not in differing}
+    return {key: shown(value) for key, value in first.items() if key not in differing}
 
 
 def values_of(plan: Plan, place: int) -> dict[str, Any]:
@@ -125,24 +133,46 @@ def values_of(plan: Plan, place: int) -> dict[str, Any]:
     return {"scene": Path(condition.scene).stem, **condition.values}
 
 
+def shown(value: Any) -> str:
+    """A value of a key; numbers without zeros at their end, and a dash for none."""
+    if value is None:
+        return UNKNOWN
+    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+
+
 def in_words(values: Mapping[str, Any], keys: Sequence[str]) -> str:
     """Values of some keys in words; a dash if there are none."""
-    said = [f"{key} {text_of(values[key])}" for key in keys if values.get(key) is not None]
+    said = [f"{key} {shown(values[key])}" for key in keys if values.get(key) is not None]
     return ", ".join(said) or UNKNOWN
 
 
+def condition_cells(plan: Plan, place: int, keys: Sequence[str]) -> list[str]:
+    """The values of some keys in a condition, as cells of a table; one cell if there are many keys."""
+    values = values_of(plan, place)
+    return [shown(values.get(key)) for key in keys] if len(keys) <= MOST_KEYS else [in_words(values, keys)]
+
+
 def number(value: float | None) -> str:
-    """A number with four digits, or as it is if it is whole; a dash where there is none."""
+    """A number with three digits or three decimals, a whole one as it is; a dash where there is none."""
     if value is None or not np.isfinite(value):
         return UNKNOWN
-    text = f"{value:,.0f}" if abs(value) >= 1000 or float(value).is_integer() else f"{value:.3f}"
-    if text.strip("-0.") == "" and value:
-        text = f"{value:.2g}"
-    return text.replace("-", "−")
+    if float(value).is_integer():
+        return f"{value:,.0f}".replace("-", "−")
+    return _with_decimals(value, _decimals(value))
+
+
+def _decimals(value: float) -> int:
+    return max(0, 3 - len(f"{abs(value):.0f}")) if abs(value) >= 1 else 3
+
+
+def _with_decimals(value: float, decimals: int) -> str:
+    text = f"{value:,.{decimals}f}"
+    return (f"{value:.2g}" if value and not text.strip("-0.") else text).replace("-", "−")
 
 
 def with_interval(mean: float | None, low: float | None, high: float | None) -> str:
     """A number with its interval; the number alone where there is no interval."""
-    if low is None or high is None or not (np.isfinite(low) and np.isfinite(high)):
+    if mean is None or low is None or high is None or not (np.isfinite(low) and np.isfinite(high)):
         return number(mean)
-    return f"{number(mean)} [{number(low)}, {number(high)}]"
+    said, *ends = (_with_decimals(value, _decimals(mean)) for value in (mean, low, high))
+    return f"{said} [{ends[0]}, {ends[1]}]"

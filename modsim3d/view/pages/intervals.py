@@ -141,7 +141,7 @@ def strip(interval: Interval, threshold: float, least: bool | None, span: tuple[
         _dashed(edge, 2, 22),
         _lying(interval, 12, place),
     ]
-    return svg(width, height, label, "".join(parts))
+    return f'<div style="min-width: {width:g}px">{svg(width, height, label, "".join(parts))}</div>'
 
 
 def _lying(each: Interval, y: float, place: Callable[[float], float]) -> str:

@@ -21,6 +21,7 @@ p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--
 table { border-collapse: collapse; margin: 0.8rem 0; }
 th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+@media (max-width: 40rem) { table { display: block; overflow-x: auto; } }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
 """
