@@ -44,9 +44,8 @@ def write_campaign_page(folder: CampaignFolder, path: Path, advance: Callable[[i
     """
     table = results_table(folder)
     verdicts = judged(folder.plan, table)
-    lead = verdict_sentence(folder.plan, verdicts, folder.finished)
     write_files({path: campaign_page(folder, table, verdicts, advance)})
-    return lead
+    return lead(folder, table, verdicts)
 
 
 def campaign_page(
@@ -65,7 +64,7 @@ def campaign_page(
     """
     plan = folder.plan
     body = [
-        page.paragraph(verdict_sentence(plan, verdicts, folder.finished), "lead"),
+        page.paragraph(lead(folder, table, verdicts), "lead"),
         *(page.paragraph(text, kind) for text, kind in cautions(folder, table)),
         facts_table(facts(folder, table)),
     ]
@@ -82,11 +81,17 @@ def campaign_page(
     return page.page(f"Campaign {folder.path.resolve().name}: {asked}", body)
 
 
+def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> str:
+    """The first sentence of the page."""
+    if folder.finished:
+        return verdict_sentence(folder.plan, verdicts)
+    done = f"{len(table):,} of {counted(len(folder.plan), 'run')} are done"
+    return f"Not finished: {done}, and nothing on this page is a verdict."
+
+
 def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
     """What a reader must know before the numbers, with how it is set."""
     plan, found = folder.plan, []
-    if not folder.finished:
-        found.append((f"Not finished: {len(table):,} of {counted(len(plan), 'run')} are done.", "bad"))
     if crashed := len(table) - int(pc.sum(pc.equal(table["status"], DONE)).as_py() or 0):
         found.append((f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
     fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])

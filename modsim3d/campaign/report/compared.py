@@ -62,9 +62,9 @@ def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
     bad = {place for place, each in enumerate(places) if crashed[each]}
     return [
         page.paragraph(
-            f"Mean over traffic seeds [{100 * LEVEL:g} % interval by Student's t]. The value of a seed is the mean over "
-            "its detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: of "
-            f"twenty, one is expected to miss.{_stopped(plan)}{remark}",
+            f"Mean over traffic seeds [{100 * LEVEL:g} % interval by Student's t]. The value of a seed is the mean "
+            "over its detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: "
+            f"of twenty, one is expected to miss.{_stopped(plan)}{remark}",
             "soft",
         ),
         grid(*without_empty(rows, header, (CRASHED_RUNS,)), bad=bad),

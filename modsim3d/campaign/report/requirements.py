@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.tables import closed, grid, without_empty
-from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, varying, with_interval
+from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, shown, varying, with_interval
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.display import counted
 from modsim3d.view.pages import page
@@ -19,7 +19,7 @@ from modsim3d.view.pages.intervals import Interval, span_of, strip
 
 SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecided": "? undecided"}
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
-OFTEN_EMPTY = ("why", "crashed runs", "seeds without a value")
+OFTEN_EMPTY = ("crashed runs", "seeds without a value")
 """Columns that are left out where they say nothing."""
 MOST_OPEN, MOST_ROWS = 12, 200
 """Verdicts on a requirement that are shown at once, and at all."""
@@ -31,15 +31,13 @@ def outcome_of(verdicts: Sequence[Verdict]) -> Outcome:
     return next((outcome for outcome in ORDER if outcome in found), "undecided")
 
 
-def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict], finished: bool) -> str:
-    """What the requirements come to, in a sentence or two."""
+def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
+    """What the requirements come to, in a sentence."""
     if not plan.keys.require:
         return "This campaign has no requirements: it compares, and decides nothing."
     by_requirement = _by_requirement(plan, verdicts)
     count = Counter(outcome_of(found) for found in by_requirement)
     total = len(by_requirement)
-    if not finished:
-        return f"The campaign is not finished: nothing on this page is a verdict on its {_requirements(total)}."
     how = f"at {confidences(plan)} confidence each"
     sign = {"failed": "✗", "undecided": "?", "met": "✓"}[next(each for each in ORDER if count[each])]
     if count["met"] == total:
@@ -63,11 +61,14 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
     said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
     parts = [page.paragraph(said, "soft")]
     for place, found in enumerate(_by_requirement(plan, verdicts)):
-        text = found[0].text if found else plan.keys.require[place].score
+        requirement = plan.keys.require[place]
+        text = ", ".join([found[0].text if found else requirement.score, *_where(plan, requirement)])
         count = Counter(each.outcome for each in found)
         said = SIGNS[outcome_of(found)]
-        if len(found) > 1:
+        if len(count) > 1:
             said += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
+        elif len(found) > 1:
+            said += f" in all {len(found):,} cases"
         bad = ' class="bad"' if count["failed"] else ""
         parts.append(f"<h3>{place + 1}. {html.escape(text)}: <span{bad}>{html.escape(said)}</span></h3>")
         parts += _table(plan, plan.keys.require[place], found)
@@ -86,7 +87,8 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     rows = [_row(each, plan, keys, limit, least, span) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
-    table = grid(kept, names, markup=(len(columns) + 3,), bad=bad)
+    notes = {place: _note(each) for place, each in enumerate(shown)}
+    table = grid(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
     if len(rows) > MOST_OPEN:
         first = sum(each.outcome != "met" for each in shown)
         opened = 0 < first <= MOST_OPEN
@@ -108,11 +110,22 @@ def _row(
         SIGNS[each.outcome],
         said,
         strip(Interval(*values), limit, least, span, f"{said} against {number(limit)}"),
-        each.why if each.outcome != "met" or each.crashed or each.undefined else "",  # else the interval says it
         f"{each.crashed:,}",
         f"{each.undefined:,}",
         f"{each.seeds:,}",
     )
+
+
+def _note(each: Verdict) -> str:
+    """Why a verdict is what it is, where that is more than its interval says."""
+    return each.why if each.outcome != "met" or each.crashed or each.undefined else ""
+
+
+def _where(plan: Plan, requirement: Requirement) -> list[str]:
+    """The trackers and conditions that a requirement is about, if not all; a state within the runs is in its text."""
+    known = ("tracker", "scene", *plan.parameters)
+    given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
+    return [f"{key} {' or '.join(map(shown, values))}" for key, values in given.items() if key in known]
 
 
 def _limit(requirement: Requirement) -> tuple[float, bool]:

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
+from types import MappingProxyType
 
 from modsim3d.view.pages.page import UNKNOWN
 
+_NO_NOTES: Mapping[int, str] = MappingProxyType({})
 _INTERVAL = re.compile(r"\S+ \[\S+ \S+\]")
 _NUMBER = re.compile(r"[-−]?[\d.,]+(e[-−+]?\d+)?( \[\S+ \S+\])?")
 _LONG = re.compile(r"[\w./]{16,}")
 
 
 def grid(
-    rows: Sequence[Sequence[str]], header: Sequence[str], *, markup: Container[int] = (), bad: Container[int] = ()
+    rows: Sequence[Sequence[str]],
+    header: Sequence[str],
+    *,
+    markup: Container[int] = (),
+    bad: Container[int] = (),
+    notes: Mapping[int, str] = _NO_NOTES,
 ) -> str:
     """A table; a column whose first known cell is a number, with an interval or not, is set to the right.
 
@@ -23,6 +30,7 @@ def grid(
         header: Names of the columns.
         markup: Columns whose cells are HTML already.
         bad: Rows that stand out.
+        notes: What is said below a row, by its number.
     """
     first = [next((row[place] for row in rows if row[place] != UNKNOWN), "") for place in range(len(header))]
     right = [place not in markup and _NUMBER.fullmatch(text) is not None for place, text in enumerate(first)]
@@ -35,6 +43,8 @@ def grid(
     for number, row in enumerate(rows):
         kind = ' class="bad"' if number in bad else ""
         lines.append(f"<tr{kind}>" + "".join(cell(text, place, "td") for place, text in enumerate(row)) + "</tr>")
+        if note := notes.get(number):
+            lines.append(f'<tr><td colspan="{len(header)}" class="soft">{html.escape(note)}</td></tr>')
     return scrolling("<table>\n" + "\n".join(lines) + "\n</table>")
 
 
@@ -57,7 +67,7 @@ def _breaking(text: str) -> str:
     """Text whose long words, such as keys, may be broken; an interval stays on one line."""
     if _INTERVAL.fullmatch(text):
         return f'<span style="white-space: nowrap">{text}</span>'
-    return _LONG.sub(lambda word: re.sub(r"([._/])|(?<=\w{16})(?=\w)", r"\1<wbr>", word[0]), text)
+    return _LONG.sub(lambda word: re.sub(r"[./]|\w{32}(?=\w)", r"\g<0><wbr>", word[0]), text)
 
 
 def scrolling(content: str) -> str:
