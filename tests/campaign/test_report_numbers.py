@@ -125,7 +125,7 @@ def test_a_mean_on_the_threshold_stands_on_the_dashed_line():
 
 def test_an_interval_has_the_decimals_of_its_mean():
     assert with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
-    assert with_interval(9.99, 0.51, 10.7) == "9.99 [0.51, 10.70]"
+    assert with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
     assert with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
     assert with_interval(0.4, None, None) == "0.400"
 
