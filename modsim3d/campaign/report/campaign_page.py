@@ -108,10 +108,11 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
     """What was run."""
     plan, keys = folder.plan, folder.keys
     seconds = pc.sum(table["simulated_s"]).as_py() or 0.0
+    simulated = f"{seconds / 3600:,.1f} h" if seconds >= 3600 else f"{seconds / 60:.1f} min"
     runs = f"{len(table):,}" + ("" if len(table) == len(plan) else f" of {len(plan):,}")
     stop = f"sequential: looked at after every {counted(keys.batch, 'traffic seed')}"
     rows = [
-        ("runs", f"{runs}; {seconds / 3600:,.1f} h simulated"),
+        ("runs", f"{runs}; {simulated} simulated"),
         ("scenes", listed(list(dict.fromkeys(each["scene"] for each in folder.facts["conditions"])), 12)),
         ("trackers", listed([each.label for each in keys.trackers], 12)),
         ("conditions", f"{len(plan.conditions):,}"),

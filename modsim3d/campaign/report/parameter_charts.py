@@ -19,6 +19,8 @@ from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.intervals import Interval, band, forest, legend, marks, span_of
 
 MOST_SCORES, MOST_PARAMETERS, MOST_PAIRS, MOST_SHOWN_TRACKERS = 3, 8, 10, 6
+CHART_PX = 500
+"""Width of a chart with its margin."""
 MOST_DOTS = 400
 """Of a tracker in a chart."""
 LEAST_SEEDS = 3
@@ -37,9 +39,12 @@ def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
         "over all its runs at that level, whatever else is varied."
     )
     parts = [page.heading("Scores against what is varied"), page.paragraph(caption, "soft"), legend(trackers)]
+    parts.append('<div style="display: flex; flex-wrap: wrap; gap: 0 1.5rem">')
     for parameter in parameters[:MOST_PARAMETERS]:
         drawings = [_chart(parameter, score, cells[score.column], trackers) for score in scores]
-        parts.append(charts.figure(drawings, _remark(parameter, plan, parameters, scores)))
+        figure = charts.figure(drawings, _remark(parameter, plan, parameters, scores))
+        parts.append(f'<div style="max-width: {CHART_PX * len(scores)}px">{figure}</div>')
+    parts.append("</div>")
     if len(parameters) > MOST_PARAMETERS:
         rest = ", ".join(each.key for each in parameters[MOST_PARAMETERS:])
         parts.append(page.paragraph(f"Not shown: {rest}.", "soft"))
@@ -185,7 +190,7 @@ def _heat_map(
         cells = "".join(_cell(value, count if differ else 0, span) for value, count in zip(values, counts, strict=True))
         lines.append(f"<tr><th>{html.escape(level)}</th>{cells}</tr>")
     title = f"{name}: columns are {axis_of(second.key)}"
-    return f"<div>{page.paragraph(title, 'soft')}{scrolling('<table>' + ''.join(lines) + '</table>')}</div>"
+    return f"<div style='min-width: 0'>{page.paragraph(title, 'soft')}{scrolling('<table>' + ''.join(lines) + '</table>')}</div>"
 
 
 def _cell(value: float, seeds: int, span: tuple[float, float]) -> str:

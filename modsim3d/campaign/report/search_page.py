@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -102,7 +103,9 @@ def _progress(search: SearchKeys, score: Score, table: pa.Table) -> str:
     y = np.array([row[score.column] for row in rows], dtype=float)
     best = np.minimum.accumulate(y) if search.minimise else np.maximum.accumulate(y)
     axes = charts.Axes((-1, max(float(x[-1]) + 1, 1.0)), span_of(y.tolist()), 620, 300)
-    content = marks(axes, x, y, 0, opacity=0.5) + charts.line(axes, x, best, charts.colour_of(1))
+    content = marks(axes, x, y, 0, opacity=0.5) + charts.line(
+        axes, np.repeat(x, 2)[1:], np.repeat(best, 2)[:-1], charts.colour_of(1)
+    )
     drawing = axes.drawing(content, f"{score.name} of each trial", "trial", score.label)
     return charts.figure([drawing], "Dots: trials in their order. Line: the worst until then.")
 
@@ -156,7 +159,10 @@ def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
 
 
 def _again(folder: CampaignFolder, number: int) -> str:
-    return f"modsim3d campaign-run {folder.path} {number} --out {folder.path / 'runs' / str(number)}"
+    path = folder.path
+    return (
+        f"modsim3d campaign-run {shlex.quote(str(path))} {number} --out {shlex.quote(str(path / 'runs' / str(number)))}"
+    )
 
 
 def _value(value: Any) -> str:

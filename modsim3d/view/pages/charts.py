@@ -102,7 +102,7 @@ def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
     raw = (high - low) / most
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= raw)
-    return [float(f"{value:.10g}") for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
+    return [float(f"{value:.10g}") + 0.0 for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
 
 
 def dots(axes: Axes, x: Array, y: Array, colour: str) -> str:
