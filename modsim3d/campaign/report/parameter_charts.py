@@ -190,7 +190,8 @@ def _heat_map(
         cells = "".join(_cell(value, count if differ else 0, span) for value, count in zip(values, counts, strict=True))
         lines.append(f"<tr><th>{html.escape(level)}</th>{cells}</tr>")
     title = f"{name}: columns are {axis_of(second.key)}"
-    return f"<div style='min-width: 0'>{page.paragraph(title, 'soft')}{scrolling('<table>' + ''.join(lines) + '</table>')}</div>"
+    table = scrolling("<table>" + "".join(lines) + "</table>")
+    return f'<div style="min-width: 0">{page.paragraph(title, "soft")}{table}</div>'
 
 
 def _cell(value: float, seeds: int, span: tuple[float, float]) -> str:
