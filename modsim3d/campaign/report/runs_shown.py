@@ -68,21 +68,21 @@ def _worst_run(folder: CampaignFolder, each: Any) -> list[str]:
         page.paragraph(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft"),
     ]
     if each.moment_s is not None:
-        parts.append(_picture(folder, each))
+        parts.append(_picture(folder, each, each.moment_s))
     commands = [("Make it again", each.again), ("Film the moment", each.film)]
     return [*parts, *(_command(name, line) for name, line in commands if line)]
 
 
-def _picture(folder: CampaignFolder, each: Any) -> str:
+def _picture(folder: CampaignFolder, each: Any, moment_s: float) -> str:
     """The moment at which a run went wrong; a run that cannot be made again says why."""
     remade, moment_picture = made_by("worst.remaking", "remade"), made_by("worst.picture", "moment_picture")
     if remade is None or moment_picture is None:
         return ""
     try:
-        png = moment_picture(remade(folder, each.number), each.moment_s, WIDTH_PX)
+        png = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
     except ModsimError as error:
         return page.paragraph(f"There is no picture: {error}", "soft")
-    caption = f"Run {each.number} at {each.moment_s:g} s: what is true, and the tracks of {each.tracker}."
+    caption = f"Run {each.number} at {moment_s:g} s: what is true, and the tracks of {each.tracker}."
     with Image.open(io.BytesIO(png)) as image:
         return _jpeg(image.convert("RGB"), caption)
 
