@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.compared import mean_sections, paired_sections
-from modsim3d.campaign.report.other_rooms import made_by
+from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
 from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
 from modsim3d.campaign.report.runs_shown import crash_sections, worst_sections
@@ -19,6 +19,7 @@ from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import results_table
 from modsim3d.campaign.verdicts.judging import judged
+from modsim3d.campaign.verdicts.levels import levels_of
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import DONE
 from modsim3d.display import counted, listed
@@ -75,8 +76,7 @@ def campaign_page(
         body += parameter_sections(plan, table)
         body += worst_sections(folder, table, verdicts, advance)
         body += crash_sections(folder, table)
-        body += _sections("report.coverage", "coverage_sections", folder, table)
-        body += _sections("report.coverage", "trace_sections", folder, table, verdicts)
+        body += [*coverage_sections(folder, table), *trace_sections(folder, table, verdicts)]
     asked = "are its requirements met?" if plan.keys.require else "what does it compare?"
     return page.page(f"Campaign {folder.path.resolve().name}: {asked}", body)
 
@@ -126,12 +126,4 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
 
 def _levels(plan: Plan) -> list[str]:
     """At which level the requirements hold together."""
-    levels_of = made_by("verdicts.levels", "levels_of")
-    if levels_of is None:
-        return []
     return ["<h3>How often verdicts are wrong</h3>", page.paragraph(" ".join(levels_of(plan).sentences()))]
-
-
-def _sections(module: str, name: str, *given: object) -> list[str]:
-    function = made_by(module, name)
-    return [] if function is None else list(function(*given))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -11,7 +9,6 @@ import pyarrow.compute as pc
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.report.cells import LEVEL, over_seeds, seed_cells
-from modsim3d.campaign.report.other_rooms import made_by
 from modsim3d.campaign.report.tables import grid, without_empty
 from modsim3d.campaign.report.words import (
     MOST_KEYS,
@@ -23,6 +20,7 @@ from modsim3d.campaign.report.words import (
     varying,
     with_interval,
 )
+from modsim3d.campaign.verdicts.paired import PairedDifference, paired
 from modsim3d.campaign.work.row import DONE
 from modsim3d.view.pages import page
 from modsim3d.view.pages.intervals import Interval, span_of, strip
@@ -99,9 +97,8 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
-    paired = made_by("verdicts.paired", "paired")
     scores = dict.fromkeys(score.key for score in required_scores(plan))
-    found = [] if paired is None else [each for score in scores for each in paired(plan, table, score)]
+    found = [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
     keys, span = varying(plan), {}
@@ -135,7 +132,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
     ]
 
 
-def _difference(each: Any, span: tuple[float, float]) -> str:
+def _difference(each: PairedDifference, span: tuple[float, float]) -> str:
     found = Interval(_or_nan(each.mean), _or_nan(each.low), _or_nan(each.high))
     return strip(found, 0.0, None, span, f"{with_interval(found.mean, found.low, found.high)} against 0")
 

@@ -13,12 +13,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from PIL import Image
 
-from modsim3d.campaign.report.other_rooms import made_by
 from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.report.words import Score, in_words, number, values_of, varying
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import DONE
+from modsim3d.campaign.worst.picture import moment_picture
+from modsim3d.campaign.worst.ranking import WorstRun, worst_runs
+from modsim3d.campaign.worst.remaking import remade
 from modsim3d.display import counted, listed
 from modsim3d.errors import ModsimError
 from modsim3d.view.pages import page
@@ -41,8 +43,7 @@ def worst_sections(
         verdicts: The verdicts on its requirements.
         advance: Called with 1 after each run.
     """
-    worst_runs = made_by("worst.ranking", "worst_runs")
-    found = worst_runs(folder, table, verdicts, WORST) if worst_runs is not None and len(table) else []
+    found = worst_runs(folder, table, verdicts, WORST) if len(table) else []
     parts = []
     for each in found:
         parts += _worst_run(folder, each)
@@ -58,7 +59,7 @@ def worst_sections(
     ]
 
 
-def _worst_run(folder: CampaignFolder, each: Any) -> list[str]:
+def _worst_run(folder: CampaignFolder, each: WorstRun) -> list[str]:
     run = folder.plan.run(each.number)
     values = {**values_of(folder.plan, each.condition), **run.condition.values}
     what = "crashed" if each.value is None else f"{Score(each.score).name} {number(each.value)}"
@@ -73,11 +74,8 @@ def _worst_run(folder: CampaignFolder, each: Any) -> list[str]:
     return [*parts, *(_command(name, line) for name, line in commands if line)]
 
 
-def _picture(folder: CampaignFolder, each: Any, moment_s: float) -> str:
+def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> str:
     """The moment at which a run went wrong; a run that cannot be made again says why."""
-    remade, moment_picture = made_by("worst.remaking", "remade"), made_by("worst.picture", "moment_picture")
-    if remade is None or moment_picture is None:
-        return ""
     try:
         png = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
     except ModsimError as error:

@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.campaign.file.keys import Range, SearchKeys
-from modsim3d.campaign.report.other_rooms import made_by
 from modsim3d.campaign.report.tables import facts_table, grid
 from modsim3d.campaign.report.words import Score, number
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.results.gather import text_of
+from modsim3d.campaign.search.folder import search_table
 from modsim3d.campaign.work.row import DONE
 from modsim3d.display import counted
 from modsim3d.outputs.placing import write_files
@@ -40,8 +40,6 @@ def write_search_page(folder: CampaignFolder, path: Path) -> str:
 
 
 def _table(folder: CampaignFolder) -> pa.Table:
-    search_table = made_by("search.folder", "search_table")
-    assert search_table is not None
     return search_table(folder)
 
 
