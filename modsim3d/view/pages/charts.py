@@ -40,12 +40,16 @@ def figure(drawings: Sequence[str], caption: str) -> str:
 
 @dataclass(frozen=True)
 class Axes:
-    """The frame of a chart: ranges of the data, and the size of the whole drawing with its margins in pixels."""
+    """The frame of a chart: ranges of the data, and the size of the whole drawing with its margins in pixels.
+
+    `x_ticks` are places with their texts below the chart; without them there are round numbers.
+    """
 
     x: tuple[float, float]
     y: tuple[float, float]
     width: float = 430.0
     height: float = 300.0
+    x_ticks: tuple[tuple[float, str], ...] = ()
 
     def place(self, x: Array | float, y: Array | float) -> tuple[Array, Array]:
         """Columns and rows of data points in the drawing, in pixels, each of the shape of its argument."""
@@ -68,14 +72,14 @@ class Axes:
             f"{html.escape(x_label)}</text>"
             f'<text x="{left + 4}" y="{top + 12}" fill="var(--soft)">{html.escape(y_label)}</text>'
         )
-        return _svg(self.width, self.height, title, content)
+        return svg(self.width, self.height, title, content)
 
     def _ticks(self) -> str:
         lines = []
-        for value in nice_ticks(*self.x):
+        for value, text in self.x_ticks or [(value, f"{value:g}") for value in nice_ticks(*self.x)]:
             px, _ = self.place(value, self.y[0])
             place = f'x="{px:.1f}" y="{self.height - 20:.1f}"'
-            lines.append(f'<text {place} text-anchor="middle" fill="var(--soft)">{value:g}</text>')
+            lines.append(f'<text {place} text-anchor="middle" fill="var(--soft)">{html.escape(text)}</text>')
         for value in nice_ticks(*self.y):
             _, py = self.place(self.x[0], value)
             place = f'x="{_MARGIN[0] - 4}" y="{py + 4:.1f}"'
@@ -83,7 +87,8 @@ class Axes:
         return "".join(lines)
 
 
-def _svg(width: float, height: float, label: str, content: str) -> str:
+def svg(width: float, height: float, label: str, content: str) -> str:
+    """A drawing of a width and height in pixels, with a label for those who cannot see it."""
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" style="max-width:100%;margin-right:0.6rem" '
         f'font-size="11" fill="var(--ink)" role="img" aria-label="{html.escape(label, quote=True)}">\n{content}</svg>\n'
@@ -97,7 +102,7 @@ def nice_ticks(low: float, high: float, most: int = 6) -> list[float]:
     raw = (high - low) / most
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= raw)
-    return [float(f"{value:.10g}") for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
+    return [float(f"{value:.10g}") + 0.0 for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step]
 
 
 def dots(axes: Axes, x: Array, y: Array, colour: str) -> str:
@@ -174,7 +179,7 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
             f'<text x="{left + (value - origin) * scale:.1f}" y="{height - 6}" text-anchor="middle" '
             f'fill="var(--soft)">{value:g} {unit}</text>'
         )
-    return _svg(width, height, "performance states over time", "".join(parts))
+    return svg(width, height, "performance states over time", "".join(parts))
 
 
 def key(names: Sequence[str], bottom: float) -> str:
@@ -237,7 +242,7 @@ def named_bars(values: Mapping[str, float], unit: str, caption: str) -> str:
             f'<rect x="114" y="{y}" width="{width:.1f}" height="17" fill="{colour_of(0)}"/>'
             f'<text x="{120 + width:.1f}" y="{y + 13}">{value:.2f} {html.escape(unit)}</text>'
         )
-    return figure([_svg(460, height, caption, "".join(parts))], caption)
+    return figure([svg(460, height, caption, "".join(parts))], caption)
 
 
 def confusion_table(names: Sequence[str], counts: Array, shares: Array) -> str:

@@ -15,12 +15,13 @@ STYLE = """
   :root { --ink: #e6e8ea; --paper: #15191d; --soft: #9aa4ad; --line: #363d44; --bad: #ff7a70; }
 }
 body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
-       max-width: 72rem; margin: 2rem auto; padding: 0 1rem; }
+       max-width: 72rem; margin: 2rem auto; padding: 0 1rem; overflow-wrap: break-word; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 p.lead { font-size: 1.1rem; } .soft { color: var(--soft); } .bad { color: var(--bad); font-weight: 600; }
 table { border-collapse: collapse; margin: 0.8rem 0; }
 th, td { text-align: left; padding: 0.25rem 1.2rem 0.25rem 0; border-bottom: 1px solid var(--line); }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
+@media (max-width: 40rem) { table { display: block; overflow-x: auto; } }
 figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; border: 1px solid var(--line); }
 figcaption { color: var(--soft); font-size: 0.95rem; }
 """

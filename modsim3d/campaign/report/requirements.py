@@ -1,0 +1,159 @@
+"""The first section of the page: which requirements are met, and how surely."""
+
+from __future__ import annotations
+
+import html
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from modsim3d.campaign.file.keys import Requirement
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.report.tables import closed, grid, without_empty
+from modsim3d.campaign.report.words import MOST_KEYS, condition_cells, number, shown, varying, with_interval
+from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
+from modsim3d.display import counted
+from modsim3d.view.pages import page
+from modsim3d.view.pages.intervals import Interval, span_of, strip
+
+SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecided": "? undecided"}
+ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
+OFTEN_EMPTY = ("crashed runs", "seeds without a value")
+"""Columns that are left out where they say nothing."""
+MOST_OPEN, MOST_ROWS = 12, 200
+"""Verdicts on a requirement that are shown at once, and at all."""
+
+
+def outcome_of(verdicts: Sequence[Verdict]) -> Outcome:
+    """The outcome of a requirement: failed if one of its verdicts is, met if all are."""
+    found = {each.outcome for each in verdicts}
+    return next((outcome for outcome in ORDER if outcome in found), "undecided")
+
+
+def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
+    """What the requirements come to, in a sentence."""
+    if not plan.keys.require:
+        return "This campaign has no requirements: it compares, and decides nothing."
+    by_requirement = _by_requirement(plan, verdicts)
+    count = Counter(outcome_of(found) for found in by_requirement)
+    total = len(by_requirement)
+    how = f"at {confidences(plan)} confidence each"
+    sign = {"failed": "✗", "undecided": "?", "met": "✓"}[next(each for each in ORDER if count[each])]
+    if count["met"] == total:
+        one = "The requirement is" if total == 1 else f"All {total} requirements are"
+        return f"{sign} {one} met, {how}."
+    lead = "Not met" if count["failed"] else "Not decided"
+    parts = [_told(count[outcome], outcome) for outcome in ORDER if count[outcome]]
+    said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return f"{sign} {lead}: of {_requirements(total)} {said}, {how}."
+
+
+def confidences(plan: Plan) -> str:
+    """The confidence of the requirements, or their range."""
+    found = sorted({100 * each.confidence for each in plan.keys.require})
+    ends = dict.fromkeys(f"{value:g} %" for value in (found[0], found[-1]))
+    return " to ".join(ends)
+
+
+def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
+    """Each requirement with its verdicts, and their intervals against the threshold."""
+    said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
+    parts = [page.paragraph(said, "soft")]
+    for place, found in enumerate(_by_requirement(plan, verdicts)):
+        requirement = plan.keys.require[place]
+        text = ", ".join([found[0].text if found else requirement.score, *_where(plan, requirement)])
+        count = Counter(each.outcome for each in found)
+        said = SIGNS[outcome_of(found)]
+        if len(count) > 1:
+            said += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
+        elif len(found) > 1:
+            said += f" in all {len(found):,} cases"
+        bad = ' class="bad"' if count["failed"] else ""
+        parts.append(f"<h3>{place + 1}. {html.escape(text)}: <span{bad}>{html.escape(said)}</span></h3>")
+        parts += _table(plan, plan.keys.require[place], found)
+    return parts
+
+
+def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> list[str]:
+    ordered = sorted(found, key=lambda each: ORDER.index(each.outcome))
+    shown = ordered[:MOST_ROWS]
+    limit, least = _limit(requirement)
+    span = span_of([limit, *(_or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
+    what = "share of seeds" if requirement.share is not None else "mean"
+    keys = varying(plan)
+    columns = keys if len(keys) <= MOST_KEYS else ["condition"]
+    header = ("tracker", *columns, "outcome", f"{what} [interval]", _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
+    rows = [_row(each, plan, keys, limit, least, span) for each in shown]
+    kept, names = without_empty(rows, header, OFTEN_EMPTY)
+    bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
+    notes = {place: _note(each) for place, each in enumerate(shown)}
+    table = grid(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
+    if len(rows) > MOST_OPEN:
+        first = sum(each.outcome != "met" for each in shown)
+        opened = 0 < first <= MOST_OPEN
+        table = closed(f"All {counted(len(rows), 'verdict')}, failed ones first", table, opened=opened)
+    parts = [table]
+    if len(ordered) > MOST_ROWS:
+        parts.append(page.paragraph(f"{len(ordered) - MOST_ROWS:,} more verdicts are in verdicts.json.", "soft"))
+    return parts
+
+
+def _row(
+    each: Verdict, plan: Plan, keys: Sequence[str], limit: float, least: bool, span: tuple[float, float]
+) -> tuple[str, ...]:
+    values = (_or_nan(each.estimate), _or_nan(each.low), _or_nan(each.high))
+    said = with_interval(*values)
+    return (
+        each.tracker,
+        *condition_cells(plan, each.condition, keys),
+        SIGNS[each.outcome],
+        said,
+        strip(Interval(*values), limit, least, span, f"{said} against {number(limit)}"),
+        f"{each.crashed:,}",
+        f"{each.undefined:,}",
+        f"{each.seeds:,}",
+    )
+
+
+def _note(each: Verdict) -> str:
+    """Why a verdict is what it is, where that is more than its interval says."""
+    return each.why if each.outcome != "met" or each.crashed or each.undefined else ""
+
+
+def _where(plan: Plan, requirement: Requirement) -> list[str]:
+    """The trackers and conditions that a requirement is about, if not all; a state within the runs is in its text."""
+    known = ("tracker", "scene", *plan.parameters)
+    given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
+    return [f"{key} {' or '.join(map(shown, values))}" for key, values in given.items() if key in known]
+
+
+def _limit(requirement: Requirement) -> tuple[float, bool]:
+    """What the interval is held against, and whether it must lie above."""
+    if requirement.share is not None:
+        return requirement.share, True
+    return requirement.threshold, requirement.at_least is not None
+
+
+def _axis(limit: float, least: bool, span: tuple[float, float]) -> str:
+    side = "at least" if least else "at most"
+    return f"{number(span[0])} to {number(span[1])}; shaded: {side} {number(limit)}"
+
+
+def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdict]]:
+    found: list[list[Verdict]] = [[] for _ in plan.keys.require]
+    for each in verdicts:
+        found[each.requirement].append(each)
+    return found
+
+
+def _requirements(count: int) -> str:
+    return counted(count, "requirement")
+
+
+def _told(count: int, outcome: Outcome) -> str:
+    return f"{count} failed" if outcome == "failed" else f"{count} {'is' if count == 1 else 'are'} {outcome}"
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value

@@ -1,0 +1,167 @@
+"""The page of a search: what it found is evidence of failure, never a rate."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from modsim3d.campaign.file.keys import Range, SearchKeys
+from modsim3d.campaign.report.tables import facts_table, grid
+from modsim3d.campaign.report.words import Score, number
+from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.results.gather import text_of
+from modsim3d.campaign.search.folder import search_table
+from modsim3d.campaign.work.row import DONE
+from modsim3d.display import counted
+from modsim3d.outputs.placing import write_files
+from modsim3d.view.pages import charts, page
+from modsim3d.view.pages.intervals import marks, span_of
+
+SHOWN = 20
+"""Trials in the table."""
+REFUSED = "refused"
+
+
+def write_search_page(folder: CampaignFolder, path: Path) -> str:
+    """Write the page of a search, and return its first sentence.
+
+    Raises:
+        ModsimError: The trials are damaged, or the page cannot be written.
+    """
+    search, table = folder.keys.search, _table(folder)
+    assert search is not None
+    write_files({path: search_page(folder, search, table)})
+    return lead(search, table)
+
+
+def _table(folder: CampaignFolder) -> pa.Table:
+    return search_table(folder)
+
+
+def lead(search: SearchKeys, table: pa.Table) -> str:
+    """What was found, in a sentence."""
+    score = Score(search.minimise or search.maximise or "")
+    worst = "lowest" if search.minimise else "highest"
+    done = _done(search, table)
+    crashed = sum(status not in (DONE, REFUSED) for status in table["status"].to_pylist())
+    crashes = f" {counted(crashed, 'trial')} crashed, which is a finding too." if crashed else ""
+    if not done:
+        return f"No trial has a value of {score.name} yet.{crashes}"
+    first = done[0]
+    return (
+        f"The {worst} {score.name} of {counted(len(table), 'trial')} is {number(first[score.column])}, in trial "
+        f"{first['run']}.{crashes}"
+    )
+
+
+def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table) -> str:
+    """The page as HTML.
+
+    Args:
+        folder: The campaign.
+        search: Its search.
+        table: Its trials, in their order.
+    """
+    score = Score(search.minimise or search.maximise or "")
+    body = [
+        page.paragraph(lead(search, table), "lead"),
+        page.paragraph(
+            "These trials were chosen to be bad. Each is evidence of a failure that can happen; together they say "
+            "nothing about how often, and no share or mean of them is a rate."
+        ),
+    ]
+    if len(table) < search.budget:
+        said = f"Not finished: {len(table):,} of {counted(search.budget, 'trial')} are done."
+        body.append(page.paragraph(said, "bad"))
+    body += [page.heading("How it went"), _progress(search, score, table)] if len(table) else []
+    body += [page.heading("The worst trials"), *_worst(folder, search, score, table)]
+    body += [page.heading("Others"), *_others(table)] if _others(table) else []
+    body += [page.heading("Where it looked"), facts_table([*_ranges(search), *_facts(folder)])]
+    return page.page(f"Campaign {folder.path.resolve().name}: what a search found", body)
+
+
+def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:
+    """Trials with a value, the worst first."""
+    column = search.minimise or search.maximise or ""
+    rows = [row for row in table.to_pylist() if row["status"] == DONE and row.get(column) is not None]
+    return sorted(rows, key=lambda row: (row[column] if search.minimise else -row[column], row["run"]))
+
+
+def _progress(search: SearchKeys, score: Score, table: pa.Table) -> str:
+    """The score of each trial, and the worst so far."""
+    rows = sorted(_done(search, table), key=lambda row: int(row["run"]))
+    if not rows:
+        return page.paragraph("No trial has a value.")
+    x = np.array([row["run"] for row in rows], dtype=float)
+    y = np.array([row[score.column] for row in rows], dtype=float)
+    best = np.minimum.accumulate(y) if search.minimise else np.maximum.accumulate(y)
+    axes = charts.Axes((-1, max(float(x[-1]) + 1, 1.0)), span_of(y.tolist()), 620, 300)
+    content = marks(axes, x, y, 0, opacity=0.5) + charts.line(
+        axes, np.repeat(x, 2)[1:], np.repeat(best, 2)[:-1], charts.colour_of(1)
+    )
+    drawing = axes.drawing(content, f"{score.name} of each trial", "trial", score.label)
+    return charts.figure([drawing], "Dots: trials in their order. Line: the worst until then.")
+
+
+def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.Table) -> list[str]:
+    rows = [
+        (
+            str(row["run"]),
+            number(row[score.column]),
+            *(_value(row[key]) for key in search.over),
+            str(row["traffic_seed"]),
+            _again(folder, row["run"]),
+        )
+        for row in _done(search, table)[:SHOWN]
+    ]
+    if not rows:
+        return [page.paragraph("There are none.")]
+    return [grid(rows, ("trial", score.name, *search.over, "traffic seed", "make it again"))]
+
+
+def _others(table: pa.Table) -> list[str]:
+    rows = [(str(row["run"]), row["status"], row["error"] or "") for row in table.to_pylist() if row["status"] != DONE]
+    if not rows:
+        return []
+    said = "A trial that is refused has values that the scene does not take; it is no failure of the tracker."
+    return [page.paragraph(said, "soft"), grid(rows[:SHOWN], ("trial", "status", "error"))]
+
+
+def _ranges(search: SearchKeys) -> Sequence[tuple[str, str]]:
+    return [(key, _range(each)) for key, each in search.over.items()]
+
+
+def _range(each: Range) -> str:
+    if each.choices is not None:
+        return "one of " + ", ".join(map(text_of, each.choices))
+    whole = ", whole numbers" if each.whole else ""
+    return f"{each.low:g} to {each.high:g}{', logarithmic' if each.scale == 'log' else ''}{whole}"
+
+
+def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
+    search, keys = folder.keys.search, folder.keys
+    assert search is not None
+    versions = ", ".join(f"{name} {version}" for name, version in folder.facts["versions"].items())
+    return [
+        ("tracker", ", ".join(each.label for each in keys.trackers)),
+        ("traffic seeds", f"{search.seeds:,} to choose from"),
+        ("budget", f"{counted(search.budget, 'trial')}, {search.batch:,} at once"),
+        ("versions", versions),
+        ("plan", folder.facts["sha256"]),
+    ]
+
+
+def _again(folder: CampaignFolder, number: int) -> str:
+    path = folder.path
+    return (
+        f"modsim3d campaign-run {shlex.quote(str(path))} {number} --out {shlex.quote(str(path / 'runs' / str(number)))}"
+    )
+
+
+def _value(value: Any) -> str:
+    return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)

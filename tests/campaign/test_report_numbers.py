@@ -1,0 +1,138 @@
+"""The numbers of the page of a campaign against slow, obvious ones."""
+
+import re
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy import stats
+
+from modsim3d.campaign.file.keys import CampaignKeys
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.report.cells import by_level, over_seeds, seed_cells
+from modsim3d.campaign.report.compared import mean_sections
+from modsim3d.campaign.report.parameter_charts import parameter_sections
+from modsim3d.campaign.report.parameters import BINS, parameters_of
+from modsim3d.campaign.report.words import with_interval
+from modsim3d.campaign.results.gather import with_plan
+from modsim3d.campaign.work.row import crashed_row, table_of
+from modsim3d.view.pages.intervals import Interval, strip
+
+GRID = {"grid": {"state": ["clear", "haze"], "waves.significant_height_m": [0.2, 0.6, 1.0]}}
+
+
+def plan_of(seeds, vary=(GRID,), **keys):
+    named = {"scenes": ["harbour"], "seeds": {"traffic": seeds, "detector": 2}, "trackers": ["sort", "bytetrack"]}
+    return Plan.of(CampaignKeys.model_validate({**named, "vary": list(vary), **keys}))
+
+
+def table_for(plan, crashed=(), seed=1):
+    """A table of drawn scores, with the columns of the plan; runs of some numbers crashed."""
+    rng = np.random.default_rng(seed)
+    rows = [
+        crashed_row(number, "ValueError: no")
+        if number in crashed
+        else {"run": number, "status": "done", "hota": rng.random(), "simulated_s": 9.0, "worst_s": None}
+        for number in range(len(plan))
+    ]
+    return with_plan(table_of(rows), plan)
+
+
+def test_a_mean_and_its_interval_are_over_traffic_seeds():
+    plan = plan_of(5)
+    table = table_for(plan)
+    found = over_seeds(seed_cells(plan, table, "hota"))
+    rows = [r for r in table.to_pylist() if r["tracker"] == "bytetrack" and r["condition"] == 4]
+    seeds = sorted({r["traffic_seed"] for r in rows})
+    values = [np.mean([r["hota"] for r in rows if r["traffic_seed"] == seed]) for seed in seeds]
+    low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
+    assert len(rows) == 10
+    assert [found.mean[4, 1], found.low[4, 1], found.high[4, 1]] == pytest.approx([np.mean(values), low, high])
+    assert found.seeds[4, 1] == 5
+
+
+@pytest.mark.parametrize("values", [[0.4], [0.7, 0.7, 0.7], []])
+def test_one_value_gives_no_interval(values):
+    found = over_seeds(np.array(values, dtype=float)[:, None])
+    assert np.isnan(found.low[0])
+    assert np.isnan(found.high[0])
+
+
+def test_a_crashed_run_is_in_no_mean_and_is_counted():
+    plan = plan_of(3)
+    crashed = {1, 3}  # both detector seeds of the first seed, condition 0, bytetrack
+    found = over_seeds(seed_cells(plan, table_for(plan, crashed), "hota"))
+    assert found.seeds[0].tolist() == [3, 2]
+    assert "crashed runs" in mean_sections(plan, table_for(plan, crashed))[-1]
+    assert "crashed runs" not in mean_sections(plan, table_for(plan))[-1]
+
+
+def test_means_at_a_level_are_those_of_a_loop():
+    plan = plan_of(4)
+    table = table_for(plan)
+    (state, height) = parameters_of(plan, table)
+    assert (state.levels, height.levels) == (("clear", "haze"), ("0.2", "0.6", "1"))
+    found = by_level(seed_cells(plan, table, "hota"), height.index, 3)
+    rows = table.to_pylist()
+    for level, value in enumerate((0.2, 0.6, 1.0)):
+        chosen = [r for r in rows if r["waves.significant_height_m"] == value and r["tracker"] == "sort"]
+        by_seed = [
+            np.mean([r["hota"] for r in chosen if r["traffic_seed"] == s]) for s in {r["traffic_seed"] for r in chosen}
+        ]
+        assert found.mean[level, 0] == pytest.approx(np.mean(by_seed))
+        assert found.high[level, 0] - found.mean[level, 0] == pytest.approx(stats.t.ppf(0.975, 3) * stats.sem(by_seed))
+
+
+def test_drawn_numbers_are_put_into_stretches_that_hold_them():
+    plan = plan_of(40, [{"uniform": {"detector.x": {"low": 0.01, "high": 1, "scale": "log"}}}])
+    (drawn,) = parameters_of(plan, table_for(plan))
+    assert drawn.binned
+    assert drawn.log
+    assert len(drawn.levels) == BINS
+    ends = np.array([level.split(" to ") for level in drawn.levels], dtype=float)[drawn.index[:, 0]]
+    assert np.all((ends[:, 0] <= 1.01 * drawn.numbers[:, 0]) & (drawn.numbers[:, 0] <= 1.01 * ends[:, 1]))
+
+
+def test_what_does_not_vary_has_no_chart_and_what_changes_together_says_so():
+    pairs = {"pairs": {"state": ["clear", "haze"], "detector.rate": [0.1, 0.3]}}
+    plan = plan_of(3, [pairs, {"grid": {"waves.spectrum": ["jonswap"]}}])
+    html = "".join(parameter_sections(plan, table_for(plan)))
+    assert "waves.spectrum" not in html
+    assert "By state. It changes together with detector.rate" in html
+    assert "Two at a time" not in html
+
+
+def test_each_cell_of_a_heat_map_has_its_number():
+    plan = plan_of(3)
+    table = table_for(plan)
+    html = "".join(parameter_sections(plan, table)).partition("Two at a time")[2]
+    shown = re.findall(r'<td class="number" style="[^"]*">([\d.]+)', html)
+    rows = table.to_pylist()
+    wanted = [
+        np.mean([r["hota"] for r in rows if (r["condition"], r["tracker"]) == (condition, tracker)])
+        for tracker in ("sort", "bytetrack")
+        for condition in range(6)
+    ]
+    assert [float(text) for text in shown] == pytest.approx(wanted, abs=6e-4)
+
+
+def test_a_mean_on_the_threshold_stands_on_the_dashed_line():
+    drawn = strip(Interval(0.5, 0.4, 0.6), 0.5, True, (0.0, 2.0), "")
+    dashed = re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1]
+    disc = re.search(r'<path d="M([\d.]+) 12.0m-4 0', drawn)[1]
+    assert dashed == disc
+
+
+def test_an_interval_has_the_decimals_of_its_mean():
+    assert with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
+    assert with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
+    assert with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
+    assert with_interval(0.4, None, None) == "0.400"
+
+
+def test_an_empty_table_has_no_means_and_no_charts():
+    plan = plan_of(2)
+    table = table_for(plan).slice(0, 0)
+    assert isinstance(table, pa.Table)
+    assert parameter_sections(plan, table) == []
+    assert seed_cells(plan, table, "hota").shape == (0, 6, 2)

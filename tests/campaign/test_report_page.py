@@ -1,0 +1,141 @@
+"""The page of a campaign: what stands first, what it admits, and that it needs nothing else."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.file.keys import CampaignKeys, SearchKeys
+from modsim3d.campaign.file.reading import read_campaign
+from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.report.campaign_page import campaign_page
+from modsim3d.campaign.report.compared import mean_sections
+from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
+from modsim3d.campaign.report.runs_shown import crash_sections
+from modsim3d.campaign.report.search_page import search_page
+from modsim3d.campaign.report.writing import files_read, write_page
+from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
+from modsim3d.campaign.results.gather import with_plan
+from modsim3d.campaign.running import run_plan
+from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.row import crashed_row, table_of
+from tests.campaign.test_report_numbers import plan_of, table_for
+
+TEXT = """\
+scene: harbour
+steps: 20
+seeds: {traffic: 2}
+vary: [{grid: {state: [excellent, terrible]}}]
+trackers: [reference]
+require: [{score: hota, at_least: 0.5}]
+"""
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "c.yaml").write_text(TEXT)
+    run_plan(checked(read_campaign(folder / "c.yaml")), folder / "c", ThisProcess)
+    return opened_campaign(folder / "c")
+
+
+@pytest.fixture(scope="module")
+def html(campaign, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_page(campaign, path)
+    return path.read_text(encoding="utf-8")
+
+
+def verdict(requirement, outcome, **more):
+    given = {"text": "hota at least 0.5", "tracker": "sort", "condition": 0, "why": "It is so.", "confidence": 0.95}
+    numbers = {"estimate": 0.55, "low": 0.52, "high": 0.58, "seeds": 8}
+    return Verdict(requirement=requirement, outcome=outcome, **{**given, **numbers, **more})
+
+
+def sentence(*outcomes):
+    plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}] * len(outcomes))
+    return verdict_sentence(plan, [verdict(place, outcome) for place, outcome in enumerate(outcomes)])
+
+
+def test_the_first_sentence_counts_requirements():
+    assert sentence("met", "met") == "✓ All 2 requirements are met, at 95 % confidence each."
+    assert sentence("met", "failed", "undecided") == (
+        "✗ Not met: of 3 requirements 1 failed, 1 is undecided and 1 is met, at 95 % confidence each."
+    )
+    assert sentence("undecided") == "? Not decided: of 1 requirement 1 is undecided, at 95 % confidence each."
+    assert "no requirements" in sentence()
+
+
+def test_a_requirement_that_failed_in_one_condition_has_failed():
+    plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
+    found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.")]
+    assert verdict_sentence(plan, found).startswith("✗ Not met")
+    html = "".join(requirement_sections(plan, found))
+    assert "✗ failed (1 failed, 1 met)" in html
+    assert "Too low &lt;here&gt;." in html
+    assert html.index("✗ failed</td>") < html.index("✓ met</td>")
+
+
+def test_the_verdict_stands_before_all_numbers(html, campaign):
+    assert campaign.finished
+    body = html.partition("<body>")[2]
+    lead = re.search(r'<p class="lead">(.*?)</p>', body)[1]
+    assert "requirement" in lead
+    assert body.index(lead) < body.index("This traffic only") < body.index("<h2>Requirements") < body.index("<h2>Means")
+
+
+def test_a_page_needs_no_network(html):
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', html)
+    assert "<script" not in html
+    assert len(html) < 3e6
+
+
+def test_charts_name_their_axes(html):
+    assert "HOTA (0 to 1)" in html
+    assert re.search(r"<h2>Scores against what is varied</h2>", html)
+
+
+def test_the_page_can_lie_in_the_folder_of_its_campaign(campaign):
+    assert all(path.is_file() for path in files_read(campaign))
+
+
+def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
+    other = CampaignFolder(tmp_path, campaign.facts, campaign.plan)
+    page = campaign_page(other, table_of([]), [])
+    assert '<p class="lead">Not finished: 0 of 4 runs are done, and nothing on this page is a verdict.</p>' in page
+
+
+def test_crashes_are_grouped_by_their_error(campaign):
+    rows = [crashed_row(number, "ValueError: <a>" if number < 2 else "KeyError: b") for number in range(3)]
+    html = "".join(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
+    assert "3 runs of 3 crashed" in html
+    assert html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
+    assert f"campaign-run {campaign.path} 0 --out" in html
+    assert crash_sections(campaign, table_for(plan_of(2))) == []
+
+
+def test_the_means_of_a_sequential_campaign_prove_nothing():
+    said = "these intervals describe and prove nothing"
+    for stop in ("once", "sequential"):
+        plan = plan_of(2, stop=stop)
+        assert (said in mean_sections(plan, table_for(plan))[0]) == (stop == "sequential")
+
+
+def test_a_search_is_no_rate_and_names_the_worst_first(campaign):
+    search = SearchKeys.model_validate({"minimise": "hota", "over": {"waves.x_m": [0, 1]}, "budget": 4})
+    keys = CampaignKeys.model_validate({"scenes": ["harbour"], "trackers": ["sort"], "search": search.model_dump()})
+    folder = replace(campaign, plan=Plan.of(keys))
+    rows = [
+        {"run": 0, "status": "done", "hota": 0.6, "waves.x_m": 0.1},
+        {"run": 1, "status": "done", "hota": 0.2, "waves.x_m": 0.9},
+        {"run": 2, "status": "refused", "error": "waves break", "waves.x_m": 0.9},
+    ]
+    table = table_of([dict(row, traffic_seed=7) for row in rows])
+    html = search_page(folder, search, table)
+    assert "The lowest HOTA of 3 trials is 0.200, in trial 1." in html
+    assert "no share or mean of them is a rate" in html
+    assert "Not finished: 3 of 4 trials are done." in html
+    assert "waves break" in html
+    assert re.findall(r"<tr><td class=number>(\d)</td><td class=number>0\.", html) == ["1", "0"]
