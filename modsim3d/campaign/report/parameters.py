@@ -15,7 +15,7 @@ import pyarrow as pa
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.file.keys import Range
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.results.gather import text_of
+from modsim3d.campaign.results.done_rows import text_of
 
 MOST_LEVELS = 12
 """Numbers of a grid that are shown one by one."""

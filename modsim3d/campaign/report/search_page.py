@@ -13,8 +13,8 @@ import pyarrow as pa
 from modsim3d.campaign.file.keys import Range, SearchKeys
 from modsim3d.campaign.report.tables import facts_table, grid
 from modsim3d.campaign.report.words import Score, number
+from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import CampaignFolder
-from modsim3d.campaign.results.gather import text_of
 from modsim3d.campaign.search.folder import search_table
 from modsim3d.campaign.work.row import DONE
 from modsim3d.display import counted

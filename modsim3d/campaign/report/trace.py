@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Indices
-from modsim3d.campaign.results.folder import FILE, VERDICTS, CampaignFolder
-from modsim3d.campaign.work.task import PLAN
 from modsim3d.campaign.results.done_rows import text_of
+from modsim3d.campaign.results.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
+from modsim3d.campaign.work.task import PLAN
 from modsim3d.view.pages import page
 
 _MOST_RANGES = 6

@@ -11,7 +11,7 @@ import numpy as np
 
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.results.gather import text_of
+from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.work.row import BY_STATE
 from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN
 

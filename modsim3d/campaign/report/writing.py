@@ -7,7 +7,8 @@ from pathlib import Path
 
 from modsim3d.campaign.report.campaign_page import write_campaign_page
 from modsim3d.campaign.report.search_page import write_search_page
-from modsim3d.campaign.results.folder import FILE, PLAN, CampaignFolder
+from modsim3d.campaign.results.folder import FILE, CampaignFolder
+from modsim3d.campaign.work.task import PLAN
 
 
 def write_page(folder: CampaignFolder, path: Path, advance: Callable[[int], None] = lambda done: None) -> str:

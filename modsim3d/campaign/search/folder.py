@@ -18,8 +18,8 @@ import pyarrow.parquet as pq
 from modsim3d.campaign.file.keys import Range, SearchKeys
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.plan.seeds import traffic_seed
-from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.results.done_rows import text_of
+from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.search.space import Point
 from modsim3d.campaign.search.trials import planned_trial, told_apart
 from modsim3d.campaign.work.row import table_of

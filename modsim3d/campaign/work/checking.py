@@ -156,9 +156,7 @@ def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
     return replace(plan, keys=plan.keys.model_copy(update={"trackers": trackers}))
 
 
-def _facts_of_all(
-    plan: Plan, scenes: Scenes, paths: set[Path], problems: list[str]
-) -> Iterator[ConditionFacts]:
+def _facts_of_all(plan: Plan, scenes: Scenes, paths: set[Path], problems: list[str]) -> Iterator[ConditionFacts]:
     """What is known of the conditions that can be run.
 
     The files that they are made of are added to the paths, and what is wrong with the others to the problems.
