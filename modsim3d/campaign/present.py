@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.folder import CampaignFolder
-from modsim3d.campaign.results.gather import results_table
+from modsim3d.campaign.rows import has_ended, planned_rows, rows_of
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import CRASHED
@@ -57,11 +57,11 @@ def present_state(folder: CampaignFolder) -> Present:
     Raises:
         ModsimError: Its results are damaged.
     """
-    table = results_table(folder)
-    holder = None if folder.finished else holder_of(folder.path)
-    left_s, last_s = (None, None) if folder.finished else _times(folder, len(folder.plan) - len(table), holder)
-    verdicts = judged(folder.plan, table if folder.finished else complete_batches(folder.plan, table))
-    return Present(table, len(folder.plan), folder.finished, holder, left_s, last_s, verdicts)
+    table, total, ended = rows_of(folder), planned_rows(folder), has_ended(folder)
+    holder = None if ended else holder_of(folder.path)
+    left_s, last_s = (None, None) if ended else _times(folder, total - len(table), holder)
+    verdicts = judged(folder.plan, table if ended else complete_batches(folder.plan, table))
+    return Present(table, total, ended, holder, left_s, last_s, verdicts)
 
 
 def complete_batches(plan: Plan, table: pa.Table) -> pa.Table:

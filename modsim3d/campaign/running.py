@@ -19,7 +19,7 @@ from modsim3d.campaign.results.gather import remove_done, results_table, write_r
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import CheckedCampaign
-from modsim3d.campaign.work.task import Task, TaskReport, store_crashed
+from modsim3d.campaign.work.task import Task, TaskReport, store_crashed, with_cache
 from modsim3d.errors import ModsimError, OutputError
 
 DEATHS = 2
@@ -149,7 +149,7 @@ class _Campaign:
         progress: Callable[[Progress], None],
     ) -> None:
         self._campaign, self._folder, self._shard, self._progress = campaign, folder, shard, progress
-        self._common = replace(folder.work, cache=None if cache is None else str(cache.resolve()))
+        self._common = with_cache(folder.work, cache)
         self._plan = folder.plan
         self._reports: list[TaskReport] = []
         self._looked = 0

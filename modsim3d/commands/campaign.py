@@ -95,9 +95,13 @@ def campaign_command(
     from modsim3d.campaign.work.checking import checked
     from modsim3d.commands.campaign_progress import campaign_progress
 
+    if shard is not None and (scheduler or slurm):
+        raise ModsimError("--shard is for jobs without a scheduler: leave out --scheduler and --slurm, or --shard")
     engine = engine_of(workers, scheduler, slurm)
     with timed("reading and checking the campaign"):
         found = checked(read_campaign(campaign))
+    if shard is not None and found.file.keys.search is not None:
+        raise ModsimError("--shard: what a search runs next depends on all that it has run: leave --shard out")
     tell_files([found.file.path])
     folder = out if out is not None else Path("runs") / found.file.path.stem
     warnings = _introduced(found)
@@ -105,7 +109,7 @@ def campaign_command(
         if found.file.keys.search is not None:
             from modsim3d.campaign.search.running import run_search
 
-            searched = run_search(found, folder, engine, progress=advance)
+            searched = run_search(found, folder, engine, cache=cache, progress=advance)
             result = None
         else:
             searched = None
@@ -186,7 +190,13 @@ def _conclusion(result: CampaignResult) -> str:
 def _print_search(result: SearchResult) -> None:
     console = open_console()
     print_line(console, "")
-    print_prose(console, f"{len(result.table):,} trials: what they found is evidence of failure, never a rate", "bold")
+    print_prose(console, str(result), "bold")
+    for finding in result.findings:
+        print_line(console, "")
+        values = ", ".join(f"{key} {value}" for key, value in finding.values.items())
+        said = finding.error if finding.value is None else f"{finding.value:.4g}"
+        print_prose(console, f"trial {finding.number}: {said}; traffic seed {finding.traffic_seed}, {values}")
+        print_line(console, f"  {finding.again}", "dim")
     print_path(console, "search", result.folder.path)
     print_line(console, f"  modsim3d campaign-report {result.folder.path}", "dim")
 

@@ -54,19 +54,23 @@ def campaign_table_command(
     """
     from modsim3d.campaign.results.files import files_of_campaign
     from modsim3d.campaign.results.folder import opened_campaign
-    from modsim3d.campaign.results.gather import results_table
     from modsim3d.campaign.results.means import mean_rows, usual_keys, usual_scores
+    from modsim3d.campaign.rows import has_ended, rows_of
     from modsim3d.commands.campaign_text import print_means
     from modsim3d.outputs.claims import claimed
 
     _check(runs, bool(by or score), out)
     opened = opened_campaign(campaign)
+    if opened.keys.search is not None and not runs:
+        raise ModsimError(
+            f"{campaign} holds a search, and no mean may be made of trials that were chosen to be bad: use --runs"
+        )
     files = files_of_campaign(opened)
     tell_files(files)
     paths = [] if out is None else [out]
     with claimed(paths, overwrite=overwrite, inputs=files):
         with timed("reading the rows"):
-            table = results_table(opened)
+            table = rows_of(opened)
         keys = list(by or usual_keys(opened.plan))
         rows = [] if runs else mean_rows(table, keys, list(score or usual_scores(opened.plan)))
         if out is not None:
@@ -79,7 +83,7 @@ def campaign_table_command(
             "format": 1,
             "command": "campaign-table",
             "folder": campaign,
-            "finished": opened.finished,
+            "finished": has_ended(opened),
             "by": [] if runs else [*dict.fromkeys([*keys, "tracker"])],
             "rows": [asdict(row) for row in rows],
             "written": paths,

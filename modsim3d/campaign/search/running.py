@@ -15,7 +15,7 @@ import pyarrow as pa
 from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
-from modsim3d.campaign.running import DEATHS, DIED, Progress
+from modsim3d.campaign.running import DEATHS, DIED, READ_AGAIN_S, Progress
 from modsim3d.campaign.search.findings import Finding, findings, sentence
 from modsim3d.campaign.search.folder import (
     batches,
@@ -34,11 +34,8 @@ from modsim3d.campaign.search.trials import told_apart, tried
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.task import Task, store_crashed
+from modsim3d.campaign.work.task import Task, store_crashed, with_cache
 from modsim3d.errors import OutputError
-
-READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
-"""Waits for a file that another machine has written; a network file system shows it after up to a minute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +65,7 @@ def run_search(
     folder: Path,
     engine: Callable[[], Engine],
     *,
+    cache: Path | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> SearchResult:
     """Run a search, or go on with it. What it finds does not depend on the engine, nor on interruptions.
@@ -76,6 +74,7 @@ def run_search(
         campaign: A campaign with a search.
         folder: Its folder.
         engine: Opens an engine; not called if there is nothing to do.
+        cache: The folder of layers on the disk, in place of `cache` in the campaign's.
         progress: Called after each trial.
 
     Raises:
@@ -88,7 +87,7 @@ def run_search(
         if not search_ended(here):
             started = time.perf_counter()
             with closing(engine()) as opened:
-                trials = _Trials(here, opened, progress)
+                trials = _Trials(here, opened, cache, progress)
                 _make_all(trials, here)
             write_trials(here, trials_table(trials.runs, trials.rows, search))
             _log(here, search.budget, time.perf_counter() - started)
@@ -110,7 +109,10 @@ def _make_all(trials: _Trials, folder: CampaignFolder) -> None:
 class _Trials:
     """Makes batches of trials; keeps their runs and rows in their order."""
 
-    def __init__(self, folder: CampaignFolder, engine: Engine, progress: Callable[[Progress], None]) -> None:
+    def __init__(
+        self, folder: CampaignFolder, engine: Engine, cache: Path | None, progress: Callable[[Progress], None]
+    ) -> None:
+        self._common = with_cache(folder.work, cache)
         self._folder, self._engine, self._progress = folder, engine, progress
         self._scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
         self._deaths = Counter[int]()
@@ -124,7 +126,7 @@ class _Trials:
         found = dict[int, dict[str, Any]]()
         waiting, running = deque[Task](), 0
         for run in runs:
-            task = Task(self._folder.work, (run,))
+            task = Task(self._common, (run,))
             if (row := done_row(task)) is None:
                 waiting.append(task)
             else:

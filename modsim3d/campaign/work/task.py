@@ -9,7 +9,7 @@ import time
 import uuid
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import orjson
@@ -56,6 +56,11 @@ class Work:
     def layers(self) -> Path:
         """The folder of layers on the disk."""
         return Path(self.cache) if self.cache is not None else Path(self.folder) / CACHE_FOLDER
+
+
+def with_cache(work: Work, cache: Path | None) -> Work:
+    """The same with the folder of layers in its place; None: that of the campaign."""
+    return replace(work, cache=None if cache is None else str(cache.resolve()))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from modsim3d.campaign.work.digests import versions
 from modsim3d.campaign.work.layers import Made
 from modsim3d.campaign.work.row import DONE, row_of, rules_of
 from modsim3d.campaign.work.scenes import Scenes
+from modsim3d.campaign.work.search_checks import search_versions
 from modsim3d.campaign.worst.remaking import planned_run, row_of_run
 from modsim3d.errors import OutputError, RunDirectoryError
 from modsim3d.outputs.claims import check_free
@@ -95,7 +96,7 @@ def make_again(
         raise
     except Exception as failure:
         error, raised_at = f"{type(failure).__name__}: {failure}", _place(failure)
-    then, now = folder.facts["versions"], versions()
+    then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), changed)
 

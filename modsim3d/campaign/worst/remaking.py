@@ -11,19 +11,23 @@ import pyarrow.parquet as pq
 
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.results.folder import CampaignFolder
-from modsim3d.campaign.results.gather import results_table
+from modsim3d.campaign.results.sources import check_files
+from modsim3d.campaign.rows import rows_of
+from modsim3d.campaign.search.folder import trial_run
 from modsim3d.campaign.work.layers import Layers, Made
 from modsim3d.errors import ModsimError
 
 
 def planned_run(folder: CampaignFolder, number: int) -> PlannedRun:
-    """What the plan says of a run.
+    """What the plan says of a run, or the search of a trial.
 
     Raises:
-        ModsimError: The campaign has no such run, or is a search, whose trials are no runs of the plan.
+        InputError: A file that the run is made of is not as it was.
+        ModsimError: The campaign has no such run.
     """
+    check_files(folder)
     if folder.keys.search is not None:
-        raise ModsimError(f"{folder.path} holds a search: its trials cannot be made again")
+        return trial_run(folder.path, number)
     if not 0 <= number < len(folder.plan):
         raise ModsimError(f"{folder.path} has runs 0 to {len(folder.plan) - 1} (got {number})")
     return folder.plan.run(number)
@@ -35,8 +39,8 @@ def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
     Raises:
         ModsimError: The results are damaged.
     """
-    if not folder.finished:
-        table = results_table(folder)
+    if not folder.finished:  # or a search
+        table = rows_of(folder)
         found = table.filter(pc.equal(table["run"], number)).to_pylist()
         return found[0] if found else None
     for path in sorted(folder.results.glob("scene=*/part-*.parquet")):
