@@ -35,7 +35,11 @@ MENU = {
         *("docs/track", "docs/trackers", "docs/track_files", "docs/score", "docs/scores", "docs/world_tracks"),
         *("docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"),
     ],
-    "Check it": ["docs/verify", "docs/truth", "docs/reliability"],
+    "Campaigns": [
+        *("docs/campaign", "docs/requirements", "docs/campaign_report", "docs/worst_runs", "docs/search"),
+        *("docs/uncertainty", "docs/cluster"),
+    ],
+    "Check it": ["docs/verify", "docs/truth", "docs/reliability", "docs/assurance"],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [
         "docs/tables",
@@ -45,13 +49,14 @@ MENU = {
         "benchmarks/FILMS",
         "benchmarks/LATENCY",
         "benchmarks/TRACKING",
+        "benchmarks/CAMPAIGNS",
     ],
     "The thesis": ["docs/thesis", "docs/simulation_1", "docs/simulation_2", "docs/simulation_3"],
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
 CAMPAIGNS = [
-    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "tracker_scores", "traffic"),
-    *("verify_changes", "verify_seeds"),
+    *("compare", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "search", "sequences"),
+    *("tracker_scores", "traffic", "verify_changes", "verify_seeds"),
 ]
 
 project = "modsim3d"

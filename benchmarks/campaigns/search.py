@@ -135,7 +135,7 @@ def best(scores: list[float | None]) -> list[float]:
 def repetition(problem: dict[str, Any], seed: int, budget: int) -> dict[str, list[float]]:
     """Best scores of a search and of random trials."""
     keys = keys_of(problem, seed, budget)
-    with closing(Layers(keys, Path())) as layers:
+    with closing(Layers(keys, Path(), Path("cache"))) as layers:
         return {"search": best(searched(keys, layers)), "random": best(drawn(keys, layers))}
 
 

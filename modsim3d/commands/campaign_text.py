@@ -34,6 +34,8 @@ def plan_rows(campaign: CheckedCampaign) -> list[tuple[str, str]]:
     plan, keys = campaign.plan, campaign.file.keys
     rows = [("scenes", _scenes(campaign))]
     rows += [("varied" if place == 0 else "", text) for place, text in enumerate(_varied(keys))]
+    if keys.settings:
+        rows.append(("set", ", ".join(f"{key} {shown(value)}" for key, value in keys.settings.items())))
     rows.append(("trackers", listed([each.label for each in keys.trackers])))
     if keys.search is not None:
         return [*rows, ("search", _search(keys))]

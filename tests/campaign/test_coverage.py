@@ -14,10 +14,12 @@ from modsim3d.campaign.file.keys import CampaignKeys
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.coverage import KINDS, coverage_of
 from modsim3d.campaign.work.coverage_bins import OCCLUSIONS, RANGES, SIZES, Bins
+from modsim3d.campaign.work.layer_tables import Blocks, TruthLayer
 from modsim3d.campaign.work.layers import Layers, detected
 from modsim3d.campaign.work.row import column_type, row_of, rules_of
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.scene.scene import Scene
 from tests.scenes import crossing, write_scene
 
 ANALYTIC = {"annotation": {"mode": 2, "source": "analytic"}}
@@ -33,9 +35,13 @@ ON_BOARD = {
 BOAT = [10, 4, 3]
 
 
+def rows_in_memory(scene: Scene, blocks: Blocks) -> RunRows:
+    return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer.of_blocks(blocks, scene)))
+
+
 def rows_of(path: Path, **settings: Any) -> RunRows:
     scene = modsim3d.load_scene(path, settings=settings)
-    return detected(scene, [(truth_block(scene, 0, scene.steps, None), 0, scene.steps)])
+    return rows_in_memory(scene, [(truth_block(scene, 0, scene.steps, None), 0, scene.steps)])
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +69,7 @@ def test_each_kind_of_encounter_is_counted_once(own_ship: Path) -> None:
 
 def test_an_encounter_that_the_run_does_not_reach_is_not_met(own_ship: Path) -> None:
     scene = modsim3d.load_scene(own_ship, steps=20)
-    found = coverage_of(detected(scene, [(truth_block(scene, 0, 20, None), 0, 20)]))
+    found = coverage_of(rows_in_memory(scene, [(truth_block(scene, 0, 20, None), 0, 20)]))
     assert sum(found[name] for name in KINDS.values()) == 0
 
 
@@ -72,7 +78,7 @@ def test_drawn_traffic_meets_own_ship_as_it_was_asked_to() -> None:
     scene = modsim3d.load_scene("fairway", seed=5, settings={"annotation.source": "analytic"})
     of_asked = {"overtaking": "met.own_overtaken", "overtaken": "met.own_overtakes"}
     asked = {of_asked.get(c.asked.kind, f"met.{c.asked.kind}") for c in scene.poses.craft if c.asked is not None}
-    nothing = detected(scene, [(truth_block(scene, 0, 1, None), 0, 1)])
+    nothing = rows_in_memory(scene, [(truth_block(scene, 0, 1, None), 0, 1)])
     rows = RunRows(**{**vars(nothing), "steps": scene.steps})
     found = coverage_of(rows)
     assert len(asked) >= 4
@@ -104,7 +110,7 @@ def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Pa
 
 def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidden_rows(tmp_path: Path) -> None:
     keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
-    layers = Layers(keys, tmp_path)
+    layers = Layers(keys, tmp_path, tmp_path / "cache")
     try:
         made = layers.made(Plan.of(keys).run(0))
     finally:

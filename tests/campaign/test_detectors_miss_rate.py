@@ -72,7 +72,7 @@ def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path)
     campaign = checked_campaign(
         tmp_path, scene="harbour", steps=80, vary=[{"grid": {"detector.miss_rate": rates}}], trackers=["reference"]
     )
-    with closing(Layers(campaign.file.keys, tmp_path)) as layers:
+    with closing(Layers(campaign.file.keys, tmp_path, tmp_path / "cache")) as layers:
         for number, rate in enumerate(rates):
             truth = layers.made(campaign.plan.run(number)).rows.truth
             there = flags(truth, "annotated")

@@ -14,7 +14,7 @@ from modsim3d.campaign.report.compared import mean_sections
 from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.parameters import BINS, parameters_of
 from modsim3d.campaign.report.words import with_interval
-from modsim3d.campaign.results.gather import with_plan
+from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.view.pages.intervals import Interval, strip
 

@@ -15,8 +15,8 @@ from modsim3d.campaign.report.requirements import requirement_sections, verdict_
 from modsim3d.campaign.report.runs_shown import crash_sections
 from modsim3d.campaign.report.search_page import search_page
 from modsim3d.campaign.report.writing import files_read, write_page
+from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
-from modsim3d.campaign.results.gather import with_plan
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked

@@ -147,7 +147,7 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again(result: Sear
 def test_a_trial_is_made_again_from_the_folder(result: SearchResult) -> None:
     worst = result.findings[0]
     run = trial_run(result.folder.path, worst.number)
-    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]))
+    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
     try:
         row = row_of(run.number, layers.made(run), rules_of(result.folder.keys.score))
     finally:

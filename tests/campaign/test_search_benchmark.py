@@ -33,7 +33,7 @@ def test_the_benchmark_searches_as_the_command_does(tmp_path: Path) -> None:
         yaml.safe_dump(keys.model_dump(mode="json", by_alias=True, exclude_unset=True)), encoding="utf-8"
     )
     found = run_search(checked(read_campaign(campaign)), tmp_path / "out", ThisProcess).table["hota"].to_pylist()
-    with closing(Layers(keys, Path())) as layers:
+    with closing(Layers(keys, Path(), Path("cache"))) as layers:
         assert benchmark.searched(keys, layers) == found
 
 

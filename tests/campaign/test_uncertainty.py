@@ -228,7 +228,7 @@ def test_a_drawn_detector_is_one_of_its_traffic_seed_for_all_trackers_and_is_dra
     result = campaign(folder, "few.yaml", uncertainty="learned", trackers=trackers, seeds={"traffic": 2, "detector": 2})
     plan, keys = result.folder.plan, result.table["detections_key"].to_pylist()
     assert keys[0::2] == keys[1::2] and len(set(keys)) == 4
-    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]))
+    layers = Layers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
     again = [layers.made(plan.run(number)) for number in (6, 0, 2)]
     assert [made.detections_key[:16] for made in again] == [keys[number] for number in (6, 0, 2)]
     rates = [float(made.rows.scene.detector.states[0].confusion[-1, 0]) for made in again]
@@ -252,7 +252,7 @@ def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: dict[s
         folder, scene="harbour", steps=3, uncertainty="learned", trackers=["reference"], seeds={"traffic": 3},
         vary=[{"list": [{"detector": "few.yaml", "detector.miss_rate": 0.125}]}],
     )  # fmt: skip
-    layers = Layers(found.file.keys, folder)
+    layers = Layers(found.file.keys, folder, folder / "cache")
     states = [layers.made(found.plan.run(number)).rows.scene.detector.states[0] for number in range(3)]
     assert [state.confusion[-1, 0] for state in states] == [0.125] * 3
     assert len({state.false_discovery_rate for state in states}) == 3

@@ -217,6 +217,7 @@ class CampaignKeys(Strict):
         steps: Number of time steps, in place of those of the scenes.
         seed: From which the seeds of all runs are derived.
         seeds: How many there are.
+        settings: `set` in the file: keys that are the same in all runs, as the option `--set`.
         vary: What is varied.
         trackers: The trackers, all over the same detections.
         score: How tracks are scored.
@@ -232,6 +233,7 @@ class CampaignKeys(Strict):
     steps: Annotated[int, Field(strict=True, ge=1)] | None = None
     seed: Annotated[int, Field(strict=True, ge=1, le=MOST_BASE)] = 1
     seeds: Seeds = Field(default_factory=Seeds)
+    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")
     vary: list[Factor] = Field(default_factory=list)
     trackers: Annotated[list[TrackerKeys], Field(min_length=1)]
     score: ScoreKeys = Field(default_factory=ScoreKeys)

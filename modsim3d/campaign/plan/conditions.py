@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from math import prod
 from typing import Any
@@ -23,27 +23,37 @@ class Condition:
     Attributes:
         scene: The scene file, or the name of a shipped scene.
         values: The values of the keys that are varied.
+        fixed: The values of the keys that are the same in all conditions.
     """
 
     scene: str
     values: Mapping[str, Any] = field(default_factory=dict)
+    fixed: Mapping[str, Any] = field(default_factory=dict)
 
     def of_truth(self) -> dict[str, Any]:
         """The keys of the scene without its detector."""
-        return {key: value for key, value in self.values.items() if layer_of(key) == "truth"}
+        return self._of("truth")
 
     def of_detector(self) -> dict[str, Any]:
         """The keys of the detector, and `detector`, `state` and `from`."""
-        return {key: value for key, value in self.values.items() if layer_of(key) == "detections"}
+        return self._of("detections")
 
     def of_tracker(self) -> dict[str, Any]:
         """The settings of the tracker."""
         cut = len(TRACKER) + 1
-        return {key[cut:]: value for key, value in self.values.items() if layer_of(key) == "tracks"}
+        return {key[cut:]: value for key, value in self._of("tracks").items()}
 
     def with_values(self, values: Mapping[str, Any]) -> Condition:
         """The condition with more keys."""
-        return Condition(self.scene, {**self.values, **values})
+        return replace(self, values={**self.values, **values})
+
+    @property
+    def all_values(self) -> dict[str, Any]:
+        """The values of all keys."""
+        return {**self.fixed, **self.values}
+
+    def _of(self, layer: str) -> dict[str, Any]:
+        return {key: value for key, value in self.all_values.items() if layer_of(key) == layer}
 
 
 def layer_of(key: str) -> str:
@@ -54,11 +64,11 @@ def layer_of(key: str) -> str:
     return "detections" if head in OF_DETECTOR else "truth"
 
 
-def conditions(scenes: Sequence[str], factors: Sequence[Factor]) -> list[Condition]:
+def conditions(scenes: Sequence[str], factors: Sequence[Factor], fixed: Mapping[str, Any]) -> list[Condition]:
     """All combinations, the last factor changing first."""
     levels = [list(_levels(factor)) for factor in factors]
     return [
-        Condition(scene, {key: value for level in chosen for key, value in level.items()})
+        Condition(scene, {key: value for level in chosen for key, value in level.items()}, fixed)
         for scene in scenes
         for chosen in product(*levels)
     ]

@@ -53,7 +53,7 @@ class Plan:
     @classmethod
     def of(cls, keys: CampaignKeys) -> Plan:
         """The plan of a campaign file."""
-        return cls(keys, tuple(conditions(keys.scenes, keys.vary)))
+        return cls(keys, tuple(conditions(keys.scenes, keys.vary, keys.settings)))
 
     def __len__(self) -> int:
         """Number of runs."""

@@ -188,5 +188,5 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
     if isinstance(found, dict) and found.get("sha256") == facts["sha256"]:
         return
     files = differing_files(found.get("files", {}), facts["files"]) if isinstance(found, dict) else []
-    differing = "; ".join(files or differences(found, facts))
+    differing = f"{', '.join(files)} changed" if files else "; ".join(differences(found, facts))
     raise OutputError(f"{plan.parent} holds a campaign with another plan: {differing}. Choose another folder")

@@ -217,13 +217,18 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
 
 
 def _vary_problems(keys: CampaignKeys) -> Iterator[str]:
-    """Keys that are varied twice, or cannot be."""
+    """Keys that are varied or set twice, or cannot be."""
     found = [key for factor in keys.vary for key in _keys_of(factor)]
     for key in dict.fromkeys(found):
         if found.count(key) > 1:
             yield f"vary: '{key}' is varied by two factors: put its values into one"
         if key in _ELSEWHERE:
             yield f"vary: '{key}' cannot be varied here: the key {_ELSEWHERE[key]} of the campaign is for that"
+    for key in keys.settings:
+        if key in found:
+            yield f"set: '{key}' is in vary too"
+        if key in _ELSEWHERE:
+            yield f"set: '{key}' cannot be set here: the key {_ELSEWHERE[key]} of the campaign is for that"
 
 
 def _keys_of(factor: Any) -> Iterator[str]:

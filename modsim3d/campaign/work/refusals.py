@@ -26,12 +26,13 @@ def condition_problems(condition: Condition, error: ModsimError, section: str = 
         return
     for problem in error.problems:
         said = f"{error.source}: {problem}"
-        key = next((key for key in _longest_first(condition.values) if _is_about(key, problem, said)), None)
+        key = next((key for key in _longest_first(condition.all_values) if _is_about(key, problem, said)), None)
         if key is None:
             yield f"{_in_words(condition)}: {said}"
         else:
             source = f" ({error.source})" if layer_of(key) == "tracks" else ""
-            yield f"{section}: {key} {shown(condition.values[key])}: {_without(problem, _option_of(key))}{source}"
+            place = section if key in condition.values else "set"
+            yield f"{place}: {key} {shown(condition.all_values[key])}: {_without(problem, _option_of(key))}{source}"
 
 
 def tracker_problems(place: int, error: ModsimError) -> Iterator[str]:
