@@ -11,6 +11,7 @@ import typer
 from modsim3d.commands.progress import progress
 from modsim3d.commands.shared import (
     INTERRUPTED,
+    CampaignArgument,
     JsonOption,
     OverwriteOption,
     QuietOption,
@@ -33,7 +34,7 @@ HEADER = ("", "in the campaign", "again")
 
 
 def campaign_run_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign, finished or not.")],
+    campaign: CampaignArgument,
     number: Annotated[int, typer.Argument(min=0, metavar="NUMBER", help="Number of the run, as in its tables.")],
     out: Annotated[
         Path, typer.Option(metavar="RUN", help="Run directory to write; its tracks go to RUN_tracks beside it.")
@@ -58,12 +59,12 @@ def campaign_run_command(
     from modsim3d.campaign.worst.film import film_moment
     from modsim3d.view.films.files import check_encoder
 
-    campaign = opened_campaign(folder)
+    opened = opened_campaign(campaign)
     if film:
         check_encoder("mp4")
     try:
-        with timed("run, tracks and scores"), progress(f"run {number}", campaign.keys.steps) as advance:
-            again = make_again(campaign, number, out, overwrite=overwrite, progress=advance)
+        with timed("run, tracks and scores"), progress(f"run {number}", opened.keys.steps) as advance:
+            again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
     except KeyboardInterrupt:
         say("\nmodsim3d: interrupted; the same command with --overwrite begins again", err=True)
         raise typer.Exit(INTERRUPTED) from None
@@ -71,12 +72,12 @@ def campaign_run_command(
     moment_s = None if again.row is None else again.row["worst_s"]
     if film and moment_s is not None:
         with timed("film"), progress("drawn", None) as advance:
-            moment = film_moment(out, again.tracks, rules_of(campaign.keys.score), moment_s, progress=advance)
+            moment = film_moment(out, again.tracks, rules_of(opened.keys.score), moment_s, progress=advance)
     _print_run(again)
     if film and moment is None:
         warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))
-    _print_outcome(campaign, again, moment)
-    say_json(_json(campaign, again, moment))
+    _print_outcome(opened, again, moment)
+    say_json(_json(opened, again, moment))
     crashed_before = again.before is not None and again.before["status"] == CRASHED
     if not again.same or (again.error is not None and not crashed_before):
         raise typer.Exit(NOT_THE_SAME)

@@ -49,7 +49,8 @@ def test_out_has_one_meaning() -> None:
     )
     assert metavars == {
         **folders,
-        **dict.fromkeys(("learn", "guess", "report", "rerun", "view", "campaign-table"), "FILE"),
+        **dict.fromkeys(("learn", "guess", "report", "rerun", "view", "campaign-table", "campaign-report"), "FILE"),
+        "campaign-run": "RUN",
     }
 
 

@@ -35,6 +35,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
     "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
     "campaign-table": ("means.csv", lambda run, out: ("campaign-table", small_campaign(run.parent), "--out", out)),
+    "campaign-report": ("page.html", lambda run, out: ("campaign-report", small_campaign(run.parent), "--out", out)),
     "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, "--replicates", 20, "--out", out)),
     "learn: page": (
         "page.html",
@@ -60,11 +61,13 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
     "compare": scene_file,
     "guess": lambda run: run / "scene" / "detector.yaml",
     "campaign-table": lambda run: small_campaign(run.parent) / "plan.json",
+    "campaign-report": lambda run: small_campaign(run.parent) / "plan.json",
     "detect: truth": lambda run: run.parent / "coco" / "gt.json",
 }
 """A file in the run that a command reads which does not read the run itself."""
-FOLDER_WRITERS = ("run", "detect", "ais")
+FOLDER_WRITERS = ("run", "detect", "ais", "campaign-run")
 """Those that write a folder of their own, which they alone recognise."""
+NO_DEFAULT = ("compare", "score", "campaign-table", "campaign-report")
 CONTINUING = ("campaign",)
 """Those that go on with a folder of their own and never replace one, so that they have no `--overwrite`."""
 NO_WRITERS = ("check", "scenes", "repeat", "stream", "campaign-status")
