@@ -24,12 +24,12 @@ DRAWN = {"vary": [{"uniform": {"state": {"choices": ["good", "bad"]}}}]}
         (
             GRID,
             {**HOTA, "where": {"state": "baad"}},
-            "require[0].where.state: there is no 'baad' (did you mean 'bad'?)",
+            "where.state: there is no 'baad' (did you mean 'bad'?)",
         ),
         (
             GRID,
             {**HOTA, "where": {"waves.level": ["small", "huge"]}},
-            "require[0].where.waves.level: there is no 'huge'",
+            "where.waves.level: there is no 'huge'",
         ),
         (GRID, {**HOTA, "where": {"waves.level": []}}, "require[0].where.waves.level: names no value"),
         (GRID, {**HOTA, "where": {"tracker": "sort"}}, "require[0].where.tracker: there is no 'sort'"),

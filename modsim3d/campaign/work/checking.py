@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.file.keys import CampaignKeys, Requirement, TrackerKeys
+from modsim3d.campaign.file.keys import CampaignKeys, TrackerKeys
 from modsim3d.campaign.file.reading import CampaignFile
 from modsim3d.campaign.plan.conditions import count_conditions
 from modsim3d.campaign.plan.drawn import value_at
