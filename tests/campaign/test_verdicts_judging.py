@@ -226,3 +226,16 @@ def test_a_crashed_run_widens_a_paired_difference_and_does_not_drop_out():
     whole, lost = (paired(plan, table_of_scores(plan, "hota", values, crashed), "hota")[0] for crashed in ((), (6,)))
     assert (lost.crashed, lost.seeds) == (1, 99)
     assert lost.low < whole.low and lost.high > whole.high
+
+
+def test_a_mean_over_drawn_detectors_is_said_to_become_narrow_and_a_share_is_not():
+    (said,) = warnings_of(plan_of(50, [HOTA], uncertainty="learned"))
+    assert "over all detectors that the labelled set allows" in said
+    assert warnings_of(plan_of(50, [{**HOTA, "in": 0.9}], uncertainty="learned")) == []
+
+
+def test_a_difference_that_is_always_the_same_has_no_interval_and_no_gain():
+    values = np.array([[0.9, 0.8], [0.7, 0.6], [0.4, 0.3]])
+    (found,) = paired(plan_of(3, [], ("bytetrack", "sort")), table_of_scores(plan_of(3, []), "hota", values), "hota")
+    assert found.mean == pytest.approx(0.1)
+    assert found.low is found.high is found.variance_ratio is None

@@ -22,6 +22,12 @@ def warnings_of(plan: Plan) -> list[str]:
             "latin_hypercube: its points depend on each other, and the bounds of requirements take traffic seeds for "
             "independent. They are usually too wide then, but that is not certain; uniform has independent points"
         )
+    if plan.keys.uncertainty == "learned" and any(each.share is None for each in plan.keys.require):
+        found.append(
+            "uncertainty: learned: a mean is one over all detectors that the labelled set allows, so its interval "
+            "becomes narrow with many traffic seeds, however small the set is; a share of seeds with `in` says how "
+            "many of these detectors are good enough"
+        )
     return found
 
 

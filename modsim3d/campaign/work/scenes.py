@@ -131,7 +131,9 @@ class Scenes:
             drawn = drawn_detector(known, seed)
         except ModsimError as error:
             raise InputError(f"detector {file}", [str(error)]) from None
-        left = {key: value for key, value in drawn.items() if not any(_is_within(key, each) for each in choice.settings)}
+        left = {
+            key: value for key, value in drawn.items() if not any(_is_within(key, each) for each in choice.settings)
+        }
         return replace(choice, settings={**left, **choice.settings})
 
     def alone(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
