@@ -61,3 +61,13 @@ def test_a_share_of_a_score_without_bounds_can_be_judged_sequentially(tmp_path):
     }
     file.write_text(yaml.safe_dump(content))
     assert checked(read_campaign(file)).plan.keys.require[0].share == 0.9
+
+
+def test_a_state_that_no_detector_has_is_one_problem_and_not_one_for_each_condition(tmp_path):
+    file = tmp_path / "campaign.yaml"
+    requirement = {**HOTA, "where": {"state": "foggy"}}
+    file.write_text(yaml.safe_dump({"scene": "harbour", "trackers": ["bytetrack"], "require": [requirement]}))
+    with pytest.raises(InputError) as refused:
+        checked(read_campaign(file))
+    (problem,) = refused.value.problems
+    assert problem.startswith("require[0].where.state: there is no 'foggy' (known: ")

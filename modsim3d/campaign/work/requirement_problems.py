@@ -84,6 +84,8 @@ def judging_problems(
         return
     for state, condition in dict.fromkeys((str(case.state), case.condition) for case in cases):
         states = facts[condition].states
+        if not any(state in each.states for each in facts):
+            continue  # `where_problems` says so
         if state not in states:
             yield f"{where}.where.state: the detector of condition {condition} has no state '{state}'"
         elif len(states) == 1:
