@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -162,6 +164,28 @@ def test_a_search_that_ended_is_not_made_again(campaign: Path, result: SearchRes
     assert search(campaign, result.folder.path, no_engine).table.equals(result.table)
 
 
+def test_a_search_that_was_killed_at_its_very_end_leaves_nothing_of_its_tasks(
+    campaign: Path, result: SearchResult
+) -> None:
+    (result.folder.done / "left").mkdir(parents=True)
+    search(campaign, result.folder.path, no_engine)
+    assert not result.folder.done.exists()
+
+
+def test_a_score_that_was_damaged_on_the_disk_is_told(campaign: Path, result: SearchResult) -> None:
+    folder = campaign.parent / "damaged"
+    shutil.copytree(result.folder.path, folder)
+    file = folder / "search" / "part-00000.parquet"
+    group = pq.ParquetFile(file).metadata.row_group(0)
+    columns = [group.column(place) for place in range(group.num_columns)]
+    hota = next(column for column in columns if column.path_in_schema == "hota")
+    content = bytearray(file.read_bytes())
+    content[hota.data_page_offset - 20] ^= 255  # of the values themselves, which lie before the page that names them
+    file.write_bytes(content)
+    with pytest.raises(ModsimError, match="is damaged"):
+        search_table(opened_campaign(folder))
+
+
 def test_an_interrupted_search_ends_with_the_same_bytes_whichever_engine(campaign: Path, result: SearchResult) -> None:
     folder = campaign.parent / "interrupted"
     with pytest.raises(KeyboardInterrupt):
@@ -209,6 +233,8 @@ def written_again(campaign: Path) -> Path:
         ({"vary": [{"uniform": {"time_step_s": [0.4, 0.6]}}]}, "vary: 'time_step_s' is drawn"),
         ({"seeds": {"traffic": 3}}, "seeds: does not go with search.*search.seeds is the number"),
         ({"require": [{"score": "hota", "at_least": 0.5}]}, "require: does not go with search"),
+        ({"uncertainty": "learned"}, "uncertainty: does not go with search"),
+        ({"batch": 4}, "batch: does not go with search: search.batch is the number of trials"),
         ({"search": {**SEARCH, "over": {"seed": [1, 2]}}}, "search.over: 'seed' cannot be searched"),
         ({"search": {**SEARCH, "over": {"wave.level": [1, 2]}}}, r"search\.over.*wave\.level.*unknown key wave"),
         ({"search": {**SEARCH, "over": {"tracker.lost": [1, 2]}}}, r"search\.over.*lost"),

@@ -258,6 +258,14 @@ def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: dict[s
     assert len({state.false_discovery_rate for state in states}) == 3
 
 
+def test_nothing_within_a_key_that_the_campaign_sets_is_drawn(folder: Path, learned: dict[str, LearnResult]) -> None:
+    """Settings of keys within others come later: a drawn mean would undo the box error that the campaign varies."""
+    errors = {"unit": "px", "mean": [0.0] * 4, "covariance": np.diag([1.0, 2.0, 3.0, 4.0]).tolist()}
+    condition = Condition("harbour", {"detector": "few.yaml", "detector.states.real_world.box_error": errors})
+    for scene in (Scenes(3, folder, learned=True).of(condition, seed, 6) for seed in (5, 6)):
+        np.testing.assert_array_equal(scene.detector.states[0].box_error.covariance, errors["covariance"])
+
+
 def test_a_detector_without_what_learn_says_of_it_is_refused(
     folder: Path, learned: dict[str, LearnResult], tmp_path: Path
 ) -> None:

@@ -38,7 +38,7 @@ def test_a_sequential_share_is_met_from_680_clean_seeds_on(seeds, outcome):
 def test_a_campaign_that_is_looked_at_once_decides_nothing_before_its_end():
     verdict = one(plan_of(300, [CLEAN]), "id_switches", [0] * 299)
     assert (verdict.outcome, verdict.low, verdict.high) == ("undecided", None, None)
-    assert "299 traffic seeds of 300 are done, 1 so far" in verdict.why
+    assert "299 traffic seeds of 300 are done, 100 % right so far" in verdict.why
 
 
 def test_a_seed_is_right_if_the_runs_with_all_its_detector_seeds_are():
@@ -154,6 +154,49 @@ def test_a_plan_that_is_too_small_is_said_so_before_it_starts():
     assert warnings_of(plan_of(1, [HOTA]))
 
 
+@pytest.mark.parametrize("stop", ["once", "sequential"])
+@pytest.mark.parametrize("requirement", [
+    {"score": "hota", "at_least": 1}, {"score": "hota", "at_most": 0}, {"score": "hota", "at_least": 1.2, "in": 0.5},
+])  # fmt: skip
+def test_a_mean_at_the_end_of_its_score_and_a_value_beyond_it_can_never_be_met(requirement, stop):
+    plan = plan_of(5_000, [requirement], stop=stop)
+    assert warnings_of(plan)
+    best = 1.0 if "at_least" in requirement else 0.0
+    assert one(plan_of(50, [requirement], stop=stop), "hota", [best] * 50).outcome != "met"
+
+
+def test_a_mean_of_switches_that_must_be_none_is_said_to_need_a_share():
+    (said,) = warnings_of(plan_of(50, [{"score": "id_switches", "at_most": 0}]))
+    assert "ask for a share of seeds with `in`" in said
+
+
+def test_levels_are_never_a_probability_of_a_hundred_percent():
+    twelve, many = (levels_of(plan_of(5, [HOTA] * count)).sentences() for count in (12, 21))
+    assert "The probability that one or more of the 12 verdicts are wrong is at most 60 %." in twelve
+    assert any("Of the 21 verdicts up to 1.05 are wrong on average" in each for each in many)
+    assert not any("100 %" in each for each in many)
+
+
+def test_an_undecided_share_asks_for_a_campaign_that_was_not_looked_at():
+    assert "It takes 473 seeds with no more than 1 wrong, in a campaign with another `seed`" in (
+        one(plan_of(299, [CLEAN]), "id_switches", [1] + [0] * 298).why
+    )
+
+
+def test_a_threshold_is_told_as_it_was_given_and_a_mean_without_exponent():
+    verdict = one(plan_of(3, [{"score": "gospa", "at_most": 1_234_567.5}]), "gospa", [23_456.0, 23_457.0, 23_461.0])
+    assert verdict.text == "gospa at most 1234567.5" and "the mean is 23458;" in verdict.why
+
+
+def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
+    plan = plan_of(4, [{**HOTA, "where": {"state": "haze"}}])
+    hota = [0.7, None, 0.72, 0.71]
+    rows = [{"run": run, "status": "done", "hota": 0.1, "state.haze.hota": hota[run]} for run in range(4)]
+    (verdict,) = judged(plan, table_of(rows))
+    assert (verdict.outcome, verdict.seeds, verdict.undefined) == ("met", 3, 1)
+    assert "1 traffic seed without hota in state haze left out: 1000001." in verdict.why
+
+
 def test_pairing_takes_off_what_both_trackers_share():
     plan = plan_of(40, [], ("bytetrack", "sort"))
     rng = np.random.default_rng(4)
@@ -183,3 +226,16 @@ def test_a_crashed_run_widens_a_paired_difference_and_does_not_drop_out():
     whole, lost = (paired(plan, table_of_scores(plan, "hota", values, crashed), "hota")[0] for crashed in ((), (6,)))
     assert (lost.crashed, lost.seeds) == (1, 99)
     assert lost.low < whole.low and lost.high > whole.high
+
+
+def test_a_mean_over_drawn_detectors_is_said_to_become_narrow_and_a_share_is_not():
+    (said,) = warnings_of(plan_of(50, [HOTA], uncertainty="learned"))
+    assert "over all detectors that the labelled set allows" in said
+    assert warnings_of(plan_of(50, [{**HOTA, "in": 0.9}], uncertainty="learned")) == []
+
+
+def test_a_difference_that_is_always_the_same_has_no_interval_and_no_gain():
+    values = np.array([[0.9, 0.8], [0.7, 0.6], [0.4, 0.3]])
+    (found,) = paired(plan_of(3, [], ("bytetrack", "sort")), table_of_scores(plan_of(3, []), "hota", values), "hota")
+    assert found.mean == pytest.approx(0.1)
+    assert found.low is found.high is found.variance_ratio is None

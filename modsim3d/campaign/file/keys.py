@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from modsim3d.inputs.validation import Number, Positive, Strict
 from modsim3d.tracks.similarity import SimilarityName
@@ -14,7 +14,24 @@ MOST_SEEDS = 1_000_000
 MOST_DETECTOR_SEEDS = 1_000
 MOST_BASE = 9_000
 Scalar = str | int | float | bool | None
-Share = Annotated[float, Field(strict=True, gt=0, lt=1)]
+
+
+def _checked_share(value: float) -> float:
+    if value == 1:
+        raise ValueError("no number of runs shows that every seed is right: ask for a share below 1, as in 0.99")
+    if not 0 < value < 1:
+        raise ValueError(f"needs a share between 0 and 1, as in 0.99 (got {value:g})")
+    return value
+
+
+def _checked_confidence(value: float) -> float:
+    if not 0.5 <= value < 1:
+        raise ValueError(f"needs a probability of 0.5 or more and below 1, as in 0.95 (got {value:g})")
+    return value
+
+
+Share = Annotated[float, Field(strict=True), AfterValidator(_checked_share)]
+Confidence = Annotated[float, Field(strict=True), AfterValidator(_checked_confidence)]
 Text = Annotated[str, Field(min_length=1)]
 Layer = Literal["truth", "detections", "tracks"]
 
@@ -163,7 +180,7 @@ class Requirement(Strict):
     at_least: Number | None = None
     at_most: Number | None = None
     share: Share | None = Field(default=None, alias="in")
-    confidence: Annotated[float, Field(strict=True, ge=0.5, lt=1)] = 0.95
+    confidence: Confidence = 0.95
 
     @model_validator(mode="after")
     def _check(self) -> Self:

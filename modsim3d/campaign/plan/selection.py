@@ -44,13 +44,17 @@ def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
 
 
 def wanted_of(requirement: Requirement) -> dict[str, list[Any]]:
-    """The values that each key of `where` may have."""
-    return {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
+    """The values that each key of `where` may have, each once."""
+    given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
+    return {
+        key: [each for place, each in enumerate(values) if not any(same(each, other) for other in values[:place])]
+        for key, values in given.items()
+    }
 
 
 def selects(wanted: dict[str, list[Any]], condition: Condition) -> bool:
     """Whether a condition has one of the values of each key."""
-    return all(any(same(_value(condition, key), each) for each in values) for key, values in wanted.items())
+    return all(any(same(value_of(condition, key), each) for each in values) for key, values in wanted.items())
 
 
 def same(value: Any, wanted: Any) -> bool:
@@ -58,5 +62,6 @@ def same(value: Any, wanted: Any) -> bool:
     return bool(value == wanted) and isinstance(value, bool) == isinstance(wanted, bool)
 
 
-def _value(condition: Condition, key: str) -> Any:
+def value_of(condition: Condition, key: str) -> Any:
+    """The value that a condition has of a key, or the name of its scene; None if it has none."""
     return Path(condition.scene).stem if key == SCENE else condition.values.get(key)

@@ -100,7 +100,8 @@ def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
         found.append((said + "seeds vary what they vary, and no result speaks of other traffic.", ""))
     if plan.keys.uncertainty == "learned":
         said = "The detector's parameters are drawn for each traffic seed from the intervals that learn wrote, so the "
-        found.append((said + "intervals are wider where its test set was small.", ""))
+        said += "intervals are wider where its test set was small. A mean is one over all detectors that this set "
+        found.append((said + "allows: with many seeds its interval is narrow, however small the set.", ""))
     return found
 
 

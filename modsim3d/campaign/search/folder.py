@@ -24,7 +24,7 @@ from modsim3d.campaign.search.space import Point
 from modsim3d.campaign.search.trials import planned_trial, told_apart
 from modsim3d.campaign.work.row import table_of
 from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.task import Task, stored_report
+from modsim3d.campaign.work.task import Task, read_rows
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.placing import make_folder, sync_file, sync_folder, write_files
 from modsim3d.paths import StrPath
@@ -63,14 +63,12 @@ def store_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -> 
 
 
 def done_row(task: Task) -> dict[str, Any] | None:
-    """The row of a task of one run; None if it is not done."""
-    if stored_report(task.path) is None:
+    """The row of a task of one run; None if it is not done, or its file is damaged."""
+    table = read_rows(task.path)
+    if table is None:
         return None
-    try:
-        rows: list[dict[str, Any]] = pq.read_table(task.path, partitioning=None).to_pylist()
-    except (OSError, pa.ArrowException):
-        return None  # damaged
-    return rows[0]
+    row: dict[str, Any] = table.to_pylist()[0]
+    return row
 
 
 def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], search: SearchKeys) -> pa.Table:
@@ -97,7 +95,7 @@ def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], 
 
 
 def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
-    """Write the trials of a search that ended, and remove the files of its tasks.
+    """Write the trials of a search that ended.
 
     Raises:
         OutputError: They cannot be written.
@@ -107,14 +105,13 @@ def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
     try:
         shutil.rmtree(partial, ignore_errors=True)
         make_folder(partial)
-        pq.write_table(table, partial / _PART, compression="zstd")
+        pq.write_table(table, partial / _PART, compression="zstd", write_page_checksum=True)
         sync_file(partial / _PART)
         sync_folder(partial)
         partial.rename(final)
         sync_folder(folder.path)
     except OSError as error:
         raise OutputError(f"{final} cannot be written: {error.strerror or error}") from error
-    shutil.rmtree(folder.done, ignore_errors=True)
 
 
 def search_table(folder: CampaignFolder) -> pa.Table:
@@ -127,7 +124,7 @@ def search_table(folder: CampaignFolder) -> pa.Table:
     if search_ended(folder):
         path = folder.path / SEARCH / _PART
         try:
-            return pq.read_table(path, partitioning=None)
+            return pq.read_table(path, partitioning=None, page_checksum_verification=True)
         except (OSError, pa.ArrowException) as error:
             raise ModsimError(f"{path} is damaged: {error}") from None
     scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))

@@ -15,6 +15,7 @@ import pyarrow as pa
 from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
+from modsim3d.campaign.results.gather import remove_done
 from modsim3d.campaign.running import DEATHS, DIED, READ_AGAIN_S, Progress
 from modsim3d.campaign.search.findings import Finding, findings, sentence
 from modsim3d.campaign.search.folder import (
@@ -91,6 +92,7 @@ def run_search(
                 _make_all(trials, here)
             write_trials(here, trials_table(trials.runs, trials.rows, search))
             _log(here, search.budget, time.perf_counter() - started)
+        remove_done(here)
         return SearchResult(here, search_table(here))
 
 

@@ -20,7 +20,7 @@ from modsim3d.campaign.verdicts.plan_warnings import never_met
 from modsim3d.campaign.verdicts.proportions import clean_seeds_needed
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
-from modsim3d.campaign.verdicts.wording import counted, percent, requirement_text, rounded_down, rounded_up
+from modsim3d.campaign.verdicts.wording import counted, percent, requirement_text, rounded, rounded_down, rounded_up
 from modsim3d.campaign.work.score_bounds import score_bounds
 
 _NAMED = 5
@@ -61,13 +61,14 @@ def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
     found = (_of_mean if requirement.share is None else _of_share)(requirement, runs, keys)
     why = [found.why]
     if keys.stop == "once" and rows.seeds < keys.seeds.traffic:
-        found, why = _not_yet(found, runs, keys.seeds.traffic)
+        found, why = _not_yet(found, requirement, runs, keys.seeds.traffic)
     elif found.outcome == "undecided" and (reason := never_met(keys, requirement)):
         why.append(f"This plan can never meet it: {reason}.")
     if crashed:
         why.append(_of_crashed(crashed, requirement, score_bounds(requirement.score, keys.score)))
     if len(undefined):
-        why.append(_of_undefined(undefined, requirement, keys.seed))
+        name = requirement.score if case.state is None else f"{requirement.score} in state {case.state}"
+        why.append(_of_undefined(undefined, name, keys.seed))
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
     return Verdict(
         place,
@@ -87,18 +88,20 @@ def _verdict(plan: Plan, place: int, case: Case, rows: Rows) -> Verdict:
     )
 
 
-def _not_yet(found: _Found, runs: Runs, planned: int) -> tuple[_Found, list[str]]:
+def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Found, list[str]]:
     """Undecided, with the state so far and without bounds, which hold for one look only."""
-    done = counted(len(runs.values), "traffic seed")
-    state = "" if found.estimate is None else f", {found.estimate:.4g} so far"
+    done, state = counted(len(runs.values), "traffic seed"), ""
+    if found.estimate is not None:
+        mean = requirement.share is None
+        state = f", mean {rounded(found.estimate)} so far" if mean else f", {100 * found.estimate:.4g} % right so far"
     why = f"{done} of {planned:,} {'is' if len(runs.values) == 1 else 'are'} done{state}; it is judged when all are."
     return _Found("undecided", found.estimate, UNKNOWN, why), [why]
 
 
-def _of_undefined(seeds: Indices, requirement: Requirement, base: int) -> str:
+def _of_undefined(seeds: Indices, name: str, base: int) -> str:
     named = ", ".join(str(traffic_seed(base, int(index))) for index in seeds[:_NAMED])
     more = ", …" if len(seeds) > _NAMED else ""
-    return f"{counted(len(seeds), 'traffic seed')} without {requirement.score} left out: {named}{more}."
+    return f"{counted(len(seeds), 'traffic seed')} without {name} left out: {named}{more}."
 
 
 def _values(plan: Plan, case: Case) -> dict[str, Any]:
@@ -120,7 +123,8 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
     why += f"{_between(bounds, requirement)}."
     if outcome == "undecided" and keys.stop == "once" and good > requirement.share * len(right):
         needed = clean_seeds_needed(requirement.share, requirement.confidence, len(right) - good)
-        why += f" With {len(right) - good} wrong, {needed:,} seeds would meet it."
+        most = f"no more than {len(right) - good:,}" if good < len(right) else "none"
+        why += f" It takes {needed:,} seeds with {most} wrong, in a campaign with another `seed`: these were looked at."
     return _Found(outcome, float(right.mean()), bounds, why)
 
 
@@ -136,7 +140,7 @@ def _of_mean(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Found
         outcome = _outcome(bounds.high <= requirement.threshold, bounds.low > requirement.threshold)
     seen = seen[~np.isnan(seen)]
     estimate = float(seen.mean()) if len(seen) else None
-    said = f"the mean is {estimate:.4g}" if estimate is not None else "there is no mean"
+    said = f"the mean is {rounded(estimate)}" if estimate is not None else "there is no mean"
     why = f"Over {counted(len(worst), 'traffic seed')} {said}"
     if bounds.known:
         why += f"; {_between(bounds, requirement)}."
@@ -162,9 +166,9 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
         sides.append(f"at least {rounded_down(bounds.low)}")
     if math.isfinite(bounds.high):
         sides.append(f"at most {rounded_up(bounds.high)}")
-    what = "that of all traffic is" if requirement.share is None else "the share of all traffic is"
+    what = "the true mean" if requirement.share is None else "the true share"
     each = "each " if len(sides) == 2 else ""
-    return f"{what} {' and '.join(sides)}, {each}with {percent(requirement.confidence)} confidence"
+    return f"{what} is {' and '.join(sides)}, {each}with {percent(requirement.confidence)} confidence"
 
 
 def _of_crashed(crashed: int, requirement: Requirement, limits: tuple[float, float]) -> str:

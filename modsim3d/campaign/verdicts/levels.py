@@ -19,6 +19,7 @@ class Levels:
         failed: That a requirement that holds is called failed; the greatest of all verdicts.
         all_met: That all are called met although one does not hold: an error of that one, so no greater than `met`.
         any_wrong: That one verdict or more is wrong: at most the sum of all (union bound).
+        mean_wrong: The sum itself: so many verdicts are wrong at most, in the mean of many such campaigns.
         sequential: Whether this holds however often the campaign is looked at; else it is looked at once.
         by_t: Whether a mean is judged by Student's t, for which the numbers are approximate.
     """
@@ -28,6 +29,7 @@ class Levels:
     failed: float
     all_met: float
     any_wrong: float
+    mean_wrong: float
     sequential: bool
     by_t: bool
 
@@ -41,9 +43,14 @@ class Levels:
             f"one that holds is called failed with at most {_percent(self.failed)}, {looked}.",
         ]
         if self.verdicts > 1:
+            count = f"{self.verdicts:,} verdicts"
             found += [
-                f"That all {self.verdicts:,} verdicts are met is wrong with at most {_percent(self.all_met)}.",
-                f"That one or more of the {self.verdicts:,} verdicts are wrong has at most {_percent(self.any_wrong)}.",
+                f"The probability that all {count} are met although one requirement does not hold is at most "
+                f"{_percent(self.all_met)}.",
+                f"The probability that one or more of the {count} are wrong is at most {_percent(self.any_wrong)}."
+                if self.any_wrong < 1
+                else f"Of the {count} up to {self.mean_wrong:.3g} are wrong on average: raise the confidence if each "
+                "one matters.",
             ]
         if self.by_t:
             found.append("Means are judged by Student's t: exact for normal values, approximate for others.")
@@ -55,7 +62,7 @@ def levels_of(plan: Plan) -> Levels:
     errors = [1 - each.confidence for each in plan.keys.require for _ in cases_of(plan, each)]
     greatest, sequential = max(errors, default=0.0), plan.keys.stop == "sequential"
     by_t = not sequential and any(each.share is None for each in plan.keys.require)
-    return Levels(len(errors), greatest, greatest, greatest, min(1.0, sum(errors)), sequential, by_t)
+    return Levels(len(errors), greatest, greatest, greatest, min(1.0, sum(errors)), sum(errors), sequential, by_t)
 
 
 def _percent(probability: float) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from modsim3d.campaign.file.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.verdicts.betting import perfect_seeds_needed
@@ -24,24 +22,31 @@ def warnings_of(plan: Plan) -> list[str]:
             "latin_hypercube: its points depend on each other, and the bounds of requirements take traffic seeds for "
             "independent. They are usually too wide then, but that is not certain; uniform has independent points"
         )
+    if plan.keys.uncertainty == "learned" and any(each.share is None for each in plan.keys.require):
+        found.append(
+            "uncertainty: learned: a mean is one over all detectors that the labelled set allows, so its interval "
+            "becomes narrow with many traffic seeds, however small the set is; a share of seeds with `in` says how "
+            "many of these detectors are good enough"
+        )
     return found
 
 
 def never_met(keys: CampaignKeys, requirement: Requirement) -> str:
     """Why a plan is too small to meet a requirement, whatever its runs give; empty if it is not."""
     seeds = keys.seeds.traffic
-    if requirement.share is not None:
-        return _share_never_met(requirement.share, requirement.confidence, keys.stop, seeds)
     least, greatest = score_bounds(requirement.score, keys.score)
     at_least = requirement.at_least is not None
     if requirement.threshold > greatest if at_least else requirement.threshold < least:
         return f"{requirement.score} is never {f'above {greatest:g}' if at_least else f'below {least:g}'}"
+    if requirement.share is not None:
+        return _share_never_met(requirement.share, requirement.confidence, keys.stop, seeds)
+    if requirement.threshold == (greatest if at_least else least):
+        end = "greatest" if at_least else "least"
+        return f"no number of runs shows that a mean is the {end} possible value: ask for a share of seeds with `in`"
     if keys.stop == "once":
         return "a mean needs two traffic seeds" if seeds < 2 else ""
     asked = requirement.threshold - least if at_least else greatest - requirement.threshold
     needed = perfect_seeds_needed(asked / (greatest - least), requirement.confidence)
-    if math.isinf(needed):
-        return f"no number of runs shows that a mean is the {'greatest' if at_least else 'least'} possible value"
     if needed > seeds:
         return (
             f"with stop: sequential it needs {needed:,} traffic seeds even if every score is perfect, and has {seeds:,}"

@@ -12,7 +12,7 @@ _DIGITS = 4
 def requirement_text(requirement: Requirement, state: str | None = None) -> str:
     """A requirement in words, such as `hota at least 0.6 in state haze`."""
     side = "at least" if requirement.at_least is not None else "at most"
-    text = f"{requirement.score} {side} {requirement.threshold:g}"
+    text = f"{requirement.score} {side} {requirement.threshold:.10g}"
     if state is not None:
         text += f" in state {state}"
     return text if requirement.share is None else f"{text}, in {percent(requirement.share)} of traffic seeds"
@@ -31,6 +31,11 @@ def rounded_down(value: float) -> str:
 def rounded_up(value: float) -> str:
     """An upper bound with four digits, never below what it is."""
     return _rounded(value, math.ceil)
+
+
+def rounded(value: float) -> str:
+    """A number with four digits, as near as they allow."""
+    return _rounded(value, round)
 
 
 def counted(number: int, noun: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.file.keys import CampaignKeys, Requirement, TrackerKeys
+from modsim3d.campaign.file.keys import CampaignKeys, TrackerKeys
 from modsim3d.campaign.file.reading import CampaignFile
 from modsim3d.campaign.plan.conditions import count_conditions
 from modsim3d.campaign.plan.drawn import value_at
@@ -15,7 +15,7 @@ from modsim3d.campaign.plan.plan import Plan, PlannedRun
 from modsim3d.campaign.work.digests import detector_digest, digest, versions
 from modsim3d.campaign.work.files import checksums
 from modsim3d.campaign.work.refusals import condition_problems, tracker_problems
-from modsim3d.campaign.work.requirement_problems import judging_problems
+from modsim3d.campaign.work.requirement_problems import judging_problems, where_problems
 from modsim3d.campaign.work.row import SCORES, rules_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.search_checks import search_problems, search_versions
@@ -259,27 +259,10 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path]) -> Con
 
 
 def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[str]:
-    labels = [tracker.label for tracker in plan.keys.trackers]
     states = {state for each in facts for state in each.states}
     for place, requirement in enumerate(plan.keys.require):
         where = f"require[{place}]"
         if requirement.score not in SCORES:
             yield f"{where}.score: there is no score '{requirement.score}' ({nearest(requirement.score, SCORES)})"
-        yield from _where_problems(requirement, where, plan, labels, states)
+        yield from where_problems(requirement, where, plan, states)
         yield from judging_problems(requirement, where, plan, facts)
-
-
-def _where_problems(
-    requirement: Requirement, where: str, plan: Plan, labels: list[str], states: set[str]
-) -> Iterator[str]:
-    known = ["tracker", "scene", "state", *plan.parameters]
-    for key, value in requirement.where.items():
-        values = value if isinstance(value, list) else [value]
-        if key not in known:
-            yield f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})"
-            continue
-        possible: set[Any] = set(labels) if key == "tracker" else states
-        if key == "tracker" or (key == "state" and "state" not in plan.parameters):
-            for each in values:
-                if each not in possible:
-                    yield f"{where}.where.{key}: there is no '{each}' ({nearest(str(each), sorted(possible))})"

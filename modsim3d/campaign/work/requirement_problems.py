@@ -3,16 +3,60 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from modsim3d.campaign.file.keys import Requirement
+from modsim3d.campaign.plan.conditions import TRACKER
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.plan.selection import cases_of
+from modsim3d.campaign.plan.selection import SCENE, STATE, cases_of, same, value_of, wanted_of
 from modsim3d.campaign.work.row import SCORES
 from modsim3d.campaign.work.score_bounds import OF_STATES, is_bounded
+from modsim3d.inputs.validation import nearest, shown
 
 if TYPE_CHECKING:
     from modsim3d.campaign.work.checking import ConditionFacts
+
+
+def where_problems(requirement: Requirement, where: str, plan: Plan, states: set[str]) -> Iterator[str]:
+    """What `where` names that no run has: a requirement that is about no run would never be judged.
+
+    Args:
+        requirement: The requirement.
+        where: Its place in the file.
+        plan: The plan.
+        states: Names of the performance states of all detectors.
+    """
+    known, found = [TRACKER, SCENE, STATE, *plan.parameters], []
+    for key, values in wanted_of(requirement).items():
+        if key not in known:
+            found.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})")
+        elif key in plan.drawn:
+            found.append(f"{where}.where.{key}: is drawn for each traffic seed and selects nothing: leave it out")
+        elif not values:
+            found.append(f"{where}.where.{key}: names no value")
+        else:
+            possible = _possible(key, plan, states)
+            names = [str(each) for each in possible]
+            missing = [each for each in values if not any(same(other, each) for other in possible)]
+            found += [
+                f"{where}.where.{key}: there is no {shown(each)} ({nearest(str(each), names)})" for each in missing
+            ]
+    if not found and not cases_of(plan, requirement):
+        found.append(f"{where}.where: no condition has these values together")
+    yield from found
+
+
+def _possible(key: str, plan: Plan, states: set[str]) -> list[Any]:
+    """The values that runs of the campaign have of a key, each once."""
+    if key == TRACKER:
+        return [tracker.label for tracker in plan.keys.trackers]
+    if key == STATE and key not in plan.parameters:
+        return sorted(states)
+    found: list[Any] = []
+    for value in (value_of(condition, key) for condition in plan.conditions):
+        if not any(same(value, each) for each in found):
+            found.append(value)
+    return found
 
 
 def judging_problems(
@@ -40,6 +84,8 @@ def judging_problems(
         return
     for state, condition in dict.fromkeys((str(case.state), case.condition) for case in cases):
         states = facts[condition].states
+        if not any(state in each.states for each in facts):
+            continue  # `where_problems` says so
         if state not in states:
             yield f"{where}.where.state: the detector of condition {condition} has no state '{state}'"
         elif len(states) == 1:

@@ -120,7 +120,7 @@ class Scenes:
         return {path.resolve() for path in (*scene.copy.read, detector, *unsure)}
 
     def _choice(self, condition: Condition, seed: int) -> DetectorChoice:
-        """The detector of a traffic seed; a key that the campaign sets is not drawn."""
+        """The detector of a traffic seed; a key that the campaign sets is not drawn, nor what is within it."""
         choice = DetectorChoice.of(condition.of_detector(), self._folder)
         if not self._learned:
             return choice
@@ -131,7 +131,10 @@ class Scenes:
             drawn = drawn_detector(known, seed)
         except ModsimError as error:
             raise InputError(f"detector {file}", [str(error)]) from None
-        return replace(choice, settings={**drawn, **choice.settings})
+        left = {
+            key: value for key, value in drawn.items() if not any(_is_within(key, each) for each in choice.settings)
+        }
+        return replace(choice, settings={**left, **choice.settings})
 
     def alone(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
         """The same scene, loaded by itself: its copy in a run directory has the run's detector and its seed.
@@ -160,6 +163,11 @@ def _detector(choice: DetectorChoice, scene_file: Path) -> DetectorModel:
     if named is None and choice.state_from is None:
         named = str(detector_file(scene_file))
     return choose_detector(named, settings=choice.settings, state=choice.state, state_from=choice.state_from)[0]
+
+
+def _is_within(key: str, other: str) -> bool:
+    """Whether a key leads into what another one holds."""
+    return key.startswith(f"{other}.")
 
 
 def _known(file: Path) -> tuple[Path, LearnedUncertainty]:

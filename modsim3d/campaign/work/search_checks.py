@@ -35,6 +35,8 @@ def search_problems(keys: CampaignKeys) -> Iterator[str]:
         if key in keys.model_fields_set:
             hint = "; search.seeds is the number of seeds to choose from" if key == "seeds" else ""
             yield f"{key}: does not go with search, whose trials are chosen to be bad and make no rate{hint}"
+    if "batch" in keys.model_fields_set:
+        yield "batch: does not go with search: search.batch is the number of trials that are proposed at once"
     yield from _range_problems(plan, search)
 
 
