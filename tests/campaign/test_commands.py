@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,42 @@ def test_an_interrupted_campaign_says_how_to_go_on(
     said = modsim3d("campaign", file, "--out", tmp_path / "out")
     assert said.status == 130
     assert f"runs that are done are kept in {tmp_path / 'out'}: the same command goes on" in said.err
+
+
+@pytest.mark.parametrize(
+    ("library", "extra", "options"),
+    [
+        ("trackeval", "trackers", ()),
+        ("distributed", "cluster", ("--scheduler", "tcp://127.0.0.1:9")),
+        ("dask_jobqueue", "cluster", ("--slurm", 2)),
+    ],
+)
+def test_a_library_that_is_missing_is_told_before_the_scenes_are_read(
+    modsim3d: Modsim3d,
+    file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    library: str,
+    extra: str,
+    options: tuple[object, ...],
+) -> None:
+    def version(name: str) -> str:
+        if name == library:
+            raise PackageNotFoundError(name)
+        return "1.0"
+
+    def no_scene(*_: object) -> None:
+        raise AssertionError("a scene was read")
+
+    monkeypatch.setattr("modsim3d.campaign.work.digests.version", version)
+    monkeypatch.setattr(
+        "modsim3d.campaign.engines.dask_engine.find_spec", lambda name: None if name == library else name
+    )
+    monkeypatch.setattr("modsim3d.campaign.work.scenes.load_scene", no_scene)
+    said = modsim3d("campaign", file, "--out", tmp_path / "out", *options)
+    assert said.status == 2 and said.err.count("\n") == 1
+    assert f'pip install "modsim3d[{extra}]"' in said.err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_with_another_plan_is_refused_with_what_differs(

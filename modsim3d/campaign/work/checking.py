@@ -91,8 +91,10 @@ def checked(file: CampaignFile) -> CheckedCampaign:
 
     Raises:
         InputError: With every problem.
+        ModsimError: A library that it needs is not installed.
     """
     keys, source = file.keys, f"campaign {file.path}"
+    packages = {**versions(), **search_versions(keys)}
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
@@ -107,7 +109,6 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     if problems:
         raise InputError(source, dict.fromkeys(problems))
     content = keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
-    packages = {**versions(), **search_versions(keys)}
     sha256 = digest(content, [vars(each) for each in facts], packages)
     return CheckedCampaign(file, plan, tuple(facts), checksums(paths, file.base), packages, sha256)
 
