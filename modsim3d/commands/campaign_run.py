@@ -76,7 +76,9 @@ def campaign_run_command(
     moment_s = None if again.row is None else again.row["worst_s"]
     if film and moment_s is not None:
         with timed("film"), progress("drawn", None) as advance:
-            moment = film_moment(out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance)
+            moment = film_moment(
+                out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance
+            )
     _print_run(again)
     if film and moment is None:
         warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))

@@ -221,7 +221,9 @@ def test_another_run_or_the_tracks_of_another_tracker_are_refused(
     out = tmp_path / "again"
     line = ("--out", out)
     assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 0
-    other_tracker, other_seed, other_state = (modsim3d("campaign-run", campaign.folder.path, n, *line) for n in (3, 0, 6))
+    other_tracker, other_seed, other_state = (
+        modsim3d("campaign-run", campaign.folder.path, n, *line) for n in (3, 0, 6)
+    )
     assert other_tracker.status == other_seed.status == other_state.status == 2
     assert "tracks.parquet exists: use --overwrite" in other_tracker.err
     assert all(f"{out}" in said.err and "use --overwrite" in said.err for said in (other_seed, other_state))
