@@ -129,6 +129,7 @@ def _row(
         stored = open_run(out)
     else:
         reused.append(out)
+        progress(stored.steps)
     if found is None:
         found = track_run(stored, tracks, tracker=tracker, settings=settings, overwrite=overwrite).tracks
     else:
