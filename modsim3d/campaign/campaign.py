@@ -155,11 +155,15 @@ def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | N
         slurm: Number of Slurm jobs.
 
     Raises:
-        ModsimError: This is no number of workers, or both others are given.
+        ModsimError: This is no number of workers, both others are given, or a library that they need is missing.
     """
     worker_count(workers)
     if scheduler is not None and slurm is not None:
         raise ModsimError("--scheduler and --slurm contradict each other: leave one out")
+    if scheduler is not None or slurm is not None:
+        from modsim3d.campaign.engines.dask_engine import check_libraries
+
+        check_libraries("distributed", *(["dask_jobqueue"] if slurm is not None else []))
 
     def opened() -> Engine:
         if scheduler is not None or slurm is not None:

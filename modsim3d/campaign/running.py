@@ -14,12 +14,12 @@ import pyarrow.compute as pc
 from modsim3d.campaign.cutting import Cutter, same_truth
 from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.results.done_rows import DoneRows
-from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
+from modsim3d.campaign.results.folder import LOG, RESULTS, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done, results_table, write_results, write_verdicts
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import CheckedCampaign
-from modsim3d.campaign.work.task import Task, TaskReport, store_crashed, with_cache
+from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, with_cache
 from modsim3d.errors import ModsimError, OutputError
 
 DEATHS = 2
@@ -104,6 +104,7 @@ def run_plan(
     Raises:
         ModsimError: The folder holds another plan or cannot be written, or the engine fails.
     """
+    _check_cache(cache, folder)
     if shard is not None:
         _check_shard(campaign, *shard)
         here = planned(campaign, folder)
@@ -122,6 +123,19 @@ def run_plan(
         verdicts = judged(here.plan, table)
         write_verdicts(here, verdicts)
     return CampaignResult(here, table, verdicts)
+
+
+def _check_cache(cache: Path | None, folder: Path) -> None:
+    """Refuse layers among the rows and results of the campaign.
+
+    Raises:
+        OutputError: They would be written there.
+    """
+    for name in (DONE_FOLDER, RESULTS):
+        if cache is not None and (folder / name).resolve() in (cache.resolve(), *cache.resolve().parents):
+            raise OutputError(
+                f"--cache {cache}: {folder / name} is for the rows of the campaign: choose another folder"
+            )
 
 
 def _check_shard(campaign: CheckedCampaign, part: int, parts: int) -> None:

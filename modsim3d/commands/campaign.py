@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -119,7 +120,8 @@ def campaign_command(
         say_json({**_json(found, folder, warnings), "finished": True, "trials": len(searched.table)})
         return
     if result is None:
-        say(f"part {shard[0]} of {shard[1]} is done; gather all with: modsim3d campaign {campaign} --out {folder}")
+        gather = f"modsim3d campaign {shlex.quote(campaign)} --out {shlex.quote(str(folder))}"
+        say(f"part {shard[0]} of {shard[1]} is done; gather all with: {gather}")
         say_json(_json(found, folder, warnings))
         return
     _print_result(result)
@@ -175,8 +177,8 @@ def _print_result(result: CampaignResult) -> None:
     print_line(console, "")
     print_prose(console, _conclusion(result), "bold")
     print_path(console, "campaign", folder)
-    for line in (f"modsim3d campaign-report {folder}", f"modsim3d campaign-table {folder}"):
-        print_line(console, f"  {line}", "dim")
+    for command in ("campaign-report", "campaign-table"):
+        print_line(console, f"  modsim3d {command} {shlex.quote(str(folder))}", "dim")
 
 
 def _conclusion(result: CampaignResult) -> str:
@@ -198,7 +200,7 @@ def _print_search(result: SearchResult) -> None:
         print_prose(console, f"trial {finding.number}: {said}; traffic seed {finding.traffic_seed}, {values}")
         print_line(console, f"  {finding.again}", "dim")
     print_path(console, "search", result.folder.path)
-    print_line(console, f"  modsim3d campaign-report {result.folder.path}", "dim")
+    print_line(console, f"  modsim3d campaign-report {shlex.quote(str(result.folder.path))}", "dim")
 
 
 def _json(campaign: CheckedCampaign, folder: Path, warnings: list[str]) -> dict[str, Any]:

@@ -49,6 +49,8 @@ def campaign_run_command(
 ) -> None:
     """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
 
+    A run that is there already, and is this one, is not made a second time; any other is refused without --overwrite.
+
     Exit status 1 if it does not come out as in the campaign. A run that crashed crashes again: its error is told.
 
     Example: modsim3d campaign-run runs/example 12 --out runs/example/runs/12 --film
@@ -56,23 +58,27 @@ def campaign_run_command(
     from modsim3d.campaign.results.folder import opened_campaign
     from modsim3d.campaign.work.row import CRASHED, rules_of
     from modsim3d.campaign.worst.again import make_again
-    from modsim3d.campaign.worst.film import film_moment
+    from modsim3d.campaign.worst.film import film_moment, film_path
+    from modsim3d.outputs.claims import check_free
     from modsim3d.view.films.files import check_encoder
 
     opened = opened_campaign(campaign)
     if film:
         check_encoder("mp4")
+        check_free(film_path(out), overwrite)
     try:
         with timed("run, tracks and scores"), progress(f"run {number}", opened.keys.steps) as advance:
             again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
     except KeyboardInterrupt:
-        say("\nmodsim3d: interrupted; the same command with --overwrite begins again", err=True)
+        say("\nmodsim3d: interrupted; the same command goes on", err=True)
         raise typer.Exit(INTERRUPTED) from None
     moment = None
     moment_s = None if again.row is None else again.row["worst_s"]
     if film and moment_s is not None:
         with timed("film"), progress("drawn", None) as advance:
-            moment = film_moment(out, again.tracks, rules_of(opened.keys.score), moment_s, progress=advance)
+            moment = film_moment(
+                out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance
+            )
     _print_run(again)
     if film and moment is None:
         warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))
@@ -110,7 +116,10 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
             print_written(console, [again.folder])
             print_line(console, f"\nnext\n  modsim3d view {out} --film detections")
         return
-    print_written(console, [again.folder, again.tracks, *([film.path] if film else [])])
+    for path in again.reused:
+        print_line(console, f"{path} was there already")
+    new = [path for path in (again.folder, again.tracks) if path not in again.reused]
+    print_written(console, [*new, *([film.path] if film else [])])
     moment_s = (again.row or {}).get("worst_s")
     options = _score_options(campaign.keys.score)
     print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")

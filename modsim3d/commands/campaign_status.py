@@ -74,6 +74,8 @@ def _how(found: Present) -> list[str]:
     lines = []
     if found.last_s is not None:
         lines.append(f"last rows written {found.last_s:,.0f} s ago")
+    if found.worked_on_by is None and found.done == found.total:
+        return [*lines, "nobody holds its folder: the same command, without --shard, writes results and verdicts"]
     if found.worked_on_by is None:
         return [*lines, "nobody holds its folder: the same command goes on (parts of a job array are not seen here)"]
     return [*lines, f"worked on by {found.worked_on_by}, {duration_text(found.left_s)}"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -260,6 +261,8 @@ def crashed_lines(table: pa.Table) -> list[tuple[str, int, list[int]]]:
 
 def print_crashed(console: Console, table: pa.Table, folder: Path) -> None:
     """Print the errors of runs that crashed, the most frequent ones first, and how to see one again."""
+    from modsim3d.campaign.worst.ranking import RUNS_FOLDER
+
     found = crashed_lines(table)
     if not found:
         return
@@ -270,7 +273,9 @@ def print_crashed(console: Console, table: pa.Table, folder: Path) -> None:
         print_prose(console, f"{counted(count, 'run')} ({some}): {error}", indent=2)
     if len(found) > MOST_ERRORS:
         print_prose(console, f"… and {len(found) - MOST_ERRORS:,} other errors", "dim", indent=2)
-    print_line(console, f"  the first again: modsim3d campaign-run {folder} {found[0][2][0]} --out runs/again", "dim")
+    number, quoted = found[0][2][0], shlex.quote(str(folder))
+    out = shlex.quote(str(folder / RUNS_FOLDER / str(number)))
+    print_line(console, f"  the first again: modsim3d campaign-run {quoted} {number} --out {out}", "dim")
 
 
 def duration_text(seconds: float | None) -> str:

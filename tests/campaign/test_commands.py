@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
+import shutil
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 from scipy import stats
 
 import modsim3d as package
@@ -19,8 +24,10 @@ from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.commands.campaign import exit_status
+from modsim3d.commands.campaign_text import print_crashed
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.locks import locked_folder
+from tests.campaign.campaigns import checked_campaign
 from tests.commands.conftest import Modsim3d
 from tests.commands.test_json import documented
 
@@ -90,6 +97,42 @@ def test_an_interrupted_campaign_says_how_to_go_on(
     assert f"runs that are done are kept in {tmp_path / 'out'}: the same command goes on" in said.err
 
 
+@pytest.mark.parametrize(
+    ("library", "extra", "options"),
+    [
+        ("trackeval", "trackers", ()),
+        ("distributed", "cluster", ("--scheduler", "tcp://127.0.0.1:9")),
+        ("dask_jobqueue", "cluster", ("--slurm", 2)),
+    ],
+)
+def test_a_library_that_is_missing_is_told_before_the_scenes_are_read(
+    modsim3d: Modsim3d,
+    file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    library: str,
+    extra: str,
+    options: tuple[object, ...],
+) -> None:
+    def version(name: str) -> str:
+        if name == library:
+            raise PackageNotFoundError(name)
+        return "1.0"
+
+    def no_scene(*_: object) -> None:
+        raise AssertionError("a scene was read")
+
+    monkeypatch.setattr("modsim3d.campaign.work.digests.version", version)
+    monkeypatch.setattr(
+        "modsim3d.campaign.engines.dask_engine.find_spec", lambda name: None if name == library else name
+    )
+    monkeypatch.setattr("modsim3d.campaign.work.scenes.load_scene", no_scene)
+    said = modsim3d("campaign", file, "--out", tmp_path / "out", *options)
+    assert said.status == 2 and said.err.count("\n") == 1
+    assert f'pip install "modsim3d[{extra}]"' in said.err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_with_another_plan_is_refused_with_what_differs(
     modsim3d: Modsim3d, finished: Path, tmp_path: Path
 ) -> None:
@@ -110,6 +153,38 @@ def test_a_part_is_made_and_the_whole_gathered(
     assert modsim3d("campaign", file, "--out", out, "--workers", 1, "-q").status == 0
     rows = [package.open_campaign(folder).table for folder in (out, finished)]
     assert rows[0].equals(rows[1])
+
+
+def test_layers_are_not_kept_among_the_rows_of_the_campaign(modsim3d: Modsim3d, file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for cache in (out / "results", out / "done" / "cache"):
+        said = modsim3d("campaign", file, "--out", out, "--cache", cache)
+        assert said.status == 2 and "is for the rows of the campaign: choose another folder" in said.err
+    assert not out.exists()
+
+
+def test_results_without_a_file_are_told_as_damaged(
+    modsim3d: Modsim3d, file: Path, begun: Path, tmp_path: Path
+) -> None:
+    out = shutil.copytree(begun, tmp_path / "out")
+    (out / "results").mkdir()
+    for line in (("campaign", file, "--out", out), ("campaign-status", out), ("campaign-table", out)):
+        said = modsim3d(*line)
+        assert said.status == 2 and "results is damaged: it holds no results" in said.err
+
+
+def test_commands_that_are_printed_can_be_pasted(
+    modsim3d: Modsim3d, file: Path, finished: Path, begun: Path, tmp_path: Path
+) -> None:
+    out = shutil.copytree(finished, tmp_path / "with space")
+    said = modsim3d("campaign", file, "--out", out)
+    assert f"modsim3d campaign-report '{out}'" in said.out and f"modsim3d campaign-table '{out}'" in said.out
+    said = modsim3d("campaign", file, "--out", out, "--shard", "1/2")
+    assert f"modsim3d campaign {file} --out '{out}'" in said.out
+    crashed = pa.table({"run": [7], "status": ["crashed"], "error": ["ValueError: no"]})
+    console = Console(width=400, record=True, file=io.StringIO())
+    print_crashed(console, crashed, out)
+    assert f"modsim3d campaign-run '{out}' 7 --out '{out}/runs/7'" in console.export_text()
 
 
 @pytest.mark.parametrize("wrong", ["0/3", "4/3", "3", "1/0", "a/b", "1/200000"])
@@ -146,6 +221,13 @@ def test_status_of_a_campaign_that_is_not_finished(modsim3d: Modsim3d, begun: Pa
     assert not any(f" {outcome}" in said.out for outcome in ("met,", "failed,"))
     found = json.loads(modsim3d("campaign-status", begun, "--json").out)
     assert 0 < found["done"] < RUNS and not found["finished"] and found["left_s"] is None
+
+
+def test_status_of_parts_that_are_all_done_says_what_is_left_to_do(modsim3d: Modsim3d, tmp_path: Path) -> None:
+    campaign = checked_campaign(tmp_path, scene="harbour", steps=20, trackers=["reference"])
+    run_plan(campaign, tmp_path / "out", ThisProcess, shard=(1, 1))
+    said = modsim3d("campaign-status", tmp_path / "out")
+    assert "1 of 1 runs are done" in said.out and "the same command, without --shard, writes results" in said.out
 
 
 def test_status_while_another_process_works_on_it(modsim3d: Modsim3d, begun: Path) -> None:

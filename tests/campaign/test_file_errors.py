@@ -38,6 +38,7 @@ def problems(tmp_path: Path, text: str) -> tuple[str, ...]:
         (HARBOUR + "vary: [{list: [{steps: 3}]}]\n", ["vary: 'steps' cannot be varied here: the key steps"]),
         (HARBOUR + "vary: [{grid: {state: [good]}}, {pairs: {state: [bad]}}]\n", ["'state' is varied by two factors"]),
         (HARBOUR + "vary: [{grid: {state: [good, god]}}]\n", ["vary: state 'god': unknown state 'god' (did you mean"]),
+        (HARBOUR + "vary: [{grid: {state: [good, bad, good]}}]\n", ["conditions 0 and 2 are the same (state 'good')"]),
         (HARBOUR + "vary: [{grid: {waves.levl: [small]}}]\n", ["vary: waves.levl 'small': unknown key waves.levl"]),
         (HARBOUR + "vary: [{grid: {tracker.lost: [3]}}]\n", ["tracker.lost 3: unknown key (did you mean 'lost_s'?)"]),
         (HARBOUR + "vary: [{grid: {detector: [thesi]}}]\n", ["harbour with detector 'thesi'", "thesi: no such file"]),

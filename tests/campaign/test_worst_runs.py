@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from modsim3d.campaign.worst.picture import in_words, moment_picture
 from modsim3d.campaign.worst.ranking import WorstRun, worst_runs
 from modsim3d.campaign.worst.remaking import remade
 from modsim3d.errors import ModsimError
+from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.commands.conftest import Modsim3d, modsim3d
@@ -189,6 +192,62 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(
     assert [name for name in names if (out / name).read_bytes() != (plain / name).read_bytes()] == []
     said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre", "--scale", 200, "--json")
     assert json.loads(said.out)["trackers"][0]["hota"] == campaign.table["hota"][15].as_py()
+
+
+def test_the_command_that_films_follows_the_one_that_makes_the_run_again(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(film, "AROUND_S", 0.5)
+    worst = found(replace(campaign, folder=replace(campaign.folder, path=tmp_path / "c")))[1]
+    shutil.copytree(campaign.folder.path, tmp_path / "c")
+    assert modsim3d(*shlex.split(worst.again)[1:]).status == 0
+    out = tmp_path / "c" / "runs" / str(worst.number)
+    log, tracks = out / "run.log", out.with_name(f"{out.name}_tracks") / "tracks.json"
+    before = log.stat().st_mtime_ns, tracks.stat().st_mtime_ns
+    said = modsim3d(*shlex.split(worst.film)[1:])
+    assert said.status == 0, said.err
+    assert f"{out} was there already" in said.out and (out / "detections.mp4").is_file()
+    assert (log.stat().st_mtime_ns, tracks.stat().st_mtime_ns) == before
+    assert "Every column is as in the campaign." in said.out
+    again = modsim3d(*shlex.split(worst.film)[1:])
+    assert again.status == 2 and "detections.mp4 exists: use --overwrite" in again.err
+    assert modsim3d(*shlex.split(worst.film)[1:], "--overwrite").status == 0
+    assert log.stat().st_mtime_ns > before[0]
+
+
+def test_another_run_or_the_tracks_of_another_tracker_are_refused(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path
+) -> None:
+    out = tmp_path / "again"
+    line = ("--out", out)
+    assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 0
+    other_tracker, other_seed, other_state = (
+        modsim3d("campaign-run", campaign.folder.path, n, *line) for n in (3, 0, 6)
+    )
+    assert other_tracker.status == other_seed.status == other_state.status == 2
+    assert "tracks.parquet exists: use --overwrite" in other_tracker.err
+    assert all(f"{out}" in said.err and "use --overwrite" in said.err for said in (other_seed, other_state))
+    tables = [out / "detections.parquet", out.with_name("again_tracks") / "tracks.parquet"]
+    for table in reversed(tables):  # a damaged file is not taken for the run
+        content = table.read_bytes()
+        table.write_bytes(content[:-9] + bytes(9))
+        assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 2
+        table.write_bytes(content)
+    assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 0
+
+
+def test_an_interrupted_run_is_gone_on_with(
+    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "again"
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "finish", interrupted)
+        said = modsim3d("campaign-run", campaign.folder.path, 2, "--out", out)
+    assert said.status == 130 and "the same command goes on" in said.err
+    assert modsim3d("campaign-run", campaign.folder.path, 2, "--out", out).status == 0
 
 
 def test_the_command_films_the_moment(

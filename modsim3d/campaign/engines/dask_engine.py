@@ -8,6 +8,7 @@ import time
 import uuid
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from importlib.util import find_spec
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -19,6 +20,7 @@ CONNECT_S = 30.0
 """How long a scheduler is waited for, at the start and when the connection to it is lost."""
 LOOK_S = 2.0
 """Time between two looks at which workers there are."""
+_MISSING = 'campaigns on a cluster need {}: pip install "modsim3d[cluster]"'
 
 
 class DaskEngine:
@@ -150,6 +152,17 @@ class SlurmEngine(DaskEngine):
         self._cluster.close()
 
 
+def check_libraries(*names: str) -> None:
+    """Check that libraries of clusters are installed, without the time that loading them takes.
+
+    Raises:
+        ModsimError: One is not.
+    """
+    for name in names:
+        if find_spec(name) is None:
+            raise ModsimError(_MISSING.format(name))
+
+
 def _library(name: str = "distributed") -> Any:
     """A library that is no part of the usual installation.
 
@@ -161,7 +174,7 @@ def _library(name: str = "distributed") -> Any:
     try:
         library = importlib.import_module(name)
     except ImportError as error:
-        raise ModsimError(f'campaigns on a cluster need {error.name}: pip install "modsim3d[cluster]"') from None
+        raise ModsimError(_MISSING.format(error.name)) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a user needs to know is raised
     return library
 

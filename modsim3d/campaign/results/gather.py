@@ -95,4 +95,8 @@ def results_table(folder: CampaignFolder) -> pa.Table:
             raise ModsimError(f"{path} is damaged: {error}") from None
         scene = pa.array([path.parent.name.partition("=")[2]] * len(part), pa.string())
         parts.append(part.add_column(1, "scene", scene))
+    if not parts:
+        raise ModsimError(
+            f"{folder.results} is damaged: it holds no results; remove it, and the same command makes them"
+        )
     return pa.concat_tables(parts, promote_options="default").sort_by("run")

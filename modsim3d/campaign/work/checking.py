@@ -21,7 +21,7 @@ from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.search_checks import search_problems, search_versions
 from modsim3d.display import counted
 from modsim3d.errors import InputError, ModsimError
-from modsim3d.inputs.validation import nearest
+from modsim3d.inputs.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.tracking.trackers.registry import named_tracker
 
@@ -91,14 +91,16 @@ def checked(file: CampaignFile) -> CheckedCampaign:
 
     Raises:
         InputError: With every problem.
+        ModsimError: A library that it needs is not installed.
     """
     keys, source = file.keys, f"campaign {file.path}"
+    packages = {**versions(), **search_versions(keys)}
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
     paths: set[Path] = set()
     wrong_keys = [*_vary_problems(keys)]
-    problems = [*_problems(keys), *wrong_keys, *_scene_problems(file)]
+    problems = [*_problems(keys), *wrong_keys, *_twice(plan), *_scene_problems(file)]
     facts = [] if wrong_keys else [*_facts_of_all(_with_known_trackers(plan, problems), scenes, paths, problems)]
     if len(facts) == len(plan.conditions):
         problems += _requirement_problems(plan, facts)
@@ -107,7 +109,6 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     if problems:
         raise InputError(source, dict.fromkeys(problems))
     content = keys.model_dump(mode="json", by_alias=True, exclude={"keep"})  # which decides no row
-    packages = {**versions(), **search_versions(keys)}
     sha256 = digest(content, [vars(each) for each in facts], packages)
     return CheckedCampaign(file, plan, tuple(facts), checksums(paths, file.base), packages, sha256)
 
@@ -229,6 +230,17 @@ def _vary_problems(keys: CampaignKeys) -> Iterator[str]:
             yield f"set: '{key}' is in vary too"
         if key in _ELSEWHERE:
             yield f"set: '{key}' cannot be set here: the key {_ELSEWHERE[key]} of the campaign is for that"
+
+
+def _twice(plan: Plan) -> Iterator[str]:
+    """The first condition that is another one again: its runs would count twice."""
+    seen: dict[str, int] = {}
+    for number, condition in enumerate(plan.conditions):
+        before = seen.setdefault(digest(condition.scene, condition.values), number)
+        if before != number and condition.values:
+            values = ", ".join(f"{key} {shown(value)}" for key, value in condition.values.items())
+            yield f"vary: conditions {before} and {number} are the same ({values}): leave one out"
+            return
 
 
 def _keys_of(factor: Any) -> Iterator[str]:

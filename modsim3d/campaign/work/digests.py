@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import orjson
 
 from modsim3d.detector.file.reading import content_of
 from modsim3d.detector.model import DetectorModel
+from modsim3d.errors import ModsimError
 from modsim3d.runs.run import VERSIONED
 from modsim3d.scene.scene import Scene
 
@@ -40,5 +41,12 @@ def detector_digest(detector: DetectorModel) -> str:
 
 
 def versions() -> dict[str, str]:
-    """The version of every package that decides a row."""
-    return {name: version(name) for name in (*VERSIONED, "trackeval")}
+    """The version of every package that decides a row.
+
+    Raises:
+        ModsimError: TrackEval, which makes the scores, is not installed.
+    """
+    try:
+        return {name: version(name) for name in (*VERSIONED, "trackeval")}
+    except PackageNotFoundError:
+        raise ModsimError('the scores of a campaign need TrackEval: pip install "modsim3d[trackers]"') from None

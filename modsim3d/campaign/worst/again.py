@@ -16,6 +16,7 @@ from modsim3d.campaign.work.row import DONE, row_of, rules_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.search_checks import search_versions
 from modsim3d.campaign.worst.remaking import planned_run, row_of_run
+from modsim3d.campaign.worst.there import run_there, tracks_there
 from modsim3d.errors import OutputError, RunDirectoryError
 from modsim3d.outputs.claims import check_free
 from modsim3d.runs.run import run_scene
@@ -40,6 +41,7 @@ class RunAgain:
         error: Why it failed; None if it did not.
         raised_at: File, line and function in which the error was raised; empty without one.
         differing: The columns that are not as in the campaign, if both rows have scores.
+        reused: Which of these two folders were there already; they are left as they were.
         versions: The packages whose versions are not those of the campaign: then and now, by name.
     """
 
@@ -51,6 +53,7 @@ class RunAgain:
     error: str | None
     raised_at: str
     differing: tuple[str, ...]
+    reused: tuple[Path, ...]
     versions: dict[str, tuple[str | None, str | None]]
 
     @property
@@ -76,43 +79,61 @@ def make_again(
 ) -> RunAgain:
     """Make a run of a campaign again: write its run directory and its tracks, and compare the scores.
 
+    A run and tracks that are there already, and are those of this run, are left as they are.
+
     Args:
         folder: The campaign.
         number: The run's number in the plan.
         out: The run directory; the tracks lie beside it.
-        overwrite: Replace a run and tracks that are there.
+        overwrite: Make all anew, in place of a run and tracks that are there.
         progress: Called with the number of steps done since its last call.
 
     Raises:
         ModsimError: There is no such run, or it cannot be written. What the run itself raises is in the result.
     """
     run, before, tracks = planned_run(folder, number), row_of_run(folder, number), tracks_beside(out)
-    for path in track_paths(tracks):
-        check_free(path, overwrite)
-    row, error, raised_at = None, None, ""
+    then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
+    row, error, raised_at, reused = None, None, "", list[Path]()
     try:
-        row = _made(folder, run, out, tracks, overwrite, progress)
+        row = _row(folder, run, out, tracks, overwrite, progress, reused)
     except (OutputError, RunDirectoryError):
         raise
     except Exception as failure:
         error, raised_at = f"{type(failure).__name__}: {failure}", _place(failure)
-    then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
-    return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), changed)
+    return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), tuple(reused), changed)
 
 
-def _made(
-    folder: CampaignFolder, run: PlannedRun, out: Path, tracks: Path, overwrite: bool, progress: Callable[[int], None]
+def _row(
+    folder: CampaignFolder,
+    run: PlannedRun,
+    out: Path,
+    tracks: Path,
+    overwrite: bool,
+    progress: Callable[[int], None],
+    reused: list[Path],
 ) -> dict[str, Any]:
-    """Write a run and its tracks; its row."""
+    """Write a run and its tracks; its row. What is there already is added to `reused`."""
     work = folder.work
     scene = Scenes(work.keys.steps, Path(work.base), learned=work.keys.uncertainty == "learned").alone(
         run.condition, run.traffic_seed, run.detector_seed
     )
-    run_scene(scene, out, overwrite=overwrite, progress=progress)
-    settings = {**run.tracker.settings, **run.condition.of_tracker()}
-    stored = open_run(out)
-    found = track_run(stored, tracks, tracker=run.tracker.tracker, settings=settings, overwrite=overwrite).tracks
+    tracker, settings = run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}
+    stored = None if overwrite else run_there(out, scene)
+    found = None if stored is None else tracks_there(tracks, stored, tracker, settings)
+    if found is None:
+        for path in track_paths(tracks):
+            check_free(path, overwrite)
+    if stored is None:
+        run_scene(scene, out, overwrite=overwrite, resume=not overwrite, progress=progress)
+        stored = open_run(out)
+    else:
+        reused.append(out)
+        progress(stored.steps)
+    if found is None:
+        found = track_run(stored, tracks, tracker=tracker, settings=settings, overwrite=overwrite).tracks
+    else:
+        reused.append(tracks)
     return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))
 
 

@@ -32,12 +32,18 @@ class MomentFilm:
     to_s: float
 
 
+def film_path(folder: Path) -> Path:
+    """The film of a run directory."""
+    return folder / "detections.mp4"
+
+
 def film_moment(
     folder: Path,
     tracks: Path,
     rules: Rules,
     moment_s: float,
     *,
+    overwrite: bool = False,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> MomentFilm:
     """Film ten seconds of a run with its tracks, in the camera with most mistakes, into `detections.mp4` of the run.
@@ -47,6 +53,7 @@ def film_moment(
         tracks: Its tracks.
         rules: By which they were scored.
         moment_s: The moment in the middle, as the run's timestamps have it.
+        overwrite: Replace a film that is there.
         progress: Called with the number of frames drawn since its last call.
 
     Raises:
@@ -75,8 +82,8 @@ def film_moment(
         mistakes=mistakes_in(selection),
         tracks=FollowedTracks.of(track_set, rows, rules.similarity),
     )
-    path = folder / "detections.mp4"
-    with claimed([path], overwrite=True, inputs=[*read_of_run(folder), *tracks.iterdir()]):
+    path = film_path(folder)
+    with claimed([path], overwrite=overwrite, inputs=[*read_of_run(folder), *tracks.iterdir()]):
         draw_film(selection, plan, "mp4", path, progress=progress)
     times = [float(rows.scene.timestamps(step, step + 1)[0]) for step in (selection.steps[0], selection.steps[-1])]
     return MomentFilm(path, rows.scene.cameras[camera].name, times[0], times[1])

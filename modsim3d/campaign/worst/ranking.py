@@ -148,6 +148,6 @@ def _worst_run(folder: CampaignFolder, row: dict[str, object], score: str) -> Wo
         value=float(value) if isinstance(value, int | float) else None,
         moment_s=moment_s if isinstance(moment_s, float) else None,
         again=again,
-        film="" if moment_s is None else f"{again} --film --overwrite",
+        film="" if moment_s is None else f"{again} --film",
         error=str(row["error"]) if crashed else None,
     )
