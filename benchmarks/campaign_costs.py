@@ -61,7 +61,7 @@ class Amount:
 
 
 FULL = Amount(25, 10, 5_000, (20_000, 100_000))
-QUICK = Amount(2, 1, 500, (2_000, 8_000))
+QUICK = Amount(1, 1, 500, (2_000, 8_000))
 
 
 @dataclass(frozen=True)
@@ -235,8 +235,8 @@ class Million:
                 f"**What breaks first.** The rows are gathered in the memory of one process: {MEMORY_GB:g} GB hold "
                 f"about {memory / MILLION:.1f} million runs. Of the parts that there is one of, {limits[0][0]} is busy "
                 f"all the time from {limits[0][1]:,.0f} cores on, and {limits[1][0]} from {limits[1][1]:,.0f}; more "
-                "cores would wait. A run that is shorter than these does not change that, since tasks are cut by their time "
-                "and not by their number of runs. `--shard` has neither limit: each job writes its own rows, and only "
+                "cores would wait. Shorter runs do not change that, since tasks are cut by their time and not by their "
+                "number of runs. `--shard` has neither limit: each job writes its own rows, and only "
                 "gathering is left.",
                 f"**Small files.** A file for each run would be {MILLION:,} of them, and one for each layer four times "
                 f"as many. Rows are written once a task ({self.tasks:,.0f} files, all in `done/`), and at the end they "
@@ -263,9 +263,9 @@ def page(amount: Amount, out: Path | None, folder: Path, quick: bool) -> str:
     same = not differing_files(*results)
     run_s = pair[1].run_s
     say("layers")
-    layers, runs = layer_costs(small, amount.layer_seeds)
+    layers, runs = layer_costs(CAMPAIGN, amount.layer_seeds)
     say("empty tasks")
-    task = task_cost(small, runs_of_task(run_s), amount.tasks)
+    task = task_cost(CAMPAIGN, runs_of_task(run_s), amount.tasks)
     say("handing out and gathering")
     by_seed = pair[1].runs // amount.pair_seeds
     sizes = [with_seeds(count // by_seed, folder) for count in amount.coordinated_runs]

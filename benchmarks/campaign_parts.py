@@ -134,7 +134,7 @@ def task_cost(file: Path, runs: int, tasks: int, workers: int = 2) -> TaskCost:
         workers: Number of worker processes.
     """
     import psutil
-    from distributed import Client, wait
+    from distributed import Client
 
     campaign = checked(read_campaign(file))
     work = Work(campaign.file.keys, str(campaign.file.base), "/campaign", campaign.sha256, files=campaign.files)
@@ -153,8 +153,7 @@ def task_cost(file: Path, runs: int, tasks: int, workers: int = 2) -> TaskCost:
         watched = psutil.Process(scheduler.pid)
 
         def made(count: int) -> None:
-            futures = [client.submit(len, carried, key=f"{count}-{place}", pure=False) for place in range(count)]
-            wait(futures)
+            client.gather([client.submit(len, carried, key=f"{count}-{place}", pure=False) for place in range(count)])
 
         made(tasks // 10)
         before, own, started = watched.cpu_times(), time.process_time(), time.perf_counter()
