@@ -18,7 +18,6 @@ import yaml
 
 from benchmarks.bench import BUSY_LOAD
 from benchmarks.campaign_parts import (
-    CORES,
     Coordinated,
     LayerCost,
     TaskCost,
@@ -36,7 +35,7 @@ from modsim3d.campaign.results.gather import results_table
 RESULTS = ROOT / "benchmarks" / "CAMPAIGNS.md"
 CAMPAIGN = ROOT / "benchmarks" / "thousand.yaml"
 MB, GB, HOUR_S = 1e6, 1e9, 3600.0
-MILLION = 1_000_000
+MILLION, CORES = 1_000_000, 1_000
 MEMORY_GB = 16.0
 """Of a usual machine."""
 ENDED = (0, 1, 3)
@@ -232,12 +231,12 @@ class Million:
         return "\n\n".join(
             [
                 table(("", "Worked out"), [list(each) for each in figures]),
-                f"**What breaks first.** The rows are gathered in the memory of one process: {MEMORY_GB:g} GB hold "
-                f"about {memory / MILLION:.1f} million runs. Of the parts that there is one of, {limits[0][0]} is busy "
-                f"all the time from {limits[0][1]:,.0f} cores on, and {limits[1][0]} from {limits[1][1]:,.0f}; more "
-                "cores would wait. Shorter runs do not change that, since tasks are cut by their time and not by their "
-                "number of runs. `--shard` has neither limit: each job writes its own rows, and only "
-                "gathering is left.",
+                f"**What breaks first.** With more cores it is {limits[0][0]}: it is busy all the time from "
+                f"{limits[0][1]:,.0f} cores on ({limits[1][0]} from {limits[1][1]:,.0f}), and more cores would wait. "
+                "Shorter runs do not change that, since tasks are cut by their time and not by their number of runs. "
+                f"With more runs it is memory: one process gathers all rows, and {MEMORY_GB:g} GB hold about "
+                f"{memory / MILLION:.1f} million. `--shard` has no limit of cores: each job writes its own rows, and "
+                "only gathering is left.",
                 f"**Small files.** A file for each run would be {MILLION:,} of them, and one for each layer four times "
                 f"as many. Rows are written once a task ({self.tasks:,.0f} files, all in `done/`), and at the end they "
                 "become the data set: a folder for each scene, `scene=NAME`, with files of 50,000 rows in the order of "

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import resource
 import socket
 import statistics
 import subprocess
@@ -22,7 +21,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from benchmarks.processes import ROOT, environment
 from modsim3d.campaign.cutting import TASK_S
@@ -43,7 +44,8 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.trackers.registry import named_tracker
 
 LAYERS = ("scene", "truth", "detections", "tracks", "scores")
-CORES = 1_000
+TASKS_OF_CORE = 40
+"""Tasks that each core has in a long campaign; with few they would be cut smaller, so that all cores end together."""
 PATIENCE_S = 60.0
 
 
@@ -194,13 +196,12 @@ def _wait_for(port: int) -> None:
 
 
 class Stored:
-    """An engine as wide as a cluster whose workers have rows at once: those of a smaller campaign, again and again."""
+    """An engine whose workers have rows at once: those of a smaller campaign, again and again with other numbers."""
 
-    width = CORES
-
-    def __init__(self, rows: pa.Table, run_s: float) -> None:
+    def __init__(self, rows: pa.Table, run_s: float, width: int) -> None:
         """Take the rows, without what the plan says of them, and the time that a run is said to take."""
-        self._rows, self._run_s = rows, run_s
+        self._rows, self._run_s, self.width = rows, run_s, width
+        self._rng = np.random.default_rng(1)
         self._waiting = deque[Task]()
         self.tasks = self.bytes = 0
         self.own_s = 0.0
@@ -211,7 +212,7 @@ class Stored:
     def next(self) -> tuple[Task, TaskReport | None]:
         started, task = time.process_time(), self._waiting.popleft()
         numbers = [run.number for run in task.runs]
-        rows = self._rows.take([number % len(self._rows) for number in numbers])
+        rows = self._other(self._rows.take([number % len(self._rows) for number in numbers]))
         report = TaskReport(len(numbers), 0, self._run_s * len(numbers), 0.0, "", 0)
         store(task.path, rows.set_column(0, "run", pa.array(numbers, pa.int64())), report)
         self.tasks, self.bytes = self.tasks + 1, self.bytes + task.path.stat().st_size
@@ -220,6 +221,16 @@ class Stored:
 
     def close(self) -> None:
         pass
+
+    def _other(self, rows: pa.Table) -> pa.Table:
+        """Rows with numbers and checksums of their own, which compress no better than those of runs."""
+        for place, field in enumerate(rows.schema):
+            if pa.types.is_floating(field.type):
+                factor = pa.array(1 + 1e-3 * self._rng.random(len(rows)))
+                rows = rows.set_column(place, field, pc.multiply(rows[place], factor))
+            elif field.name.endswith("_key"):
+                rows = rows.set_column(place, field, pa.array([self._rng.bytes(8).hex() for _ in range(len(rows))]))
+        return rows
 
 
 @dataclass(frozen=True)
@@ -263,8 +274,9 @@ def coordinated(file: Path, like: Path, run_s: float) -> Coordinated:
 def _coordinate(file: Path, like: Path, run_s: float) -> dict[str, int | float]:
     before = opened_campaign(like)
     rows = results_table(before)
-    engine = Stored(rows.drop_columns(plan_columns(before.plan)).combine_chunks(), run_s)
     campaign, handed = checked(read_campaign(file)), [0.0]
+    width = max(1, len(campaign.plan) // (TASKS_OF_CORE * runs_of_task(run_s)))
+    engine = Stored(rows.drop_columns(plan_columns(before.plan)).combine_chunks(), run_s, width)
     with tempfile.TemporaryDirectory(prefix="modsim3d-coordinator-") as folder:
         started = time.process_time()
 
@@ -276,17 +288,22 @@ def _coordinate(file: Path, like: Path, run_s: float) -> dict[str, int | float]:
         assert result is not None
         files = [path for path in result.folder.results.rglob("*") if path.is_file()]
         sizes = [path.stat().st_size for path in files]
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return {
         "runs": len(result.table),
         "tasks": engine.tasks,
         "done_bytes": engine.bytes,
         "handing_s": handed[0],
         "gathering_s": seconds - handed[0],
-        "peak_bytes": peak,
+        "peak_bytes": _peak_bytes(),
         "results_bytes": sum(sizes),
         "results_files": len(files),
     }
+
+
+def _peak_bytes() -> int:
+    """Most memory of this process; that of `getrusage` may be its parent's."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
 
 
 def runs_of_task(run_s: float) -> int:
