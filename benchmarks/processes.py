@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,8 +82,8 @@ class Finished:
     peak_bytes: int
 
 
-def modsim3d(*arguments: str | Path) -> Finished:
-    """Run the program as a user does."""
+def modsim3d(*arguments: str | Path, right: Container[int] = (0,)) -> Finished:
+    """Run the program as a user does; another exit status than those that are right is an error."""
     command = [Path(sys.executable).parent / "modsim3d", *arguments]
     kept = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     with tempfile.TemporaryFile() as said:
@@ -92,7 +92,7 @@ def modsim3d(*arguments: str | Path) -> Finished:
         _, status, usage = os.wait4(process.pid, 0)
         seconds = time.perf_counter() - started
         process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
+        if process.returncode not in right:
             said.seek(0)
             raise RuntimeError(f"{' '.join(map(str, command))} failed:\n{said.read().decode()}")
     return Finished(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)

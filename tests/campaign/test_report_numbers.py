@@ -13,7 +13,7 @@ from modsim3d.campaign.report.cells import by_level, over_seeds, seed_cells
 from modsim3d.campaign.report.compared import mean_sections
 from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.parameters import BINS, parameters_of
-from modsim3d.campaign.report.words import with_interval
+from modsim3d.campaign.report.words import Score, required_scores, with_interval
 from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.view.pages.intervals import Interval, strip
@@ -136,3 +136,25 @@ def test_an_empty_table_has_no_means_and_no_charts():
     assert isinstance(table, pa.Table)
     assert parameter_sections(plan, table) == []
     assert seed_cells(plan, table, "hota").shape == (0, 6, 2)
+
+
+@pytest.mark.parametrize(
+    ("score", "side", "lowest_is_worst"),
+    [
+        ("motp", "at_least", True),
+        ("established_share", "at_least", True),
+        ("mostly_tracked", "at_least", True),
+        ("id_switches", "at_most", False),
+        ("siap_spuriousness", "at_most", False),
+    ],
+)
+def test_the_side_that_is_bad_is_that_of_a_requirement_on_a_share_of_seeds_too(score, side, lowest_is_worst):
+    plan = plan_of(2, require=[{"score": score, side: 0.5, "in": 0.9}])
+    (found,) = required_scores(plan)
+    assert (found.lowest_is_worst, found.thresholds) == (lowest_is_worst, ())
+
+
+def test_scores_from_0_to_1_have_their_range_on_an_axis_and_their_bad_side():
+    assert Score("motp").label.endswith("(0 to 1)")
+    assert Score("established_share").lowest_is_worst
+    assert not Score("siap_spuriousness").lowest_is_worst

@@ -114,6 +114,11 @@ class Factor(Strict):
     latin_hypercube: Ranges | None = None
     uniform: Ranges | None = None
 
+    @property
+    def ranges(self) -> dict[str, Range]:
+        """The ranges of the keys that are drawn; none if the factor has values."""
+        return self.latin_hypercube or self.uniform or {}
+
     @model_validator(mode="after")
     def _check(self) -> Self:
         names = [field.alias or name for name, field in type(self).model_fields.items()]

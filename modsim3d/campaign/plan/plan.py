@@ -71,14 +71,13 @@ class Plan:
         for condition in self.conditions:
             named |= dict.fromkeys(condition.values)
         for factor in self.keys.vary:
-            named |= dict.fromkeys({**(factor.latin_hypercube or {}), **(factor.uniform or {})})
+            named |= dict.fromkeys(factor.ranges)
         return tuple(named)
 
     @property
     def drawn(self) -> tuple[str, ...]:
         """The keys whose values are drawn for each traffic seed."""
-        found = [{**(factor.latin_hypercube or {}), **(factor.uniform or {})} for factor in self.keys.vary]
-        return tuple(key for ranges in found for key in ranges)
+        return tuple(key for factor in self.keys.vary for key in factor.ranges)
 
     def run(self, number: int) -> PlannedRun:
         """The run with a number."""

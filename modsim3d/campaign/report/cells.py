@@ -9,11 +9,8 @@ import pyarrow as pa
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
-
-LEVEL = 0.95
-"""Of the intervals of means."""
-SAME = 1e-12
-"""Values that differ by less, relative to their mean, are one value, from which nothing follows for others."""
+from modsim3d.campaign.results.means import LEVEL
+from modsim3d.campaign.verdicts.means import half_widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +67,12 @@ def mean_of(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 def over_seeds(values: Array) -> Estimates:
     """Means over the first axis, which is that of traffic seeds; NaN is no value."""
-    from scipy.stats import t
-
     known = np.isfinite(values)
     count = known.sum(axis=0)
     mean = mean_of(values, 0)
     square = np.where(known, values - mean, 0.0) ** 2
-    freedom = np.maximum(count - 1, 1)
-    error = np.sqrt(square.sum(axis=0) / freedom / np.maximum(count, 1))
-    half = np.where((count > 1) & (error > SAME * np.abs(mean)), t.ppf((1 + LEVEL) / 2, freedom) * error, np.nan)
+    deviation = np.sqrt(square.sum(axis=0) / np.maximum(count - 1, 1))
+    half = half_widths(mean, deviation, count, (1 - LEVEL) / 2)
     return Estimates(mean, mean - half, mean + half, count)
 
 

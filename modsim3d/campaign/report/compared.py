@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.cells import LEVEL, over_seeds, seed_cells
+from modsim3d.campaign.report.cells import over_seeds, seed_cells
 from modsim3d.campaign.report.tables import grid, without_empty
 from modsim3d.campaign.report.words import (
     MOST_KEYS,
@@ -20,6 +20,7 @@ from modsim3d.campaign.report.words import (
     varying,
     with_interval,
 )
+from modsim3d.campaign.results.means import LEVEL
 from modsim3d.campaign.verdicts.paired import PairedDifference, paired
 from modsim3d.campaign.work.row import DONE
 from modsim3d.view.pages import page

@@ -26,12 +26,7 @@ def empty_draws(keys: CampaignKeys, table: pa.Table) -> list[str]:
         table: The rows.
     """
     done = table.filter(pc.equal(table["status"], DONE))
-    drawn = {
-        key: values
-        for factor in keys.vary
-        for key, values in {**(factor.latin_hypercube or {}), **(factor.uniform or {})}.items()
-        if key in table.column_names
-    }
+    drawn = {key: values for factor in keys.vary for key, values in factor.ranges.items() if key in table.column_names}
     said = [text for key, values in drawn.items() for text in _of_key(key, values, done[key])]
     numbers = {key: values for key, values in drawn.items() if values.choices is None}
     for one, other in combinations(numbers, 2):

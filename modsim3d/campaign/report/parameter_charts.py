@@ -11,10 +11,11 @@ import pyarrow as pa
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.report.cells import LEVEL, Estimates, by_level, mean_of, seed_cells
+from modsim3d.campaign.report.cells import Estimates, by_level, mean_of, seed_cells
 from modsim3d.campaign.report.parameters import Parameter, parameters_of
 from modsim3d.campaign.report.tables import scrolling
 from modsim3d.campaign.report.words import Score, axis_of, number, required_scores
+from modsim3d.campaign.results.means import LEVEL
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.intervals import Interval, band, forest, legend, marks, span_of
 

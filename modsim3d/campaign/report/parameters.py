@@ -63,11 +63,7 @@ def parameters_of(plan: Plan, table: pa.Table) -> list[Parameter]:
     """
     seed = table["run"].to_numpy() // plan.runs_by_seed
     seeds = int(seed.max()) + 1 if len(seed) else 0
-    ranges = {
-        key: each
-        for factor in plan.keys.vary
-        for key, each in {**(factor.latin_hypercube or {}), **(factor.uniform or {})}.items()
-    }
+    ranges = {key: each for factor in plan.keys.vary for key, each in factor.ranges.items()}
     there, first = np.unique(seed, return_index=True)
     found = []
     for key in plan.parameters:

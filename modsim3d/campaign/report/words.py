@@ -12,7 +12,9 @@ import numpy as np
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.done_rows import text_of
+from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.work.row import BY_STATE
+from modsim3d.campaign.work.score_bounds import SHARES
 from modsim3d.tracking.report.numbers import COLUMNS, UNKNOWN
 
 USUAL = ("hota", "deta", "assa", "id_switches")
@@ -31,7 +33,8 @@ UNITS = {
 }
 """Ends of keys, and the units that they stand for."""
 _NAMES = {key: name.partition(",")[0] for name, key, _ in COLUMNS}
-_SHARES = ("hota", "deta", "assa", "detre", "detpr", "assre", "asspr", "loca", "idf1", "idp", "idr")
+_LOW_IS_GOOD = ("siap_spuriousness",)
+"""Of the scores from 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Score:
 
     Attributes:
         column: Its column in the results.
-        requirements: Those that it is held against as a mean.
+        requirements: Those that it is held against.
     """
 
     column: str
@@ -60,9 +63,7 @@ class Score:
     @property
     def label(self) -> str:
         """Its name on an axis, with its unit."""
-        unit = (
-            "0 to 1" if self.key in _SHARES else "px" if self.key.startswith(("gospa", "ospa")) else unit_of(self.key)
-        )
+        unit = "0 to 1" if self.key in SHARES else "px" if self.key.startswith(("gospa", "ospa")) else unit_of(self.key)
         return f"{self.name} ({unit})" if unit else self.name
 
     @property
@@ -70,18 +71,22 @@ class Score:
         """Whether low values are the bad ones, by the requirements, or else by what the score is."""
         if self.requirements:
             return self.requirements[0].at_least is not None
-        return self.key in _SHARES or self.key == "mota"
+        return (self.key in SHARES and self.key not in _LOW_IS_GOOD) or self.key == "mota"
 
     @property
     def threshold_words(self) -> list[tuple[str, float]]:
         """What its mean is held against, in words and as a number."""
-        sides = {(each.threshold, each.at_least is not None) for each in self.requirements}
+        sides = {(each.threshold, each.at_least is not None) for each in self._of_mean}
         return [(f"at {'least' if least else 'most'} {value:g}", value) for value, least in sorted(sides)]
 
     @property
     def thresholds(self) -> tuple[float, ...]:
         """What its mean is held against, ascending."""
-        return tuple(sorted({each.threshold for each in self.requirements}))
+        return tuple(sorted({each.threshold for each in self._of_mean}))
+
+    @property
+    def _of_mean(self) -> list[Requirement]:
+        return [each for each in self.requirements if each.share is None]
 
 
 def unit_of(key: str) -> str:
@@ -99,11 +104,8 @@ def required_scores(plan: Plan) -> list[Score]:
     """The scores that requirements are about, in their order; HOTA if there are none."""
     found: dict[str, list[Requirement]] = {}
     for requirement in plan.keys.require:
-        state = requirement.where.get("state") if "state" not in plan.parameters else None
-        states = state if isinstance(state, list) else [] if state is None else [state]
-        columns = [f"{BY_STATE}.{each}.{requirement.score}" for each in states] or [requirement.score]
-        for column in columns:
-            found.setdefault(column, []).extend([requirement] if requirement.share is None else [])
+        for column in columns_of(plan, requirement) or [requirement.score]:
+            found.setdefault(column, []).append(requirement)
     return [Score(column, tuple(each)) for column, each in found.items()] or [Score(USUAL[0])]
 
 

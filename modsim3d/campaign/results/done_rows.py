@@ -127,10 +127,9 @@ def _possible(plan: Plan, name: str) -> Iterator[Any]:
         if condition.values.get(name) is not None:
             yield condition.values[name]
     for factor in plan.keys.vary:
-        for ranges in (factor.latin_hypercube, factor.uniform):
-            if ranges is not None and name in ranges:
-                choices = ranges[name].choices
-                yield from [0.0] if choices is None else [value for value in choices if value is not None]
+        if name in factor.ranges:
+            choices = factor.ranges[name].choices
+            yield from [0.0] if choices is None else [value for value in choices if value is not None]
 
 
 def text_of(value: Any) -> str:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import isnan, nan
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-from scipy.stats import t as student_t
 
 from modsim3d.campaign.plan.plan import Plan
+from modsim3d.campaign.verdicts.means import half_widths
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.errors import ModsimError
 from modsim3d.inputs.validation import nearest
 
 LEVEL = 0.95
-SAME = 1e-12
-"""Values that differ by less, relative to their mean, are one value."""
 USUAL = ("hota", "deta", "assa", "idf1", "id_switches")
 """Scores of a table unless others are asked for."""
 TRACKER, SEED = "tracker", "traffic_seed"
@@ -108,9 +106,9 @@ def _mean_row(row: dict[str, Any], keys: Sequence[str], scores: Sequence[str]) -
 
 
 def _mean(value: float | None, deviation: float | None, seeds: int) -> Mean:
-    if value is None or deviation is None or seeds < 2 or deviation <= SAME * abs(value):
+    half = nan if value is None or deviation is None else float(half_widths(value, deviation, seeds, (1 - LEVEL) / 2))
+    if value is None or isnan(half):
         return Mean(value, None, None, seeds)
-    half = float(student_t.ppf((1 + LEVEL) / 2, seeds - 1)) * deviation / sqrt(seeds)
     return Mean(value, value - half, value + half, seeds)
 
 

@@ -1,8 +1,9 @@
-"""Bounds of a mean by Student's t, for a number of seeds that was fixed beforehand."""
+"""Student's t: intervals of a mean, for a number of seeds that was fixed beforehand."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from modsim3d.arrays import Array
@@ -12,23 +13,34 @@ _SAME = 1e-12
 much."""
 
 
-def all_same(values: Array) -> bool:
-    """Whether all values, shape (n,), are the same number."""
-    return bool(np.ptp(values) <= _SAME * max(1.0, float(np.max(np.abs(values)))))
-
-
-def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
-    """The lower and the upper bound of the mean; None of fewer than two values, or if all are the same.
+def half_widths(mean: ArrayLike, deviation: ArrayLike, count: ArrayLike, alpha: float) -> Array:
+    """How far the bounds of means lie from them; NaN with fewer than two values, or if all are the same.
 
     Values that are all the same say nothing of how far the next one may be off: an interval of no width would claim
     that none ever differs.
 
     Args:
-        values: A value for each seed, shape (n,).
+        mean: Means, all of one shape.
+        deviation: Standard deviations of the values, with n − 1.
+        count: Numbers of values.
         alpha: The probability of error, of each bound; exact for normal values, an approximation for others.
     """
-    count = len(values)
-    if count < 2 or all_same(values):
+    mean, deviation, count = (np.asarray(each, dtype=np.float64) for each in (mean, deviation, count))
+    differ = (count > 1) & (deviation > _SAME * np.maximum(1.0, np.abs(mean)))
+    half = special.stdtrit(np.maximum(count - 1, 1), 1 - alpha) * deviation / np.sqrt(np.maximum(count, 1))
+    widths: Array = np.where(differ, half, np.nan)
+    return widths
+
+
+def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
+    """The lower and the upper bound of the mean; None of fewer than two values, or if all are the same.
+
+    Args:
+        values: A value for each seed, shape (n,).
+        alpha: The probability of error of each bound, as in `half_widths`.
+    """
+    if len(values) < 2:
         return None
-    mean, half = values.mean(), special.stdtrit(count - 1, 1 - alpha) * values.std(ddof=1) / np.sqrt(count)
-    return float(mean - half), float(mean + half)
+    mean = float(values.mean())
+    half = float(half_widths(mean, values.std(ddof=1), len(values), alpha))
+    return None if np.isnan(half) else (mean - half, mean + half)

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from modsim3d.arrays import Array, Mask
 from modsim3d.campaign.file.keys import Requirement
 from modsim3d.campaign.plan.plan import Plan
-from modsim3d.campaign.plan.selection import Case
+from modsim3d.campaign.plan.selection import Case, cases_of
 from modsim3d.campaign.work.row import BY_STATE, CRASHED
 
 
@@ -52,6 +52,16 @@ class Runs:
         return right
 
 
+def column_of(score: str, case: Case) -> str:
+    """The column of a score: that of the whole run, or of a state within it."""
+    return score if case.state is None else f"{BY_STATE}.{case.state}.{score}"
+
+
+def columns_of(plan: Plan, requirement: Requirement) -> list[str]:
+    """The columns that a requirement is about: several if it names several states within the runs."""
+    return list(dict.fromkeys(column_of(requirement.score, case) for case in cases_of(plan, requirement)))
+
+
 class Rows:
     """The rows of the first traffic seeds, by seed, condition, detector seed and tracker."""
 
@@ -66,7 +76,7 @@ class Rows:
 
     def runs_of(self, case: Case, score: str) -> Runs:
         """The runs of a case."""
-        name = score if case.state is None else f"{BY_STATE}.{case.state}.{score}"
+        name = column_of(score, case)
         values = np.full(self._shape, np.nan)
         if name in self._table.column_names:
             values = self._table[name].to_numpy().astype(float).reshape(self._shape)

@@ -183,7 +183,7 @@ def _facts_of_all(plan: Plan, scenes: Scenes, paths: set[Path], problems: list[s
 
 def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
     """Values at the ends of each range that is drawn from or searched, and each choice, a key at a time."""
-    drawn = [factor.latin_hypercube or factor.uniform or {} for factor in keys.vary]
+    drawn = [factor.ranges for factor in keys.vary]
     for ranges in (*drawn, keys.search.over if keys.search else {}):
         for key, each in ranges.items():
             for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
@@ -246,7 +246,7 @@ def _twice(plan: Plan) -> Iterator[str]:
 def _keys_of(factor: Any) -> Iterator[str]:
     if factor.conditions is not None:
         yield from dict.fromkeys(key for values in factor.conditions for key in values)
-    yield from factor.grid or factor.pairs or factor.latin_hypercube or factor.uniform or ()
+    yield from factor.grid or factor.pairs or factor.ranges
 
 
 def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path]) -> ConditionFacts:

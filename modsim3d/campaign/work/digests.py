@@ -14,8 +14,6 @@ from modsim3d.errors import ModsimError
 from modsim3d.runs.run import VERSIONED
 from modsim3d.scene.scene import Scene
 
-_OF_DETECTOR = ("detector", "detector_seed")
-
 
 def digest(*parts: Any) -> str:
     """The SHA-256 of values as JSON, in hexadecimal."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import shutil
 import uuid
 from collections.abc import Collection, Mapping
@@ -112,8 +111,3 @@ def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
     if (table.schema.metadata or {}).get(_KEY) != key.encode() or not table.schema.equals(schema):
         raise ValueError(f"{path} is of another layer")
     return table.cast(schema)  # its descriptions of columns are those of the schema
-
-
-def bytes_of(folder: Path) -> int:
-    """Bytes of all files below a folder."""
-    return sum((Path(where) / name).stat().st_size for where, _, names in os.walk(folder) for name in names)

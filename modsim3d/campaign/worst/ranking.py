@@ -12,8 +12,9 @@ import pyarrow as pa
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.folder import CampaignFolder
+from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.row import BY_STATE, CRASHED
+from modsim3d.campaign.work.row import CRASHED
 
 RUNS_FOLDER = "runs"
 """Where the commands put runs that are made again, in the folder of the campaign."""
@@ -103,10 +104,7 @@ def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) ->
     chosen = np.zeros(len(table), dtype=bool)
     for verdict in verdicts:
         chosen |= (trackers == verdict.tracker) & (conditions == verdict.condition)
-    states = requirement.where.get("state") if "state" not in plan.parameters else None
-    names = states if isinstance(states, list) else [] if states is None else [states]
-    columns = [f"{BY_STATE}.{name}.{requirement.score}" for name in names] or [requirement.score]
-    return _ranking(table, columns, chosen, lowest=requirement.at_least is not None)
+    return _ranking(table, columns_of(plan, requirement), chosen, lowest=requirement.at_least is not None)
 
 
 def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool) -> _Ranking:
