@@ -13,7 +13,7 @@ from modsim3d.arrays import Array
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.plan.selection import Case
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, mean_bounds
-from modsim3d.campaign.verdicts.means import all_same
+from modsim3d.campaign.verdicts.means import t_bounds
 from modsim3d.campaign.verdicts.seed_values import Rows, Runs
 from modsim3d.campaign.work.score_bounds import is_bounded, score_bounds
 
@@ -109,7 +109,8 @@ def _interval(plan: Plan, rows: Rows, runs: Runs, score: str) -> tuple[float | N
 def _variance_ratio(one: Runs, other: Runs, difference: Runs) -> float | None:
     """Over the seeds in which all runs of both have values."""
     both = np.all(~np.isnan(difference.values) & ~difference.crashed, axis=1)
-    if np.count_nonzero(both) < 2 or all_same(difference.values[both].mean(axis=1)):
+    means = difference.values[both].mean(axis=1)
+    if t_bounds(means, 0.5) is None:
         return None
     first, second, paired_variance = (_variance(each.values[both]) for each in (one, other, difference))
     return (first + second) / paired_variance
