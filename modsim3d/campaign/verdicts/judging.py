@@ -162,7 +162,7 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
         sides.append(f"at least {rounded_down(bounds.low)}")
     if math.isfinite(bounds.high):
         sides.append(f"at most {rounded_up(bounds.high)}")
-    what = "that of all traffic is" if requirement.share is None else "the share of all traffic is"
+    what = "that of all seeds is" if requirement.share is None else "the share of all seeds is"
     each = "each " if len(sides) == 2 else ""
     return f"{what} {' and '.join(sides)}, {each}with {percent(requirement.confidence)} confidence"
 

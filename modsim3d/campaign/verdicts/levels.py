@@ -41,10 +41,15 @@ class Levels:
             f"one that holds is called failed with at most {_percent(self.failed)}, {looked}.",
         ]
         if self.verdicts > 1:
-            found += [
-                f"That all {self.verdicts:,} verdicts are met is wrong with at most {_percent(self.all_met)}.",
-                f"That one or more of the {self.verdicts:,} verdicts are wrong has at most {_percent(self.any_wrong)}.",
-            ]
+            found.append(
+                f"If all {self.verdicts:,} verdicts are met, that is wrong with a probability of at most "
+                f"{_percent(self.all_met)}."
+            )
+        if self.verdicts > 1 and self.any_wrong < 1:
+            found.append(
+                f"That one or more of the {self.verdicts:,} verdicts are wrong has a probability of at most "
+                f"{_percent(self.any_wrong)}."
+            )
         if self.by_t:
             found.append("Means are judged by Student's t: exact for normal values, approximate for others.")
         return found
