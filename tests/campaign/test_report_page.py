@@ -14,6 +14,8 @@ from modsim3d.campaign.report.compared import mean_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
 from modsim3d.campaign.report.runs_shown import crash_sections
 from modsim3d.campaign.report.search_page import search_page
+from modsim3d.campaign.report.tables import facts_table
+from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.report.writing import files_read, write_page
 from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
@@ -102,6 +104,15 @@ def test_a_worst_run_names_the_requirement_that_it_breaks(html):
     assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
     assert "1. hota at least 0.5" in html.partition("What it rests on")[2]
     assert "[0]" not in html
+
+
+def test_a_checksum_may_be_broken_for_a_narrow_screen():
+    assert facts_table([("plan", "0" * 64)]).count("<wbr>") == 3
+
+
+def test_keys_that_are_set_for_all_runs_are_named():
+    plan = plan_of(2, set={"waves.apply_to": "all"}, vary=[{"grid": {"waves.level": ["small"]}}])
+    assert constant(plan) == {"waves.apply_to": "all", "waves.level": "small"}
 
 
 def test_this_traffic_only_says_what_seeds_change(html):
