@@ -57,11 +57,11 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignR
     table = result.table
     page = "\n".join(coverage_sections(result.folder, table))
     lines = lines_of(page)
-    assert "6 of 6 runs are done, over 1 different truths and 1 traffic seeds." in page
+    assert "6 of 6 runs are done, over 1 different truth and 1 traffic seed." in page
     assert "The traffic of harbour is not drawn: it is the same for every seed, and counts as one." in page
     frames = table["covered.frames.range_200_500_m"][0].as_py()
     assert frames > 0
-    assert lines["200 to 500 m"] == [f"{frames}", "6", "1"]
+    assert lines["200 to 500 m"] == [f"{frames:,}", "6", "1"]
     assert lines["Vessel"] == [f"{table['covered.vessels.Vessel'][0].as_py()}", "6", "1"]
     assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
 
@@ -98,9 +98,9 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     verdict = Verdict(0, "hota < 1 & more", "patient", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3)
     page = "\n".join(trace_sections(result.folder, result.table, [verdict]))
     facts = result.folder.facts
-    (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("[0]"))
+    (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("1. "))
     assert line == ["patient", "0", "met", "1, 3, 5 (3 of them)", "1000000–1000002 (3 of them)", "3"]
-    assert "[0] hota &lt; 1 &amp; more" in page
+    assert "1. hota &lt; 1 &amp; more" in page
     assert facts["sha256"] in page
     assert facts["conditions"][0]["truth_sha256"][:16] in page
     assert facts["conditions"][0]["detector_sha256"][:16] in page
@@ -115,7 +115,7 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
 def test_the_first_of_very_many_verdicts_are_shown_and_the_file_that_has_all_is_named(result: CampaignResult) -> None:
     verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
     page = "\n".join(trace_sections(result.folder, result.table, verdicts))
-    assert "[199] hota" in page and "[200] hota" not in page
+    assert "200. hota" in page and "201. hota" not in page
     assert "100 more are in verdicts.json." in page
 
 

@@ -14,6 +14,8 @@ from modsim3d.campaign.report.compared import mean_sections
 from modsim3d.campaign.report.requirements import requirement_sections, verdict_sentence
 from modsim3d.campaign.report.runs_shown import crash_sections
 from modsim3d.campaign.report.search_page import search_page
+from modsim3d.campaign.report.tables import facts_table
+from modsim3d.campaign.report.words import constant
 from modsim3d.campaign.report.writing import files_read, write_page
 from modsim3d.campaign.results.done_rows import with_plan
 from modsim3d.campaign.results.folder import CampaignFolder, opened_campaign
@@ -64,18 +66,57 @@ def test_the_first_sentence_counts_requirements():
     assert sentence("met", "failed", "undecided") == (
         "✗ Not met: of 3 requirements 1 failed, 1 is undecided and 1 is met, at 95 % confidence each."
     )
-    assert sentence("undecided") == "? Not decided: of 1 requirement 1 is undecided, at 95 % confidence each."
+    assert sentence("undecided") == "? Not decided: the requirement is undecided, at 95 % confidence each."
+    assert sentence("failed", "failed").startswith("✗ Not met: all 2 requirements failed, at")
     assert "no requirements" in sentence()
 
 
 def test_a_requirement_that_failed_in_one_condition_has_failed():
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
-    found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.")]
+    found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.", crashed=1)]
     assert verdict_sentence(plan, found).startswith("✗ Not met")
     html = "".join(requirement_sections(plan, found))
     assert "✗ failed (1 failed, 1 met)" in html
     assert "Too low &lt;here&gt;." in html
     assert html.index("✗ failed</td>") < html.index("✓ met</td>")
+
+
+def noted(*rows):
+    plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
+    return "".join(requirement_sections(plan, [verdict(0, "failed", **row) for row in rows])).count("It is so.")
+
+
+def test_a_row_says_only_what_its_interval_does_not():
+    below = {"estimate": 0.4, "low": 0.3, "high": 0.45}
+    assert noted(below) == 0
+    assert noted(below | {"low": None, "high": None}) == 1
+    assert noted(below | {"undefined": 2}) == 1
+    assert noted(below | {"high": 0.49996}) == 1  # printed as 0.500, the threshold
+
+
+def test_the_axis_of_a_share_ends_at_1():
+    plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5, "in": 0.95}])
+    html = "".join(requirement_sections(plan, [verdict(0, "failed", low=0.1, high=0.6)]))
+    assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)
+
+
+def test_a_worst_run_names_the_requirement_that_it_breaks(html):
+    assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
+    assert "1. hota at least 0.5" in html.partition("What it rests on")[2]
+    assert "[0]" not in html
+
+
+def test_a_checksum_may_be_broken_for_a_narrow_screen():
+    assert facts_table([("plan", "0" * 64)]).count("<wbr>") == 3
+
+
+def test_keys_that_are_set_for_all_runs_are_named():
+    plan = plan_of(2, set={"waves.apply_to": "all"}, vary=[{"grid": {"waves.level": ["small"]}}])
+    assert constant(plan) == {"waves.apply_to": "all", "waves.level": "small"}
+
+
+def test_this_traffic_only_says_what_seeds_change(html):
+    assert "Seeds change the detector and the waves; no result speaks of other traffic." in html
 
 
 def test_the_verdict_stands_before_all_numbers(html, campaign):

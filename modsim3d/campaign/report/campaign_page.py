@@ -96,8 +96,8 @@ def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
         found.append((f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
     fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])
     if fixed:
-        said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed, so "
-        found.append((said + "seeds vary what they vary, and no result speaks of other traffic.", ""))
+        said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "
+        found.append((said + "Seeds change the detector and the waves; no result speaks of other traffic.", ""))
     if plan.keys.uncertainty == "learned":
         said = "The detector's parameters are drawn for each traffic seed from the intervals that learn wrote, so the "
         said += "intervals are wider where its test set was small. A mean is one over all detectors that this set "
@@ -120,7 +120,7 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
         ("seeds", f"{counted(keys.seeds.traffic, 'traffic seed')}, {keys.seeds.detector:,} of the detector for each"),
         ("the same everywhere", ", ".join(f"{key} {value}" for key, value in constant(plan).items())),
         ("stop", stop if keys.stop == "sequential" else "once: the number of seeds was fixed beforehand"),
-        ("plan", folder.facts["sha256"]),
+        ("SHA-256 of the plan", folder.facts["sha256"]),
     ]
     return [(name, value) for name, value in rows if value]
 

@@ -16,6 +16,7 @@ from modsim3d.campaign.report.trace import trace_sections
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.work.coverage import KINDS, VESSELS
 from modsim3d.campaign.work.coverage_bins import OCCLUSIONS, RANGES, SIZES
+from modsim3d.display import counted
 from modsim3d.view.pages import page
 
 __all__ = ["coverage_sections", "trace_sections"]
@@ -106,11 +107,11 @@ def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
 def _extent(folder: CampaignFolder, table: pa.Table, truths: Truths) -> str:
     crashed = len(table) - truths.runs_in_all
     said = (
-        f"{truths.runs_in_all} of {len(folder.plan)} runs are done, over {len(truths)} different truths and "
-        f"{truths.seeds_in_all} traffic seeds."
+        f"{truths.runs_in_all:,} of {counted(len(folder.plan), 'run')} are done, over "
+        f"{counted(len(truths), 'different truth')} and {counted(truths.seeds_in_all, 'traffic seed')}."
     )
     if crashed:
-        said += f" {crashed} more crashed: they cover nothing."
+        said += f" {crashed:,} more crashed and cover nothing."
     fixed = sorted({each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"]})
     if fixed:
         said += f" The traffic of {', '.join(fixed)} is not drawn: it is the same for every seed, and counts as one."
@@ -147,8 +148,8 @@ def _encounters(truths: Truths) -> Part:
     met, seen = sum(row.count for row in rows), truths.counted("met.seen", "").count
     nearest = truths.span("covered.closest_approach_m", "covered.closest_approach_m", "m", "Closest approach of a run")
     note = (
-        f"Vessels that came nearer and passed within a nautical mile; a camera saw {seen} of {met} before the closest "
-        f"approach. {nearest}"
+        f"Vessels that came nearer and passed within a nautical mile; a camera saw {seen:,} of {met:,} before the "
+        f"closest approach. {nearest}"
     )
     return Part(title, unit, rows, note)
 
@@ -160,7 +161,7 @@ def _occlusions(truths: Truths) -> Part:
     hidden_s = truths.total("covered.hidden_s")
     note = (
         "Less than half of the vessel's silhouette is visible. "
-        f"Vessels are wholly hidden for {hidden_s:.0f} s, all of them together."
+        f"Vessels are wholly hidden for {hidden_s:,.0f} s, all of them together."
     )
     return Part(title, unit, _binned(truths, OCCLUSIONS.names, OCCLUSIONS.labels), note)
 

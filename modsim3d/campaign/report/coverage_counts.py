@@ -38,7 +38,7 @@ class Counted:
     @property
     def cells(self) -> list[str]:
         """As a page shows them; dashes if there was none."""
-        numbers = [f"{number}" for number in (self.count, self.runs, self.seeds)] if self.count else [UNKNOWN] * 3
+        numbers = [f"{number:,}" for number in (self.count, self.runs, self.seeds)] if self.count else [UNKNOWN] * 3
         return [self.label, *numbers]
 
 
@@ -131,7 +131,7 @@ class Truths(Covered):
 
 def _short(value: float) -> str:
     """A number with three digits, or with all before the point."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def counted_states(folder: CampaignFolder, table: pa.Table) -> tuple[Counted, ...]:

@@ -161,8 +161,8 @@ def _heat_maps(parameters: Sequence[Parameter], score: Score, cells: Array, trac
     parts = [
         page.heading("Two at a time"),
         page.paragraph(
-            f"Mean {score.label} over traffic seeds; small, where they differ: numbers of seeds; the darker, the "
-            f"higher.{remark}",
+            f"Mean {score.label} over traffic seeds: the darker, the higher. Where cells differ in it, a small number "
+            f"is the number of seeds.{remark}",
             "soft",
         ),
     ]

@@ -44,9 +44,11 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
         one = "The requirement is" if total == 1 else f"All {total} requirements are"
         return f"{sign} {one} met, {how}."
     lead = "Not met" if count["failed"] else "Not decided"
-    parts = [_told(count[outcome], outcome) for outcome in ORDER if count[outcome]]
-    said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return f"{sign} {lead}: of {_requirements(total)} {said}, {how}."
+    if total in count.values():
+        subject = "the requirement" if total == 1 else f"all {total} requirements"
+        return f"{sign} {lead}: {subject} {_told(total, next(iter(count)))}, {how}."
+    parts = [f"{count[outcome]} {_told(count[outcome], outcome)}" for outcome in ORDER if count[outcome]]
+    return f"{sign} {lead}: of {total} requirements {', '.join(parts[:-1])} and {parts[-1]}, {how}."
 
 
 def confidences(plan: Plan) -> str:
@@ -68,7 +70,7 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
         if len(count) > 1:
             said += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
         elif len(found) > 1:
-            said += f" in all {len(found):,} cases"
+            said += " in both cases" if len(found) == 2 else f" in all {len(found):,} cases"
         bad = ' class="bad"' if count["failed"] else ""
         parts.append(f"<h3>{place + 1}. {html.escape(text)}: <span{bad}>{html.escape(said)}</span></h3>")
         parts += _table(plan, plan.keys.require[place], found)
@@ -80,14 +82,16 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     shown = ordered[:MOST_ROWS]
     limit, least = _limit(requirement)
     span = span_of([limit, *(_or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
-    what = "share of seeds" if requirement.share is not None else "mean"
+    what = "mean"
+    if requirement.share is not None:
+        what, span = "share of seeds", (max(0.0, span[0]), min(1.0, span[1]))
     keys = varying(plan)
     columns = keys if len(keys) <= MOST_KEYS else ["condition"]
     header = ("tracker", *columns, "outcome", f"{what} [interval]", _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
     rows = [_row(each, plan, keys, limit, least, span) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
-    notes = {place: _note(each) for place, each in enumerate(shown)}
+    notes = {place: _note(each, limit) for place, each in enumerate(shown)}
     table = grid(kept, names, markup=(len(columns) + 3,), bad=bad, notes=notes)
     if len(rows) > MOST_OPEN:
         first = sum(each.outcome != "met" for each in shown)
@@ -116,9 +120,11 @@ def _row(
     )
 
 
-def _note(each: Verdict) -> str:
-    """Why a verdict is what it is, where that is more than its interval says."""
-    return each.why if each.outcome != "met" or each.crashed or each.undefined else ""
+def _note(each: Verdict, limit: float) -> str:
+    """Why a verdict is what it is, where that is more than its interval says as printed."""
+    if each.crashed or each.undefined or each.low is None or each.high is None:
+        return each.why
+    return each.why if number(limit) in with_interval(each.estimate, each.low, each.high) else ""
 
 
 def _where(plan: Plan, requirement: Requirement) -> list[str]:
@@ -147,12 +153,8 @@ def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdic
     return found
 
 
-def _requirements(count: int) -> str:
-    return counted(count, "requirement")
-
-
 def _told(count: int, outcome: Outcome) -> str:
-    return f"{count} failed" if outcome == "failed" else f"{count} {'is' if count == 1 else 'are'} {outcome}"
+    return "failed" if outcome == "failed" else f"{'is' if count == 1 else 'are'} {outcome}"
 
 
 def _or_nan(value: float | None) -> float:

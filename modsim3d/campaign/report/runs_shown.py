@@ -53,7 +53,9 @@ def worst_sections(
     return [
         page.heading("The worst runs"),
         page.paragraph(
-            "They are shown because they are the worst: they say how it fails, and nothing about how often.", "soft"
+            "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "
+            "failed requirements come before the others. They say how a tracker fails, and nothing about how often.",
+            "soft",
         ),
         *parts,
     ]
@@ -63,6 +65,8 @@ def _worst_run(folder: CampaignFolder, each: WorstRun) -> list[str]:
     run = folder.plan.run(each.number)
     values = {**values_of(folder.plan, each.condition), **run.condition.values}
     what = "crashed" if each.value is None else f"{Score(each.score).name} {number(each.value)}"
+    if each.requirement is not None:
+        what += f" (requirement {each.requirement + 1})"
     said = in_words(values, [*varying(folder.plan), *folder.plan.drawn])
     parts = [
         f"<h3>{html.escape(f'Run {each.number}: {each.tracker}, {what}')}</h3>",

@@ -152,7 +152,7 @@ def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
         ("traffic seeds", f"{search.seeds:,} to choose from"),
         ("budget", f"{counted(search.budget, 'trial')}, {search.batch:,} at once"),
         ("versions", versions),
-        ("plan", folder.facts["sha256"]),
+        ("SHA-256 of the plan", folder.facts["sha256"]),
     ]
 
 

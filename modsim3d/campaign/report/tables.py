@@ -67,7 +67,7 @@ def _breaking(text: str) -> str:
     """Text whose long words, such as keys, may be broken; an interval stays on one line."""
     if _INTERVAL.fullmatch(text):
         return f'<span style="white-space: nowrap">{text}</span>'
-    return _LONG.sub(lambda word: re.sub(r"[./]|\w{32}(?=\w)", r"\g<0><wbr>", word[0]), text)
+    return _LONG.sub(lambda word: re.sub(r"[./]|\w{16}(?=\w)", r"\g<0><wbr>", word[0]), text)
 
 
 def scrolling(content: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.arrays import Indices
+from modsim3d.campaign.report.tables import grid
 from modsim3d.campaign.results.done_rows import text_of
 from modsim3d.campaign.results.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -51,7 +52,7 @@ def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
         chosen = (conditions == verdict.condition) & (trackers == verdict.tracker)
         rows.append(
             [
-                f"[{verdict.requirement}] {verdict.text}",
+                f"{verdict.requirement + 1}. {verdict.text}",
                 verdict.tracker,
                 f"{verdict.condition}",
                 verdict.outcome,
@@ -61,7 +62,7 @@ def _verdicts(table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
             ]
         )
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
-    yield page.table(rows, header)
+    yield grid(rows, header)
     yield from _left_out(len(verdicts), VERDICTS)
 
 
@@ -94,7 +95,7 @@ def _conditions(folder: CampaignFolder) -> Iterator[str]:
         values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
         sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
         rows.append([f"{number}", each["scene"], values or "as it is", *sums])
-    yield page.table(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
+    yield grid(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
     yield from _left_out(len(conditions), PLAN)
     if folder.plan.drawn:
         keys = ", ".join(folder.plan.drawn)

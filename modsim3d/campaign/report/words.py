@@ -125,7 +125,7 @@ def varying(plan: Plan) -> list[str]:
 
 def constant(plan: Plan) -> dict[str, str]:
     """The keys that are set and the same in all conditions."""
-    differing, first = {*varying(plan), "scene"}, values_of(plan, 0)
+    differing, first = {*varying(plan), "scene"}, {**plan.conditions[0].fixed, **values_of(plan, 0)}
     return {key: shown(value) for key, value in first.items() if key not in differing}
 
 

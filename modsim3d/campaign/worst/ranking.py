@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -38,6 +38,7 @@ class WorstRun:
         again: The command that makes the run again.
         film: The command that films the moment; empty if there is none.
         error: Why it crashed; None if it did not.
+        requirement: Index of the requirement that names it; None if it crashed, and without requirements.
     """
 
     number: int
@@ -51,14 +52,16 @@ class WorstRun:
     again: str
     film: str
     error: str | None = None
+    requirement: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Ranking:
-    """Runs in the order of a score: the rows of the table, the worst first, and the score's column."""
+    """Runs in the order of a score: the rows of the table, the worst first, the score's column, and for what."""
 
     rows: Indices
     score: str
+    requirement: int | None = None
 
 
 def worst_runs(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], count: int = 5) -> list[WorstRun]:
@@ -75,13 +78,13 @@ def worst_runs(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdi
     """
     crashed = np.flatnonzero(np.asarray(table["status"].to_numpy(zero_copy_only=False)) == CRASHED)
     rankings = [_Ranking(crashed, "status")], *_rankings(folder.plan, table, verdicts)
-    found: dict[int, str] = {}
+    found: dict[int, _Ranking] = {}
     for together in rankings:
-        for row, score in _by_turns(together):
+        for row, ranking in _by_turns(together):
             if len(found) >= count:
                 break
-            found.setdefault(row, score)
-    return [_worst_run(folder, table.slice(row, 1).to_pylist()[0], score) for row, score in found.items()]
+            found.setdefault(row, ranking)
+    return [_worst_run(folder, table.slice(row, 1).to_pylist()[0], ranking) for row, ranking in found.items()]
 
 
 def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[list[_Ranking]]:
@@ -104,7 +107,8 @@ def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) ->
     chosen = np.zeros(len(table), dtype=bool)
     for verdict in verdicts:
         chosen |= (trackers == verdict.tracker) & (conditions == verdict.condition)
-    return _ranking(table, columns_of(plan, requirement), chosen, lowest=requirement.at_least is not None)
+    ranking = _ranking(table, columns_of(plan, requirement), chosen, lowest=requirement.at_least is not None)
+    return replace(ranking, requirement=verdicts[0].requirement)
 
 
 def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool) -> _Ranking:
@@ -122,17 +126,17 @@ def _numbers(table: pa.Table, name: str) -> Array:
     return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
 
 
-def _by_turns(rankings: Sequence[_Ranking]) -> Iterator[tuple[int, str]]:
-    """Rows of rankings with their score: the first of each, the second of each, …"""
+def _by_turns(rankings: Sequence[_Ranking]) -> Iterator[tuple[int, _Ranking]]:
+    """Rows of rankings with their ranking: the first of each, the second of each, …"""
     for place in range(max((len(each.rows) for each in rankings), default=0)):
         for each in rankings:
             if place < len(each.rows):
-                yield int(each.rows[place]), each.score
+                yield int(each.rows[place]), each
 
 
-def _worst_run(folder: CampaignFolder, row: dict[str, object], score: str) -> WorstRun:
+def _worst_run(folder: CampaignFolder, row: dict[str, object], ranking: _Ranking) -> WorstRun:
     number, moment_s, crashed = row["run"], row["worst_s"], row["status"] == CRASHED
-    value = None if crashed else row[score]
+    value = None if crashed else row[ranking.score]
     assert isinstance(number, int)
     out = folder.path / RUNS_FOLDER / str(number)
     again = f"modsim3d campaign-run {shlex.quote(str(folder.path))} {number} --out {shlex.quote(str(out))}"
@@ -142,10 +146,11 @@ def _worst_run(folder: CampaignFolder, row: dict[str, object], score: str) -> Wo
         condition=int(str(row["condition"])),
         traffic_seed=int(str(row["traffic_seed"])),
         detector_seed=int(str(row["detector_seed"])),
-        score=score,
+        score=ranking.score,
         value=float(value) if isinstance(value, int | float) else None,
         moment_s=moment_s if isinstance(moment_s, float) else None,
         again=again,
         film="" if moment_s is None else f"{again} --film",
         error=str(row["error"]) if crashed else None,
+        requirement=ranking.requirement,
     )
