@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-from scipy.stats import t as student_t
+from scipy import special
 
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.work.row import CRASHED
@@ -110,7 +110,7 @@ def _mean_row(row: dict[str, Any], keys: Sequence[str], scores: Sequence[str]) -
 def _mean(value: float | None, deviation: float | None, seeds: int) -> Mean:
     if value is None or deviation is None or seeds < 2 or deviation <= SAME * abs(value):
         return Mean(value, None, None, seeds)
-    half = float(student_t.ppf((1 + LEVEL) / 2, seeds - 1)) * deviation / sqrt(seeds)
+    half = float(special.stdtrit(seeds - 1, (1 + LEVEL) / 2)) * deviation / sqrt(seeds)
     return Mean(value, value - half, value + half, seeds)
 
 
