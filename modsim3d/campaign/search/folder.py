@@ -24,7 +24,7 @@ from modsim3d.campaign.search.space import Point
 from modsim3d.campaign.search.trials import planned_trial, told_apart
 from modsim3d.campaign.work.row import table_of
 from modsim3d.campaign.work.scenes import Scenes
-from modsim3d.campaign.work.task import Task, stored_report
+from modsim3d.campaign.work.task import Task, read_rows
 from modsim3d.errors import ModsimError, OutputError
 from modsim3d.outputs.placing import make_folder, sync_file, sync_folder, write_files
 from modsim3d.paths import StrPath
@@ -63,14 +63,11 @@ def store_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -> 
 
 
 def done_row(task: Task) -> dict[str, Any] | None:
-    """The row of a task of one run; None if it is not done."""
-    if stored_report(task.path) is None:
+    """The row of a task of one run; None if it is not done, or its file is damaged."""
+    if (rows := read_rows(task.path)) is None:
         return None
-    try:
-        rows: list[dict[str, Any]] = pq.read_table(task.path, partitioning=None).to_pylist()
-    except (OSError, pa.ArrowException):
-        return None  # damaged
-    return rows[0]
+    row: dict[str, Any] = rows.to_pylist()[0]
+    return row
 
 
 def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], search: SearchKeys) -> pa.Table:
