@@ -10,20 +10,12 @@ import pytest
 
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.engines.pool import ProcessPool
-from modsim3d.campaign.running import DIED
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 
 
-def test_a_run_that_ends_its_process_each_time_is_reported_and_the_rest_goes_on(
+def test_a_process_that_is_killed_or_ends_itself_in_the_middle_of_a_task_is_replaced(
     campaigns: Campaigns, tmp_path: Path
 ) -> None:
-    result = campaigns.run("fatal", lambda: ProcessPool(1), tmp_path / "out")
-    assert result is not None
-    assert result.table["status"].to_pylist() == ["done", "crashed"]
-    assert result.table["error"].to_pylist() == [None, DIED]
-
-
-def test_a_process_that_is_killed_in_the_middle_of_a_task_is_replaced(campaigns: Campaigns, tmp_path: Path) -> None:
     here, tasks = campaigns.planned(tmp_path / "out")
     pool = ProcessPool(2)
     with campaigns.holding() as hold:
@@ -39,18 +31,20 @@ def test_a_process_that_is_killed_in_the_middle_of_a_task_is_replaced(campaigns:
         pool.submit(died)  # nothing waits for the other process
         waited_for(lambda: len(numbers_in(hold)) == 3)
     assert {pool.next()[0].path, pool.next()[0].path} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
+    pool.submit(campaigns.fatal_task(tmp_path / "fatal"))
+    assert pool.next()[1] is None
     pool.close()
     campaigns.run("plain", ThisProcess, tmp_path / "out")
     assert content(tmp_path / "out") == campaigns.reference
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
 def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(
-    campaigns: Campaigns, tmp_path: Path, number: signal.Signals
+    campaigns: Campaigns, tmp_path: Path, number: signal.Signals, count: int
 ) -> None:
     out = tmp_path / "out"
-    with campaigns.holding() as hold, campaigns.coordinator("pool", out) as coordinator:
-        waited_for(lambda: len(numbers_in(hold)) == 2)
+    with campaigns.holding() as hold, campaigns.coordinator(str(count), out) as coordinator:
+        waited_for(lambda: len(numbers_in(hold)) == count)
         workers = numbers_in(hold)
         coordinator.send_signal(number)
         assert coordinator.wait(30) in (-number, 1)

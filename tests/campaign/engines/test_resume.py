@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 from modsim3d.campaign import running
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.results import gather
+from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.work import task
 from modsim3d.campaign.work.row import crashed_row
 from modsim3d.campaign.work.task import TaskReport, Worker
@@ -32,14 +34,22 @@ STEPS = [
 """What the end of a campaign does, and where it may be interrupted."""
 
 
+@pytest.fixture(scope="module")
+def made(campaigns: Campaigns, tmp_path_factory: pytest.TempPathFactory) -> CampaignFolder:
+    """A campaign that is interrupted before its end."""
+    here, tasks = campaigns.planned(tmp_path_factory.mktemp("made") / "out")
+    with closing(Worker()) as worker:
+        for each in tasks:
+            worker.do(each)
+    return here
+
+
 @pytest.fixture
-def half(campaigns: Campaigns, tmp_path: Path) -> Iterator[Path]:
+def half(campaigns: Campaigns, made: CampaignFolder, tmp_path: Path) -> Iterator[Path]:
     """A campaign two of whose tasks are done; in the end it must be as if nothing had happened."""
-    _, tasks = campaigns.planned(tmp_path / "out")
-    worker = Worker()
-    for each in tasks[:2]:
-        worker.do(each)
-    worker.close()
+    shutil.copytree(made.path, tmp_path / "out")
+    for each in sorted((tmp_path / "out" / "done").iterdir())[2:]:
+        each.unlink()
     yield tmp_path / "out"
     campaigns.run("plain", ThisProcess, tmp_path / "out")
     assert content(tmp_path / "out") == campaigns.reference
@@ -59,8 +69,8 @@ def test_a_file_with_a_flipped_bit_anywhere_is_made_again(half: Path) -> None:
 
 
 def test_rows_of_another_plan_are_not_counted(half: Path) -> None:
-    rows = task.table_of([crashed_row(number, "of another plan") for number in (8, 1_000)])
-    task.store(half / "done" / "000000008_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
+    rows = task.table_of([crashed_row(number, "of another plan") for number in (4, 1_000)])
+    task.store(half / "done" / "000000004_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
 
 
 def test_half_written_files_are_nothing(half: Path) -> None:
@@ -84,16 +94,12 @@ def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(
 
 
 def test_a_crash_between_any_two_steps_of_the_end(
-    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    campaigns: Campaigns, made: CampaignFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    here, tasks = campaigns.planned(tmp_path / "done")
-    worker = Worker()
-    for each in tasks:
-        worker.do(each)
-    worker.close()
+    campaign = campaigns.checked()
     steps = 0
     while True:
-        out, left = shutil.copytree(here.path, tmp_path / f"out{steps}"), steps
+        out, left = shutil.copytree(made.path, tmp_path / f"out{steps}"), steps
 
         def step(function: Callable[..., object], *given: object, **options: object) -> object:
             nonlocal left
@@ -106,12 +112,12 @@ def test_a_crash_between_any_two_steps_of_the_end(
             for module, name in STEPS:
                 patch.setattr(module, name, partial(step, getattr(module, name)))
             try:
-                campaigns.run("plain", ThisProcess, out)
+                running.run_plan(campaign, out, ThisProcess)
             except KeyboardInterrupt:
                 steps += 1
             else:
                 break
-        campaigns.run("plain", ThisProcess, out)
+        running.run_plan(campaign, out, ThisProcess)
         assert content(out) == campaigns.reference
     assert steps > len(STEPS)
 
