@@ -10,32 +10,32 @@ import pytest
 
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.engines.pool import ProcessPool
+from modsim3d.campaign.engines.worker_process import WorkerProcess
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 
 
-def test_a_process_that_is_killed_or_ends_itself_in_the_middle_of_a_task_is_replaced(
-    campaigns: Campaigns, tmp_path: Path
-) -> None:
+def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, tmp_path: Path) -> None:
     here, tasks = campaigns.planned(tmp_path / "out")
-    pool = ProcessPool(2)
+    pool = ProcessPool(1)
     with campaigns.holding() as hold:
         for task in tasks[:2]:
             pool.submit(task)
-        waited_for(lambda: len(numbers_in(hold)) == 2)
-        killed, other = numbers_in(hold)
+        waited_for(lambda: numbers_in(hold))
+        (killed,) = numbers_in(hold)
         os.kill(killed, signal.SIGKILL)
-        died, report = pool.next()
-        assert died in tasks
-        assert report is None
-        assert alive(other)
-        pool.submit(died)  # nothing waits for the other process
-        waited_for(lambda: len(numbers_in(hold)) == 3)
-    assert {pool.next()[0].path, pool.next()[0].path} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
-    pool.submit(campaigns.fatal_task(tmp_path / "fatal"))
-    assert pool.next()[1] is None
+        assert pool.next() == (tasks[0], None)
+        pool.submit(tasks[0])
+    assert [pool.next()[0] for _ in range(2)] == [tasks[1], tasks[0]]
+    assert set(here.done.iterdir()) == {task.path for task in tasks[:2]}
     pool.close()
     campaigns.run("plain", ThisProcess, tmp_path / "out")
     assert content(tmp_path / "out") == campaigns.reference
+
+
+def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
+    process = WorkerProcess()
+    process.close()
+    assert process._process.returncode == -signal.SIGKILL
 
 
 @pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
