@@ -14,7 +14,7 @@ from modsim3d.campaign.rows import has_ended, planned_rows, rows_of
 from modsim3d.campaign.verdicts.judging import judged
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import CRASHED
-from modsim3d.campaign.work.task import stored_report
+from modsim3d.campaign.work.task import ROWS_PATTERN, stored_report
 from modsim3d.outputs.locks import LOCK_FILE, holder_of
 
 
@@ -83,7 +83,7 @@ def crashed_runs(table: pa.Table) -> int:
 def _times(folder: CampaignFolder, left: int, holder: str | None) -> tuple[float | None, float | None]:
     """Time that the rest takes, and since the last rows were written, in seconds; None if unknown."""
     now, written, files = time.time(), list[float](), []
-    for path in folder.done.glob("[0-9]*.parquet") if folder.done.is_dir() else ():
+    for path in folder.done.glob(ROWS_PATTERN) if folder.done.is_dir() else ():
         try:
             files.append((path.stat().st_mtime, path))
         except FileNotFoundError:  # gathered just now

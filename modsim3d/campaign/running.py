@@ -204,13 +204,15 @@ class _Campaign:
         return table
 
     def _mine(self) -> list[int]:
-        """The runs of this part: every n-th truth."""
+        """The runs of this part: every n-th truth, and a piece of each truth that has more runs than a part."""
         numbers = range(len(self._plan))
         if self._shard is None:
             return list(numbers)
         part, parts = self._shard
+        most = -(-len(numbers) // parts)
         groups = same_truth(self._plan, self._campaign.facts, numbers)
-        return sorted(number for group in groups[part - 1 :: parts] for number in group)
+        pieces = [group[first : first + most] for group in groups for first in range(0, len(group), most)]
+        return sorted(number for piece in pieces[part - 1 :: parts] for number in piece)
 
     def _look(self) -> int | None:
         """Look at the complete batches, one after the other; the end of the runs that count, if it is known."""

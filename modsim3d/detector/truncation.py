@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
-from scipy.stats import qmc
 
 from modsim3d.arrays import Array, Indices
 from modsim3d.boxes import at_least_a_pixel, sizes
@@ -75,6 +74,8 @@ def accepted_errors(
         covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
         points: Number of points for each box, a power of two.
     """
+    from scipy.stats import qmc  # slow to import, and a simulation draws no such points
+
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.detector import Detector, take_census
@@ -162,7 +162,7 @@ class Bias:
     def significant(self, shift: Shift) -> Mask:
         """Which numbers of an entry are surely shifted, by Student's test of all together, shape (...)."""
         numbers = sum(np.size(each.shift) for each in self.shifts)
-        needed = float(stats.t.ppf(1 - SURE / (2 * numbers), self.repeats - 1))
+        needed = float(special.stdtrit(self.repeats - 1, 1 - SURE / (2 * numbers)))
         with np.errstate(invalid="ignore"):
             surely: Mask = np.isfinite(shift.error) & (np.abs(shift.shift) > needed * shift.error)
         return surely

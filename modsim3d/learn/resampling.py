@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import special, stats
-from scipy.sparse import csr_array
+from scipy import special
 
 from modsim3d.arrays import Array, Indices, Mask
 from modsim3d.formats.labelled import Images
@@ -50,6 +49,8 @@ class Resampling:
             shape: Of the table; that of the result is (1 + replicates, *shape).
             amount: How much each counts, one if None, shape (n,).
         """
+        from scipy.sparse import csr_array  # slow to import, and reading what was learned needs none
+
         size = int(np.prod(shape))
         amount = np.ones(len(image)) if amount is None else amount
         used, row = np.unique(image, return_inverse=True)  # most frames of a long night are empty
@@ -120,8 +121,8 @@ class Column:
 
         With few units, images or runs that were drawn, the spread itself is uncertain, hence Student's distribution.
         """
-        wide = float(stats.t.ppf((1 + level) / 2, max(units - 1, 1)))
-        widen, tail = (wide / float(stats.norm.ppf((1 + level) / 2))) ** 2, (1 - level) / 2
+        wide = float(special.stdtrit(max(units - 1, 1), (1 + level) / 2))
+        widen, tail = (wide / float(special.ndtri((1 + level) / 2))) ** 2, (1 - level) / 2
         if self.kind in ("share", "rate"):
             return self._counted(widen, tail)
         centre = to_scale(self.estimate, self.kind)

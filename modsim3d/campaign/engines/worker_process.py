@@ -100,9 +100,9 @@ class WorkerProcess:
         self._process.kill()
 
     def close(self) -> None:
-        """End the process: an idle one closes its OpenGL context first."""
+        """End the process: an idle one closes its OpenGL context first, if it has ever done a task."""
         self.pipe.close()
-        if self._busy:
+        if self._busy or not self._ready:
             self.kill()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_S)

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from modsim3d.arrays import Array
 from modsim3d.campaign.file.keys import Factor, Range
@@ -55,6 +54,8 @@ def value_at(values: Range, share: float) -> Any:
 
 @lru_cache(maxsize=4)
 def _hypercube(dimensions: int, count: int, base: int, place: int) -> Array:
+    from scipy.stats import qmc  # slow to import, and few campaigns need it
+
     rng = np.random.default_rng([_HYPERCUBE, base, place])
     points: Array = qmc.LatinHypercube(d=dimensions, rng=rng).random(count)
     return points

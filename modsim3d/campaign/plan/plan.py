@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 from modsim3d.campaign.file.keys import CampaignKeys, TrackerKeys
@@ -81,6 +82,14 @@ class Plan:
 
     def run(self, number: int) -> PlannedRun:
         """The run with a number."""
+        return self.runs([number])[0]
+
+    def runs(self, numbers: Sequence[int]) -> list[PlannedRun]:
+        """The runs with some numbers."""
+        drawn = cache(self._drawn)  # for the runs of a traffic seed, which follow each other
+        return [self._run(number, drawn) for number in numbers]
+
+    def _run(self, number: int, drawn: Callable[[int], dict[str, Any]]) -> PlannedRun:
         rest, tracker = divmod(number, len(self.keys.trackers))
         rest, look = divmod(rest, self.keys.seeds.detector)
         seed_index, condition_index = divmod(rest, len(self.conditions))
@@ -89,15 +98,11 @@ class Plan:
             number,
             seed_index,
             condition_index,
-            self.conditions[condition_index].with_values(self._drawn(seed_index)),
+            self.conditions[condition_index].with_values(drawn(seed_index)),
             traffic,
             detector_seed(traffic, look),
             self.keys.trackers[tracker],
         )
-
-    def runs(self, numbers: Sequence[int]) -> list[PlannedRun]:
-        """The runs with some numbers."""
-        return [self.run(number) for number in numbers]
 
     def _drawn(self, seed_index: int) -> dict[str, Any]:
         return drawn_values(self.keys.vary, self.keys.seed, seed_index, self.keys.seeds.traffic)

@@ -8,7 +8,7 @@ from pathlib import Path
 from modsim3d.campaign.report.campaign_page import write_campaign_page
 from modsim3d.campaign.report.search_page import write_search_page
 from modsim3d.campaign.results.folder import FILE, CampaignFolder
-from modsim3d.campaign.work.task import PLAN
+from modsim3d.campaign.work.task import PLAN, ROWS_PATTERN
 
 
 def write_page(folder: CampaignFolder, path: Path, advance: Callable[[int], None] = lambda done: None) -> str:
@@ -29,5 +29,5 @@ def write_page(folder: CampaignFolder, path: Path, advance: Callable[[int], None
 
 def files_read(folder: CampaignFolder) -> list[Path]:
     """The files that the page is made from."""
-    rows = [*folder.results.glob("scene=*/part-*.parquet"), *folder.done.glob("*.parquet")]
+    rows = [*folder.results.glob("scene=*/part-*.parquet"), *folder.done.glob(ROWS_PATTERN)]
     return [folder.path / PLAN, folder.path / FILE, *sorted(rows), *sorted(folder.path.glob("search/*.parquet"))]

@@ -15,9 +15,8 @@ from modsim3d.arrays import Indices
 from modsim3d.campaign.plan.plan import Plan
 from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.work.row import DONE, FACTS, SCORES, table_of
-from modsim3d.campaign.work.task import read_rows
+from modsim3d.campaign.work.task import ROWS_PATTERN, name_of_rows, read_rows
 
-_PATTERN = "[0-9]*.parquet"
 _OF_ALL_PLANS = ("scene", "condition", "traffic_seed", "detector_seed", "tracker")
 _TOGETHER = 200
 """Small tables that are kept before they become one; each costs some 50 kB beside its rows."""
@@ -39,16 +38,17 @@ class DoneRows:
         Args:
             first_runs: Only files that begin with one of these runs; None: all.
         """
-        for path in sorted(self._folder.done.glob(_PATTERN)):
+        for path in sorted(self._folder.done.glob(ROWS_PATTERN)):
             if first_runs is None or int(path.name.partition("_")[0]) in first_runs:
                 self.add(path)
         return self
 
     def add(self, path: Path) -> bool:
-        """Read the file of a task; whether it is there, and not damaged."""
+        """Read the file of a task; whether it is there, not damaged, and of this plan."""
         if path.name in self._read:
             return True
-        if (rows := read_rows(path)) is None:
+        rows = read_rows(path)
+        if rows is None or path.name != name_of_rows(self._folder.facts["sha256"], rows["run"].to_pylist()):
             return False
         self._read.add(path.name)
         self._small.append(rows.replace_schema_metadata(None))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import uuid
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -31,6 +32,8 @@ def done_rows(folder: CampaignFolder) -> pa.Table:
 def write_results(folder: CampaignFolder, table: pa.Table) -> None:
     """Write the data set, `results/scene=NAME/part-N.parquet`; it gets its name when it is whole.
 
+    On a file system without locks another process may do the same; whoever comes second leaves the first one's.
+
     Args:
         folder: The campaign.
         table: The rows that count, in the order of the plan.
@@ -38,9 +41,8 @@ def write_results(folder: CampaignFolder, table: pa.Table) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    partial = folder.path / f".{folder.results.name}.partial"
+    partial = folder.path / f".{folder.results.name}.{uuid.uuid4().hex}"
     try:
-        shutil.rmtree(partial, ignore_errors=True)
         make_folder(partial)
         for name in dict.fromkeys(table["scene"].to_pylist()):
             rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
@@ -49,7 +51,10 @@ def write_results(folder: CampaignFolder, table: pa.Table) -> None:
         partial.rename(folder.results)
         sync_folder(folder.path)
     except OSError as error:
-        raise OutputError(f"{folder.results} cannot be written: {error.strerror or error}") from error
+        if not folder.finished:
+            raise OutputError(f"{folder.results} cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _write_scene(folder: Path, rows: pa.Table) -> None:
@@ -62,10 +67,12 @@ def _write_scene(folder: Path, rows: pa.Table) -> None:
 
 
 def remove_done(folder: CampaignFolder) -> None:
-    """Remove the files of tasks of a campaign whose results are there.
+    """Remove the files of tasks of a campaign whose results are there, and results that were half written.
 
-    The folder gets another name first: a worker that still writes a row cannot bring it back.
+    The folder of tasks gets another name first: a worker that still writes a row cannot bring it back.
     """
+    for partial in folder.path.glob(f".{folder.results.name}.*"):
+        shutil.rmtree(partial, ignore_errors=True)
     leaving = folder.path / f".{folder.done.name}.removed"
     shutil.rmtree(leaving, ignore_errors=True)
     with suppress(OSError):  # it is not there

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import resource
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -29,7 +30,10 @@ PLAN = "plan.json"
 """In the folder of a campaign: its plan."""
 DONE_FOLDER = "done"
 """In the folder of a campaign that is not finished: the rows that are done, a file for each task."""
+ROWS_PATTERN = "[0-9]*.rows"
+"""The names of these files."""
 _REPORT = b"modsim3d"
+_CHECKSUM_BYTES = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
@@ -78,9 +82,13 @@ class Task:
     @property
     def path(self) -> Path:
         """The file with its rows, named by what is in it."""
-        numbers = [run.number for run in self.runs]
-        name = f"{numbers[0]:09d}_{digest(self.work.plan_sha256, numbers)[:16]}.parquet"
+        name = name_of_rows(self.work.plan_sha256, [run.number for run in self.runs])
         return Path(self.work.folder) / DONE_FOLDER / name
+
+
+def name_of_rows(plan_sha256: str, numbers: Sequence[int]) -> str:
+    """The name of the file with the rows of some runs of a plan."""
+    return f"{numbers[0]:09d}_{digest(plan_sha256, list(numbers))[:16]}.rows"
 
 
 @dataclass(frozen=True)
@@ -171,14 +179,19 @@ def store_crashed(task: Task, error: str) -> None:
 def store(path: Path, table: pa.Table, report: TaskReport) -> None:
     """Write rows whole, under a name of their own until they are; another process may write the same file.
 
+    It is a Parquet file, and after it comes its SHA-256, so that any damage is noticed before it is read.
+
     Raises:
         OutputError: The file cannot be written. So it is when the folder is gone: the campaign has ended without it.
     """
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     table = table.replace_schema_metadata({_REPORT: orjson.dumps(asdict(report))})
+    content = pa.BufferOutputStream()
+    pq.write_table(table, content, compression="zstd")
+    written = content.getvalue().to_pybytes()
     try:
         with partial.open("wb") as out:
-            pq.write_table(table, out, compression="zstd", write_page_checksum=True)
+            out.write(written + hashlib.sha256(written).digest())
             out.flush()
             os.fsync(out.fileno())
         partial.replace(path)
@@ -191,20 +204,19 @@ def store(path: Path, table: pa.Table, report: TaskReport) -> None:
 def read_rows(path: Path) -> pa.Table | None:
     """The rows of a task's file, with its report; None if there is no such file, or it is damaged."""
     try:
-        with path.open("rb") as opened:
-            content = pa.BufferReader(opened.read())
-        return pq.ParquetFile(content, page_checksum_verification=True).read(use_threads=False)
-    except (OSError, pa.ArrowException):
+        content = memoryview(path.read_bytes())
+    except OSError:
         return None
+    written, checksum = content[:-_CHECKSUM_BYTES], content[-_CHECKSUM_BYTES:]
+    if hashlib.sha256(written).digest() != checksum:
+        return None
+    return pq.ParquetFile(pa.BufferReader(written)).read(use_threads=False)
 
 
 def stored_report(path: Path) -> TaskReport | None:
     """What a file of rows says of its task; None if there is no such file, or it is damaged."""
     table = read_rows(path)
-    try:
-        return None if table is None else TaskReport(**orjson.loads(table.schema.metadata[_REPORT]))
-    except (KeyError, TypeError, orjson.JSONDecodeError):
-        return None
+    return None if table is None else TaskReport(**orjson.loads(table.schema.metadata[_REPORT]))
 
 
 def _cpu_s() -> float:

@@ -23,7 +23,7 @@ PATIENCE_S = 60.0
 PLAIN = """
 scene: harbour
 steps: 3
-seeds: {traffic: 4, detector: 2}
+seeds: {traffic: 4}
 vary:
   - grid: {waves.level: [small]}
 trackers: [fragile, reference]
@@ -36,8 +36,9 @@ vary:
   - grid: {waves.level: [small]}
 trackers: [reference, {tracker: fragile, name: fatal, set: {fatal: true}}]
 """
+STILL = "{scene: harbour, steps: 3, seeds: {traffic: 8}, trackers: [reference]}"
 SEQUENTIAL = PLAIN + "require: [{score: hota, at_least: 0.1}]\nstop: sequential\nbatch: 1\n"
-FILES = {"plain": PLAIN, "fatal": FATAL, "sequential": SEQUENTIAL}
+FILES = {"still": STILL, "plain": PLAIN, "fatal": FATAL, "sequential": SEQUENTIAL}
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,13 @@ class Campaigns:
         finally:
             shutil.rmtree(self.hold, ignore_errors=True)
 
+    def fatal_task(self, out: Path) -> Task:
+        """A task of one run, which ends its process."""
+        here = planned(self.checked("fatal"), out)
+        return Task(here.work, (here.plan.run(1),))
+
     def coordinator(self, engine: str, out: Path) -> subprocess.Popen[str]:
-        """A campaign in a process of its own: `pool`, or the address of a scheduler."""
+        """A campaign in a process of its own: a number of workers, or the address of a scheduler."""
         return subprocess.Popen(
             [sys.executable, "-m", "tests.campaign.engines.coordinator", engine, self.folder / "plain.yaml", out],
             stderr=subprocess.PIPE,

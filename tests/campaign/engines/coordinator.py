@@ -14,5 +14,7 @@ from modsim3d.campaign.work.checking import checked
 if __name__ == "__main__":
     engine, file, out = sys.argv[1:]
     run_plan(
-        checked(read_campaign(file)), Path(out), lambda: ProcessPool(2) if engine == "pool" else DaskEngine(engine)
+        checked(read_campaign(file)),
+        Path(out),
+        lambda: ProcessPool(int(engine)) if engine.isdigit() else DaskEngine(engine),
     )

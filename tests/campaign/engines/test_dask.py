@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.engines.dask_engine import DaskEngine
+from modsim3d.campaign.engines.dask_engine import DaskEngine, _raise_unless_killed
 from modsim3d.campaign.engines.interface import ThisProcess
-from modsim3d.campaign.running import DIED
 from modsim3d.errors import ModsimError
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 from tests.campaign.engines.cluster import Cluster, cluster, free_port
@@ -22,14 +22,6 @@ def shared(campaigns: Campaigns, tmp_path_factory: pytest.TempPathFactory) -> It
         yield made
 
 
-def test_a_run_that_ends_its_process_each_time_is_reported_and_the_worker_stays(
-    campaigns: Campaigns, shared: Cluster, tmp_path: Path
-) -> None:
-    result = campaigns.run("fatal", lambda: DaskEngine(shared.address), tmp_path / "out")
-    assert result is not None
-    assert result.table["error"].to_pylist() == [None, DIED]
-
-
 def test_a_client_that_is_killed_and_started_again_ends_with_the_same_bytes(
     campaigns: Campaigns, shared: Cluster, tmp_path: Path
 ) -> None:
@@ -40,9 +32,13 @@ def test_a_client_that_is_killed_and_started_again_ends_with_the_same_bytes(
     assert content(tmp_path / "out") == campaigns.reference
 
 
-def test_what_is_not_wanted_any_more_is_ended_at_once(campaigns: Campaigns, shared: Cluster, tmp_path: Path) -> None:
+def test_a_run_ends_its_process_the_worker_stays_and_what_is_not_wanted_any_more_is_ended_at_once(
+    campaigns: Campaigns, shared: Cluster, tmp_path: Path
+) -> None:
     _, tasks = campaigns.planned(tmp_path / "out")
-    engine = DaskEngine(shared.address)
+    engine, fatal = DaskEngine(shared.address), campaigns.fatal_task(tmp_path / "fatal")
+    engine.submit(fatal)
+    assert engine.next() == (fatal, None)
     with campaigns.holding() as hold:
         for task in tasks:
             engine.submit(task)
@@ -68,10 +64,21 @@ def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         DaskEngine(f"tcp://127.0.0.1:{free_port()}")
 
 
-def test_workers_and_the_scheduler_are_lost_and_others_come(campaigns: Campaigns, tmp_path: Path) -> None:
+def test_a_task_whose_workers_were_lost_too_often_is_tried_again() -> None:
+    from distributed import KilledWorker
+
+    _raise_unless_killed(KilledWorker("task", None, 3))
+    with pytest.raises(ModsimError, match="a Dask worker cannot do a task: MemoryError: too large"):
+        _raise_unless_killed(MemoryError("too large"))
+
+
+def test_workers_and_the_scheduler_are_lost_and_others_come(
+    campaigns: Campaigns, shared: Cluster, tmp_path: Path
+) -> None:
+    """It leaves nothing of the cluster that the tests above share."""
     here, tasks = campaigns.planned(tmp_path / "out")
-    with cluster(tmp_path, 0) as made:
-        scheduler, first = made._processes[0], made.start_worker()
+    with closing(shared) as made:
+        scheduler, first = made._processes
         engine = DaskEngine(made.address)
         engine.submit(tasks[0])
         waited_for(tasks[0].path.exists)

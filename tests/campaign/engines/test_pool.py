@@ -10,47 +10,41 @@ import pytest
 
 from modsim3d.campaign.engines.interface import ThisProcess
 from modsim3d.campaign.engines.pool import ProcessPool
-from modsim3d.campaign.running import DIED
+from modsim3d.campaign.engines.worker_process import WorkerProcess
 from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
 
 
-def test_a_run_that_ends_its_process_each_time_is_reported_and_the_rest_goes_on(
-    campaigns: Campaigns, tmp_path: Path
-) -> None:
-    result = campaigns.run("fatal", lambda: ProcessPool(1), tmp_path / "out")
-    assert result is not None
-    assert result.table["status"].to_pylist() == ["done", "crashed"]
-    assert result.table["error"].to_pylist() == [None, DIED]
-
-
-def test_a_process_that_is_killed_in_the_middle_of_a_task_is_replaced(campaigns: Campaigns, tmp_path: Path) -> None:
+def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, tmp_path: Path) -> None:
     here, tasks = campaigns.planned(tmp_path / "out")
-    pool = ProcessPool(2)
+    pool = ProcessPool(1)
     with campaigns.holding() as hold:
         for task in tasks[:2]:
             pool.submit(task)
-        waited_for(lambda: len(numbers_in(hold)) == 2)
-        killed, other = numbers_in(hold)
+        waited_for(lambda: numbers_in(hold))
+        (killed,) = numbers_in(hold)
         os.kill(killed, signal.SIGKILL)
-        died, report = pool.next()
-        assert died in tasks
-        assert report is None
-        assert alive(other)
-        pool.submit(died)  # nothing waits for the other process
-        waited_for(lambda: len(numbers_in(hold)) == 3)
-    assert {pool.next()[0].path, pool.next()[0].path} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
+        assert pool.next() == (tasks[0], None)
+        pool.submit(tasks[0])
+    assert [pool.next()[0] for _ in range(2)] == [tasks[1], tasks[0]]
+    assert set(here.done.iterdir()) == {task.path for task in tasks[:2]}
     pool.close()
     campaigns.run("plain", ThisProcess, tmp_path / "out")
     assert content(tmp_path / "out") == campaigns.reference
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
+    process = WorkerProcess()
+    process.close()
+    assert process._process.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
 def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(
-    campaigns: Campaigns, tmp_path: Path, number: signal.Signals
+    campaigns: Campaigns, tmp_path: Path, number: signal.Signals, count: int
 ) -> None:
     out = tmp_path / "out"
-    with campaigns.holding() as hold, campaigns.coordinator("pool", out) as coordinator:
-        waited_for(lambda: len(numbers_in(hold)) == 2)
+    with campaigns.holding() as hold, campaigns.coordinator(str(count), out) as coordinator:
+        waited_for(lambda: len(numbers_in(hold)) == count)
         workers = numbers_in(hold)
         coordinator.send_signal(number)
         assert coordinator.wait(30) in (-number, 1)

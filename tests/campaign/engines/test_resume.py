@@ -4,27 +4,52 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from modsim3d.campaign import running
 from modsim3d.campaign.engines.interface import ThisProcess
+from modsim3d.campaign.results import gather
+from modsim3d.campaign.results.folder import CampaignFolder
 from modsim3d.campaign.work import task
-from modsim3d.campaign.work.task import Worker
+from modsim3d.campaign.work.row import crashed_row
+from modsim3d.campaign.work.task import TaskReport, Worker
 from modsim3d.errors import OutputError
 from tests.campaign.engines.campaigns import Campaigns, content
 
+STEPS = [
+    (gather, "make_folder"),
+    (gather, "sync_file"),
+    (gather, "sync_folder"),
+    (gather.shutil, "rmtree"),
+    (gather, "write_files"),
+    (running, "remove_done"),
+    (running, "write_verdicts"),
+]
+"""What the end of a campaign does, and where it may be interrupted."""
+
+
+@pytest.fixture(scope="module")
+def made(campaigns: Campaigns, tmp_path_factory: pytest.TempPathFactory) -> CampaignFolder:
+    """A campaign that is interrupted before its end."""
+    here, tasks = campaigns.planned(tmp_path_factory.mktemp("made") / "out")
+    with closing(Worker()) as worker:
+        for each in tasks:
+            worker.do(each)
+    return here
+
 
 @pytest.fixture
-def half(campaigns: Campaigns, tmp_path: Path) -> Iterator[Path]:
+def half(campaigns: Campaigns, made: CampaignFolder, tmp_path: Path) -> Iterator[Path]:
     """A campaign two of whose tasks are done; in the end it must be as if nothing had happened."""
-    _, tasks = campaigns.planned(tmp_path / "out")
-    worker = Worker()
-    for each in tasks[:2]:
-        worker.do(each)
-    worker.close()
+    shutil.copytree(made.path, tmp_path / "out")
+    for each in sorted((tmp_path / "out" / "done").iterdir())[2:]:
+        each.unlink()
     yield tmp_path / "out"
     campaigns.run("plain", ThisProcess, tmp_path / "out")
     assert content(tmp_path / "out") == campaigns.reference
@@ -35,17 +60,22 @@ def test_a_file_that_was_cut_off_is_made_again(half: Path) -> None:
     damaged.write_bytes(damaged.read_bytes()[:-100])
 
 
-def test_a_file_with_a_flipped_bit_in_its_middle_is_made_again(half: Path) -> None:
+def test_a_file_with_a_flipped_bit_anywhere_is_made_again(half: Path) -> None:
     damaged = min((half / "done").iterdir())
-    content = bytearray(damaged.read_bytes())
-    content[200] ^= 1
-    damaged.write_bytes(content)
-    assert task.stored_report(damaged) is None
+    whole = damaged.read_bytes()
+    for place in (*range(0, len(whole), 61), len(whole) - 1):  # values, descriptions of columns, and the checksum
+        damaged.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        assert task.stored_report(damaged) is None
+
+
+def test_rows_of_another_plan_are_not_counted(half: Path) -> None:
+    rows = task.table_of([crashed_row(number, "of another plan") for number in (4, 1_000)])
+    task.store(half / "done" / "000000004_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
 
 
 def test_half_written_files_are_nothing(half: Path) -> None:
-    (half / "done" / ".000000008_0.parquet.0").write_bytes(b"PAR1")
-    (half / ".results.partial" / "scene=harbour").mkdir(parents=True)
+    (half / "done" / ".000000008_0.rows.0").write_bytes(b"PAR1")
+    (half / ".results.0" / "scene=harbour").mkdir(parents=True)
     (half / ".plan.json.0").write_bytes(b"{")
     (half / ".plan.json.0").unlink()
 
@@ -61,6 +91,41 @@ def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(
         patch.setattr(task.os, "fsync", full)
         campaigns.run("plain", ThisProcess, half)
     assert sorted((half / "done").iterdir()) == before
+
+
+def test_a_crash_between_any_two_steps_of_the_end(
+    campaigns: Campaigns, made: CampaignFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = campaigns.checked()
+    steps = 0
+    while True:
+        out, left = shutil.copytree(made.path, tmp_path / f"out{steps}"), steps
+
+        def step(function: Callable[..., object], *given: object, **options: object) -> object:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+            return function(*given, **options)
+
+        with monkeypatch.context() as patch:
+            for module, name in STEPS:
+                patch.setattr(module, name, partial(step, getattr(module, name)))
+            try:
+                running.run_plan(campaign, out, ThisProcess)
+            except KeyboardInterrupt:
+                steps += 1
+            else:
+                break
+        running.run_plan(campaign, out, ThisProcess)
+        assert content(out) == campaigns.reference
+    assert steps > len(STEPS)
+
+
+def test_two_processes_that_end_at_once_where_there_are_no_locks(half: Path, campaigns: Campaigns) -> None:
+    campaigns.run("plain", ThisProcess, half)
+    here, _ = campaigns.planned(half)
+    gather.write_results(here, gather.results_table(here))
 
 
 def test_results_in_place_beside_rows_that_were_not_removed(

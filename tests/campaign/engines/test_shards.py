@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from modsim3d.campaign.engines.interface import Engine, ThisProcess
+from modsim3d.campaign.results.done_rows import DoneRows
 from modsim3d.campaign.results.folder import planned
 from modsim3d.errors import ModsimError, OutputError
 from tests.campaign.engines.campaigns import Campaigns, content
@@ -31,6 +32,12 @@ def test_shards_make_each_run_once_and_the_command_without_them_only_gathers(
     assert content(out) == campaigns.reference
     campaigns.run("plain", no_engine, out, (2, 3))  # a job that starts when all is over
     assert content(out) == campaigns.reference
+
+
+def test_shards_are_even_where_all_runs_share_one_truth(campaigns: Campaigns, tmp_path: Path) -> None:
+    for part in (1, 2, 3, 4):
+        campaigns.run("still", ThisProcess, tmp_path / "out", (part, 4))
+        assert len(DoneRows(planned(campaigns.checked("still"), tmp_path / "out")).read().numbers()) == 2 * part
 
 
 def test_what_depends_on_other_runs_is_refused(campaigns: Campaigns, tmp_path: Path) -> None:

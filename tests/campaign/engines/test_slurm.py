@@ -27,6 +27,7 @@ CONFIGURATION = {
     "jobqueue.slurm.cores": 1,
     "jobqueue.slurm.memory": "1 GiB",
     "jobqueue.slurm.interface": "lo",
+    "jobqueue.slurm.worker-extra-args": ["--no-nanny"],
 }
 
 

@@ -41,7 +41,7 @@ def test_runs_beyond_the_end_are_left_out(
     monkeypatch.setattr(running, "judged", decided_by_the_second_seed)
     one_by_one = campaigns.run("sequential", ThisProcess, tmp_path / "one")
     assert one_by_one is not None
-    assert one_by_one.table["run"].to_pylist() == list(range(8))  # two of four seeds
+    assert one_by_one.table["run"].to_pylist() == list(range(4))  # two of four seeds
     campaigns.run("sequential", lambda: Shuffled(width), tmp_path / "many")
     assert content(tmp_path / "many") == content(tmp_path / "one")
 
@@ -60,3 +60,21 @@ def test_a_campaign_that_went_on_beyond_its_end_and_was_killed_ends_where_it_sho
     assert len(list(here.done.iterdir())) == 3
     campaigns.run("sequential", ThisProcess, tmp_path / "killed")
     assert content(tmp_path / "killed") == content(tmp_path / "one")
+
+
+class Deadly(ThisProcess):
+    """Loses each task with a run of the tracker `fatal`."""
+
+    def next(self) -> tuple[Task, TaskReport | None]:
+        if any(run.tracker.label == "fatal" for run in self._waiting[0].runs):
+            return self._waiting.pop(0), None
+        return super().next()
+
+
+def test_a_run_that_ends_its_process_each_time_is_reported_and_the_rest_goes_on(
+    campaigns: Campaigns, tmp_path: Path
+) -> None:
+    result = campaigns.run("fatal", Deadly, tmp_path / "out")
+    assert result is not None
+    assert result.table["status"].to_pylist() == ["done", "crashed"]
+    assert result.table["error"].to_pylist() == [None, running.DIED]

@@ -1,0 +1,42 @@
+"""Workers that may not work on a campaign say why."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from modsim3d.campaign.work import admission
+from modsim3d.campaign.work.admission import check_worker
+from modsim3d.errors import ModsimError
+from tests.campaign.engines.campaigns import Campaigns
+
+
+@pytest.mark.parametrize("package", ["fragile", "numpy"])
+def test_a_worker_with_other_versions_is_refused(
+    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    here, _ = campaigns.planned(tmp_path / "out")
+    check_worker(here.work)
+    here_is = admission.version(package)
+    other = {**admission.versions(), "numpy": "9.9"}
+    with monkeypatch.context() as patch:
+        if package == "numpy":
+            patch.setattr(admission, "versions", lambda: other)
+        else:
+            patch.setattr(admission, "version", lambda name: "9.9")
+        with pytest.raises(ModsimError, match=f"on {platform.node()} has .*{package} 9.9 instead of {here_is}"):
+            check_worker(here.work)
+
+
+def test_a_worker_that_finds_another_campaign_or_a_damaged_plan_is_refused(
+    campaigns: Campaigns, tmp_path: Path
+) -> None:
+    here, _ = campaigns.planned(tmp_path / "out")
+    with pytest.raises(ModsimError, match="finds another campaign at"):
+        check_worker(replace(here.work, plan_sha256="0" * 64))
+    (here.path / "plan.json").write_bytes(b"{}")
+    with pytest.raises(ModsimError, match=r"plan\.json is damaged"):
+        check_worker(here.work)
