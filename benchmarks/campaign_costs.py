@@ -59,7 +59,7 @@ class Amount:
     coordinated_runs: tuple[int, int]
 
 
-FULL = Amount(25, 10, 5_000, (20_000, 100_000))
+FULL = Amount(25, 10, 5_000, (20_000, 60_000))
 QUICK = Amount(1, 1, 500, (2_000, 8_000))
 
 

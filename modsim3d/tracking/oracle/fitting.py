@@ -13,7 +13,7 @@ from modsim3d.tracking.oracle.noise import SmootherNoise
 from modsim3d.tracking.oracle.smoothing import BoxSequences, log_likelihood
 from modsim3d.tracks.true_tracks import TrueTracks
 
-_LIMITS = {
+LIMITS = {
     "noise_share": (1e-3, 1.0),
     "noise_x_px": (0.05, 500.0),
     "noise_y_px": (0.05, 500.0),
@@ -42,13 +42,13 @@ def most_likely_noise(sequences: BoxSequences) -> SmootherNoise:
     def noise_of(logarithms: Array) -> SmootherNoise:
         """Numbers with few digits: an optimum is flat, and its last ones depend on the processor."""
         values = (float(f"{value:.{_DIGITS}g}") for value in np.exp(logarithms).tolist())
-        return SmootherNoise(**dict(zip(_LIMITS, values, strict=True)))
+        return SmootherNoise(**dict(zip(LIMITS, values, strict=True)))
 
     def unlikeliness(logarithms: Array) -> float:
-        values = dict(zip(_LIMITS, np.exp(logarithms).tolist(), strict=True))
+        values = dict(zip(LIMITS, np.exp(logarithms).tolist(), strict=True))
         return -log_likelihood(sequences, SmootherNoise(**values)) / int(sequences.there.sum())
 
-    limits = np.log(list(_LIMITS.values()))
-    start = np.log([getattr(SmootherNoise(), name) for name in _LIMITS])
+    limits = np.log(list(LIMITS.values()))
+    start = np.log([getattr(SmootherNoise(), name) for name in LIMITS])
     found = minimize(unlikeliness, start, method="L-BFGS-B", bounds=limits, options={"maxiter": 60})
     return noise_of(found.x)
