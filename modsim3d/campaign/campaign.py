@@ -102,8 +102,6 @@ def run_campaign(
 
         campaign = modsim3d.run_campaign("campaign.yaml", "runs/campaign", workers=2)
 
-    A script that starts workers must do so under `if __name__ == "__main__":`.
-
     Args:
         campaign: A campaign file, or the name of a shipped campaign; one with `search` is for the command line.
         out: The folder of the campaign.
