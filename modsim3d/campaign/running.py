@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -21,6 +22,8 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, with_cache
 from modsim3d.errors import ModsimError, OutputError
+
+T = TypeVar("T")
 
 DEATHS = 2
 """A run that ends its worker so often is given up."""
@@ -123,6 +126,25 @@ def run_plan(
         verdicts = judged(here.plan, table)
         write_verdicts(here, verdicts)
     return CampaignResult(here, table, verdicts)
+
+
+def read_back(task: Task, read: Callable[[], T | None]) -> T:
+    """What is read of a task that is done; the file of another machine may take a while to be seen on this one.
+
+    Args:
+        task: The task.
+        read: Reads its file; None while that is not there.
+
+    Raises:
+        OutputError: It cannot be read.
+    """
+    for wait_s in (0.0, *READ_AGAIN_S):
+        time.sleep(wait_s)
+        if (found := read()) is not None:
+            return found
+    raise OutputError(
+        f"{task.path} was written, and cannot be read here: all workers need the folder of the campaign itself"
+    )
 
 
 def _check_cache(cache: Path | None, folder: Path) -> None:
@@ -261,27 +283,13 @@ class _Campaign:
         Raises:
             OutputError: Its file cannot be read here.
         """
-        self._read_back(task)
+        read_back(task, lambda: self._rows.add(task.path) or None)
         self._reports.append(report)
         self._state.crashed += report.crashed
         for run in task.runs:
             if run.number not in self._state.done:
                 self._state.done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
-
-    def _read_back(self, task: Task) -> None:
-        """Read the rows of a task; the file of another machine may take a while to be seen on this one.
-
-        Raises:
-            OutputError: It is not.
-        """
-        for wait_s in (0.0, *READ_AGAIN_S):
-            time.sleep(wait_s)
-            if self._rows.add(task.path):
-                return
-        raise OutputError(
-            f"{task.path} was written, and cannot be read here: all workers need the folder of the campaign itself"
-        )
 
     def _died(self, task: Task, split: list[Task]) -> TaskReport | None:
         """A task ended its worker: try its halves, and give up a run that does so alone."""

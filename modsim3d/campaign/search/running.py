@@ -7,6 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from modsim3d.campaign.engines.interface import Engine
 from modsim3d.campaign.plan.plan import PlannedRun
 from modsim3d.campaign.results.folder import LOG, CampaignFolder, locked_campaign, planned
 from modsim3d.campaign.results.gather import remove_done
-from modsim3d.campaign.running import DEATHS, DIED, READ_AGAIN_S, Progress
+from modsim3d.campaign.running import DEATHS, DIED, Progress, read_back
 from modsim3d.campaign.search.findings import Finding, findings, sentence
 from modsim3d.campaign.search.folder import (
     batches,
@@ -36,7 +37,6 @@ from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, store_crashed, with_cache
-from modsim3d.errors import OutputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class _Trials:
                 waiting.append(task)
             else:
                 self._made += 1
-                found[task.runs[0].number] = self._known(_read_back(task), task.runs[0])
+                found[task.runs[0].number] = self._known(read_back(task, partial(done_row, task)), task.runs[0])
             self._tell(len(found), running)
         self.runs += runs
         self.rows += [found[run.number] for run in runs]
@@ -168,19 +168,6 @@ class _Trials:
         each_s = (time.perf_counter() - self._started) / self._made if self._made else None
         left_s = None if each_s is None else each_s * (budget - done)
         self._progress(Progress(budget, done, running, self._crashed, left_s))
-
-
-def _read_back(task: Task) -> dict[str, Any]:
-    """The row of a task that is done; the file of another machine may take a while to be seen on this one.
-
-    Raises:
-        OutputError: It is not.
-    """
-    for wait_s in (0.0, *READ_AGAIN_S):
-        time.sleep(wait_s)
-        if (row := done_row(task)) is not None:
-            return row
-    raise OutputError(f"{task.path} was written, and cannot be read here: all workers need the folder of the search")
 
 
 def _log(folder: CampaignFolder, trials: int, seconds: float) -> None:
