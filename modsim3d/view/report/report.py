@@ -35,9 +35,26 @@ RELATED = {"verify.html": "verification", "compare.html": "comparison of sources
 """Pages that other commands write into a run directory, and what they are."""
 LOUD_SHARE = 0.1
 """A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
-SCRIPTS = ("recording.js", "picture.js", "moments.js", "timeline.js", "player.js", "start.js")
-TRACK_SCRIPTS = (*SCRIPTS[:-1], "track_picture.js", "lanes.js", "track_player.js")
-"""Without and with tracks, in the order in which they need each other; in the page they are one script."""
+SCRIPTS = (
+    "elements.js",
+    "words.js",
+    "recording.js",
+    "picture.js",
+    "track_picture.js",
+    "pane.js",
+    "closeup.js",
+    "vessel_list.js",
+    "moments.js",
+    "timeline.js",
+    "lanes.js",
+    "legend.js",
+    "gestures.js",
+    "keys.js",
+    "address.js",
+    "player.js",
+    "start.js",
+)
+"""In the order in which they need each other; in the page they are one script."""
 
 
 def write_report(
@@ -78,7 +95,7 @@ def _page(
     counts = CountTables(rows)
     frames = recording(rows, every, progress, followed)
     index, columns = frames.packed()
-    script = "\n".join(_part(name) for name in (TRACK_SCRIPTS if followed else SCRIPTS))
+    script = "\n".join(map(_part, SCRIPTS))
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     parts = {
         "title": html.escape(f"{run.scene.name}: report of a run"),
@@ -102,7 +119,7 @@ def _page(
 
 
 def _part(name: str) -> str:
-    return (files("modsim3d.view.report") / name).read_text(encoding="utf-8")
+    return (files("modsim3d.view.report") / "player" / name).read_text(encoding="utf-8")
 
 
 def _json_in_html(value: object) -> str:

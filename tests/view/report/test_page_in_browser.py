@@ -251,7 +251,7 @@ def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
     )
     apart, place, box, truth = longest
     choose(browser, "moment", str(place))
-    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.size), player.draw())")
+    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
     middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
     end = np.clip(middle, truth[:2], truth[2:])
     assert apart > 3

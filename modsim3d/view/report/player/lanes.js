@@ -15,11 +15,13 @@ class Lanes {
   }
 
   prepare(camera) {
-    const { timeline } = this, width = timeline.canvas.clientWidth;
+    const { timeline } = this, { cameras, tracks } = this.recording.facts, width = timeline.canvas.clientWidth;
     this.lanes = this.of(camera);
+    const of = cameras.length > 1 ? ` of ${cameras[camera].name}` : '';
+    $('lanesTitle').textContent = `Tracks${of}: ${this.lanes.length} of ${tracks.name}, in the order in which they begin`;
     this.summary = timeline.summary;
     const whole = this.lanes.length * LANE_PX;
-    document.getElementById('lanesSpace').style.height = `${whole}px`;
+    $('lanesSpace').style.height = `${whole}px`;
     this.high = Math.min(this.panel.clientHeight, whole);
     this.ratio = window.devicePixelRatio || 1;
     this.canvas.width = Math.round(width * this.ratio);
@@ -119,10 +121,19 @@ class Lanes {
 
   laneAt(y) { return this.lanes[Math.floor((y + this.panel.scrollTop) / LANE_PX)] ?? null; }
 
+  // The vessel that a lane follows at a step, or else mostly; null if there is no lane or it follows none.
+  vesselOf(lane, index) { return lane && (this.at(lane, index)?.vessel ?? lane.vessel); }
+
   // What a lane shows at a step; null where it has no box.
   at(lane, index) { return lane.stretches.find(({ from, to }) => from <= index && index < to) ?? null; }
 
-  // In words.
+  // A step and a lane of it, if one is given, in words.
+  hint(index, lane, camera) {
+    const when = stepInWords(this.recording, index, this.recording.state(index, camera));
+    return lane ? `${when}\n${this.say(lane, index)}` : when;
+  }
+
+  // A lane at a step, in words.
   say(lane, index) {
     const { facts, length } = this.recording, here = this.at(lane, index), name = `track ${lane.number}`;
     if (!here) return `${name}: no box`;

@@ -170,6 +170,24 @@ class Timeline {
 
   vesselAt(y) { return this.vessels[Math.floor((y - this.rowsTop) / this.rowPx)] ?? null; }
 
+  // A step and a vessel of it, if one is given, in words.
+  say(index, vessel, camera) {
+    const { recording } = this, { facts } = recording;
+    const { annotated, missed, false: wrong, mislabelled, bad, off, fraction, outcome, lost } = this.summary;
+    const lines = [
+      stepInWords(recording, index, recording.state(index, camera)),
+      [`${annotated[index]} annotated`, `${missed[index]} missed`, `${wrong[index]} false`, some(mislabelled[index], 'of a wrong class'),
+        some(bad[index], 'with IoU below 0.5'), some(off[index], 'off their vessel')].filter((word) => word).join(', '),
+    ];
+    if (vessel !== null) {
+      const at = vessel * recording.length + index, seen = fraction[at];
+      const words = [Number.isNaN(seen) ? 'not in the image' : `${percent(seen)} visible`];
+      if (lost[at]) words.push('missed');
+      lines.push(`${facts.vessels[vessel].name}: ${[...words, ...wordsFor(recording.mistakes(outcome[at]))].join(', ')}`);
+    }
+    return lines.join('\n');
+  }
+
   draw(index) {
     const { context, ratio } = this, x = this.x(index + 0.5);
     context.setTransform(1, 0, 0, 1, 0, 0);

@@ -1,0 +1,46 @@
+// A camera's image on the page: which camera of which recording it shows, and the part of the image in sight.
+
+const WIDEST = 2, NARROW_PX = 480;
+
+class Pane {
+  constructor(canvas, recording, camera = 0) {
+    Object.assign(this, { canvas, recording, camera });
+    this.picture = recording.facts.tracks ? new TrackPicture(canvas, NARROW_PX) : new Picture(canvas, NARROW_PX);
+  }
+
+  get facts() { return this.recording.facts.cameras[this.camera]; }
+  get size() { return this.facts.size; }
+
+  resize() {
+    const [width, height] = this.size;
+    this.picture.resize(Math.max(width / height, WIDEST));
+  }
+
+  // What the camera shows at a step.
+  frame(index) {
+    const { recording, camera } = this;
+    return {
+      index, camera, shapes: recording.shapes(index, camera), truths: recording.truths(index, camera),
+      detections: recording.detections(index, camera),
+    };
+  }
+
+  draw(frame, shown) { this.picture.draw(this.recording, frame.index, this.camera, shown, frame); }
+
+  // The part of the image in which vessels are, in any frame: between two rows.
+  home([top, bottom]) {
+    const [width, height] = this.size, high = width / this.picture.aspect;
+    const middle = top > bottom ? height / 2 : (top + bottom) / 2;
+    const y = Math.min(Math.max(middle - high / 2, 0), Math.max(height - high, (height - high) / 2));
+    this.picture.fit([0, y, width, y + high]);
+  }
+
+  whole() { this.picture.fit([0, 0, ...this.size]); }
+
+  zoom(factor, x = this.canvas.clientWidth / 2, y = this.canvas.clientHeight / 2) { this.picture.zoom(factor, x, y); }
+
+  move(byX, byY) {
+    this.picture.view.x -= byX / this.picture.scale;
+    this.picture.view.y -= byY / this.picture.scale;
+  }
+}

@@ -1,0 +1,36 @@
+// What is said of vessels and detections, in words.
+
+function describe(truth, detection) {
+  const seen = truth.fraction === null ? '' : percent(truth.fraction), by = truth.hider ? ` by ${truth.hider.replace(/^obstacle:/, '')}` : '';
+  const as = detection?.mislabelled ? `as ${detection.label}` : 'detected', how = detection?.off ? ', off it' : detection?.bad ? ', IoU\u00a0<\u00a00.5' : '';
+  const found = `${as} ${detection?.confidence.toFixed(2) ?? ''}${how}`;
+  const what = truth.missed ? 'missed' : truth.detected ? found : truth.fraction === 0 ? 'hidden' : 'not annotated';
+  return [`${truth.depth.toFixed(0)} m`, seen, truth.fraction === 0 ? `hidden${by}` : what];
+}
+
+// What is wrong with a detection of a vessel.
+function wordsFor({ mislabelled, bad, off }) {
+  return [mislabelled && 'wrong class', off ? 'off its vessel' : bad && 'IoU below 0.5'].filter((word) => word);
+}
+
+function some(count, text) { return count ? `${count} ${text}` : ''; }
+
+// Never all or nothing where a part is seen.
+function percent(fraction) {
+  const rounded = Math.round(100 * fraction);
+  return `${fraction > 0 && fraction < 1 ? Math.min(Math.max(rounded, 1), 99) : rounded} %`;
+}
+
+// What there is in a frame.
+function frameInWords(recording, { index, camera, truths, detections }) {
+  const { facts, length } = recording, count = (test) => detections.filter(test).length, wrong = count((each) => each.false);
+  return [
+    `${facts.timestamps[index]} s`, `step ${facts.steps[index]} of ${facts.steps[length - 1]}`,
+    recording.age(index, camera), `detector ${recording.state(index, camera)}`, `${truths.length} in the image`,
+    `${detections.length - wrong} detected`, `${truths.filter((truth) => truth.missed).length} missed`, `${wrong} false`,
+    some(count(({ mislabelled }) => mislabelled), 'of a wrong class'), some(count(({ bad }) => bad), 'with IoU below 0.5'),
+    some(count(({ off }) => off), 'off their vessel'),
+  ].filter((word) => word).join(' · ');
+}
+
+function stepInWords({ facts }, index, state) { return `${facts.timestamps[index]} s, step ${facts.steps[index]}: detector ${state}`; }
