@@ -1,0 +1,134 @@
+// The view from above: where the vessels are at a step, where the camera looks, and where the vessels come from.
+
+const TRAIL_STEPS = 40, LEAST_VESSEL_PX = 9, VIEW_PX = 3000, HIT_PX = 14, ABOVE_ASPECT = 16 / 10;
+
+class Above {
+  constructor(canvas, choose) {
+    this.canvas = canvas;
+    this.context = canvas.getContext('2d');
+    this.placed = [];
+    canvas.addEventListener('click', (event) => {
+      const vessel = this.vesselAt(event.offsetX, event.offsetY);
+      if (vessel !== null) choose(vessel);
+    });
+    canvas.addEventListener('pointermove', (event) => {
+      const vessel = this.vesselAt(event.offsetX, event.offsetY);
+      canvas.style.cursor = vessel === null ? '' : 'pointer';
+      canvas.title = vessel === null ? '' : this.names[vessel];
+    });
+  }
+
+  resize() {
+    const width = this.canvas.clientWidth, ratio = this.ratio = window.devicePixelRatio || 1;
+    [this.width, this.height] = [width, width / ABOVE_ASPECT];
+    [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(this.height * ratio)];
+    this.canvas.style.height = `${this.height}px`;
+  }
+
+  // All of the traffic, north (w2) upwards.
+  fit([[x0, y0], [x1, y1]]) {
+    this.scale = 0.9 * Math.min(this.width / Math.max(x1 - x0, 1), this.height / Math.max(y1 - y0, 1));
+    this.middle = [(x0 + x1) / 2, (y0 + y1) / 2];
+  }
+
+  toCanvas(x, y) {
+    return [this.width / 2 + (x - this.middle[0]) * this.scale, this.height / 2 - (y - this.middle[1]) * this.scale];
+  }
+
+  draw({ recording, camera }, index, chosen) {
+    const { context } = this, { facts } = recording, { vessels, cameras } = recording.places(index);
+    this.names = facts.vessels.map(({ name }) => name);
+    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.fit(facts.extent);
+    context.fillStyle = colourOf('--track');
+    context.fillRect(0, 0, this.width, this.height);
+    this.view(cameras[camera]);
+    for (const ring of facts.land) this.area(ring, facts.colours.owners.at(-1));
+    this.trails(recording, index, facts);
+    this.placed = [];
+    vessels.forEach((place, vessel) => place && this.vessel(place, vessel, facts, vessel === chosen));
+    this.scaleBar();
+  }
+
+  // What the image covers, and the camera in its corner.
+  view({ x, y, yaw, fov }) {
+    const { context } = this, [atX, atY] = this.toCanvas(x, y);
+    context.beginPath();
+    context.moveTo(atX, atY);
+    context.arc(atX, atY, VIEW_PX, -yaw - fov / 2, -yaw + fov / 2);
+    context.closePath();
+    context.fillStyle = colourOf('--card');
+    context.fill();
+    context.beginPath();
+    context.arc(atX, atY, 3.5, 0, 2 * Math.PI);
+    context.fillStyle = colourOf('--ink');
+    context.fill();
+  }
+
+  area(ring, colour) {
+    this.context.beginPath();
+    ring.forEach(([x, y]) => this.context.lineTo(...this.toCanvas(x, y)));
+    this.context.closePath();
+    this.context.fillStyle = colour;
+    this.context.fill();
+  }
+
+  // Where vessels were at the steps before, as far as they are at hand.
+  trails(recording, index, { vessels, colours }) {
+    const { context } = this;
+    vessels.forEach((_, vessel) => {
+      context.beginPath();
+      for (let step = Math.max(0, index - TRAIL_STEPS); step <= index; step++) {
+        const place = recording.ready(step) ? recording.places(step).vessels[vessel] : null;
+        if (place) context.lineTo(...this.toCanvas(place.x, place.y));
+      }
+      Object.assign(context, { strokeStyle: colours.vessels[vessel], lineWidth: 1.5, globalAlpha: 0.6 });
+      context.stroke();
+      context.globalAlpha = 1;
+    });
+  }
+
+  // A hull with a pointed bow, true to scale where that can be seen.
+  vessel({ x, y, heading }, vessel, { dimensions, colours }, chosen) {
+    const { context } = this, [atX, atY] = this.toCanvas(x, y), [length, beam] = dimensions[vessel];
+    const long = Math.max(length * this.scale, LEAST_VESSEL_PX), wide = Math.max(beam * this.scale, LEAST_VESSEL_PX / 2.5);
+    context.save();
+    context.translate(atX, atY);
+    context.rotate(-heading);
+    context.beginPath();
+    for (const [ahead, port] of [[-0.5, -0.5], [0.2, -0.5], [0.5, 0], [0.2, 0.5], [-0.5, 0.5]]) context.lineTo(ahead * long, port * wide);
+    context.closePath();
+    Object.assign(context, { fillStyle: colours.vessels[vessel], strokeStyle: colourOf('--ink'), lineWidth: chosen ? 2.5 : 1 });
+    context.fill();
+    context.stroke();
+    context.restore();
+    if (chosen) this.name(this.names[vessel], atX, atY - Math.max(long, wide) / 2 - 5);
+    this.placed.push({ vessel, x: atX, y: atY, reach: Math.max(long / 2, HIT_PX) });
+  }
+
+  name(text, x, y) {
+    const { context } = this;
+    Object.assign(context, { font: '600 12px system-ui, sans-serif', textAlign: 'center', lineWidth: 3, lineJoin: 'round' });
+    Object.assign(context, { strokeStyle: colourOf('--paper'), fillStyle: colourOf('--ink') });
+    const half = context.measureText(text).width / 2, within = Math.min(Math.max(x, half + 3), this.width - half - 3);
+    context.strokeText(text, within, Math.max(y, 12));
+    context.fillText(text, within, Math.max(y, 12));
+    context.textAlign = 'left';
+  }
+
+  scaleBar() {
+    const { context } = this, power = 10 ** Math.floor(Math.log10(80 / this.scale));
+    const metres = [5, 2, 1].map((part) => part * power).find((length) => length * this.scale <= 80), wide = metres * this.scale;
+    const text = metres >= 1000 ? `${metres / 1000} km` : `${metres} m`;
+    context.fillStyle = colourOf('--ink');
+    context.fillRect(8, this.height - 10, wide, 2);
+    context.font = '11px system-ui, sans-serif';
+    context.fillText(text, 8, this.height - 14);
+  }
+
+  // The nearest vessel to a place, if it is near.
+  vesselAt(x, y) {
+    const far = (place) => Math.hypot(place.x - x, place.y - y), near = this.placed.filter((place) => far(place) <= place.reach);
+    return near.length ? near.reduce((best, place) => (far(place) < far(best) ? place : best)).vessel : null;
+  }
+}

@@ -1,0 +1,98 @@
+"""Where two runs of the same truth differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from modsim3d.errors import RunDirectoryError
+from modsim3d.runs.blocks import Frame
+from modsim3d.runs.detect_run import detect_run
+from modsim3d.runs.outcomes import Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.stored_run import open_run
+from modsim3d.scene.reading import load_scene
+from modsim3d.view.report.run_differences import VesselOutcome, check_same_truth, differences, vessel_outcomes
+from tests.scenes import write_scene
+
+
+@pytest.fixture(scope="session")
+def other_folder(mistaken_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The detector of the mistaken run over the same truth, with another seed."""
+    folder = tmp_path_factory.mktemp("other") / "other"
+    detect_run(mistaken_folder, folder, seed=77)
+    return folder
+
+
+def outcome_in(frame: Frame, row: int) -> VesselOutcome:
+    """Of a row of the truth, looked up one by one."""
+    if not frame.truth.annotated[row]:
+        return VesselOutcome.NONE
+    if not frame.truth.detected[row]:
+        return VesselOutcome.MISSED
+    found = [flag for at, flag in zip(detected_rows(frame), frame_outcomes(frame), strict=True) if at == row]
+    if not found:
+        return VesselOutcome.RIGHT
+    order = (Outcome.OFF_VESSEL, Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU)
+    return next((VesselOutcome[flag.name] for flag in order if found[0] & flag), VesselOutcome.RIGHT)
+
+
+def test_outcomes_are_those_of_the_frames(mistaken_folder):
+    run = open_run(mistaken_folder)
+    expected = [outcome_in(frame, row) for frame in run.frames() for row in range(len(frame.truth.vessels))]
+    found = vessel_outcomes(RunRows.of(run)).tolist()
+    assert found == expected
+    assert set(found) >= set(VesselOutcome) - {VesselOutcome.NONE}
+
+
+@pytest.mark.parametrize("every", [1, 7])
+def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other_folder, every):
+    first, second = open_run(mistaken_folder), open_run(other_folder)
+    frames = {(one.camera, one.step): (one, other) for one, other in zip(first.frames(), second.frames(), strict=True)}
+    expected = set()
+    for camera in (each.name for each in first.scene.cameras):
+        taken = sorted(step for name, step in frames if name == camera)
+        for index, step in enumerate(range(0, first.steps, every)):
+            one, other = frames[camera, max(each for each in taken if each <= step)]
+            for row, vessel in enumerate(one.truth.vessels):
+                pair = outcome_in(one, row), outcome_in(other, row)
+                if pair[0] != pair[1]:
+                    expected.add((camera, vessel, index, *pair))
+    found = differences(RunRows.of(first), RunRows.of(second), every)
+    cameras, vessels = [camera.name for camera in first.scene.cameras], first.scene.vessel_names
+    covered = [
+        (cameras[camera], vessels[vessel], index, *pair)
+        for camera, vessel, begin, until, pair in zip(
+            found.camera, found.vessel, found.index, found.until, found.outcomes.tolist(), strict=True
+        )
+        for index in range(begin, until + 1)
+    ]
+    assert len(covered) == len(set(covered))
+    assert set(covered) == expected
+    assert len(expected) > len(found.camera)  # some stretches last
+
+
+def test_a_run_does_not_differ_from_itself(mistaken_folder):
+    rows = RunRows.of(open_run(mistaken_folder))
+    assert len(differences(rows, rows).camera) == 0
+
+
+def test_the_same_truth_passes_and_another_seed_of_the_detector_too(mistaken_folder, other_folder):
+    check_same_truth(open_run(mistaken_folder), open_run(other_folder))
+
+
+def test_runs_of_other_truth_are_refused_with_what_differs(run_folder, mistaken_folder, tmp_path):
+    first = open_run(mistaken_folder)
+    with pytest.raises(RunDirectoryError, match=r"show different truth, in the cameras: .*modsim3d detect"):
+        check_same_truth(first, open_run(run_folder))
+    runs = []
+    for name, far in (("near", 150), ("far", 151)):
+        (tmp_path / name).mkdir()
+        boats = {"ferry": ([30.0, 8.0, 9.0], [[0, far, 10], [100, far, 12]])}
+        scene = load_scene(str(write_scene(tmp_path / name, boats, steps=4)), source="analytic")
+        run_scene(scene, tmp_path / name / "run")
+        runs.append(open_run(tmp_path / name / "run"))
+    with pytest.raises(RunDirectoryError, match=r"in \w+ of ferry at step 0 of camera \w+: [\d.]+ against [\d.]+\."):
+        check_same_truth(*runs)
