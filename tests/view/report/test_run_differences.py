@@ -55,7 +55,10 @@ def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other
     for camera in (each.name for each in first.scene.cameras):
         taken = sorted(step for name, step in frames if name == camera)
         for index, step in enumerate(range(0, first.steps, every)):
-            one, other = frames[camera, max(each for each in taken if each <= step)]
+            last = max((each for each in taken if each <= step), default=None)
+            if last is None:
+                continue
+            one, other = frames[camera, last]
             for row, vessel in enumerate(one.truth.vessels):
                 pair = outcome_in(one, row), outcome_in(other, row)
                 if pair[0] != pair[1]:
