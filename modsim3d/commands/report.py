@@ -22,8 +22,15 @@ from modsim3d.commands.tracks_option import (
 
 def report_command(
     run: RunArgument,
+    other: Annotated[
+        Path | None,
+        typer.Argument(metavar="RUN_B", help="Another run of the same truth, to show beside the first."),
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="RUN/report.html")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="HTML file to write.", show_default="RUN/report.html; RUN/side_by_side.html with RUN_B"
+        ),
     ] = None,
     every: Annotated[
         int, typer.Option(min=1, metavar="K", help="Show every K-th step only; the tables count all steps.")
@@ -38,26 +45,32 @@ def report_command(
 ) -> None:
     """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
 
+    With RUN_B, it plays both side by side and marks where their detectors differ.
+
     Example: modsim3d report runs/first
     """
+    from modsim3d.errors import ModsimError
     from modsim3d.outputs.claims import claimed
     from modsim3d.runs.files.replacing import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.report.report import REPORT_FILE, write_report
+    from modsim3d.view.report.report import REPORT_FILE, SIDE_BY_SIDE_FILE, write_report
 
+    if other is not None and tracks is not None:
+        raise ModsimError("--tracks is for one run: leave out RUN_B, or --tracks")
     with timed("opening the run"):
         opened = open_run(run)
-    read = read_of_run(run) + read_of_tracks(tracks)
+        second = None if other is None else open_run(other)
+    read = read_of_run(run) + read_of_tracks(tracks) + ([] if other is None else read_of_run(other))
     tell_files(read)
     followed = opened_tracks(tracks, opened, similarity, scale, threshold)
-    path = out_file(out, run / REPORT_FILE)
+    path = out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
     with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
 
         def advance(steps: int) -> None:
             bar.update(task, advance=steps, refresh=True)
 
-        write_report(opened, path, every, advance, followed)
+        write_report(opened, path, every, advance, followed, second)
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:

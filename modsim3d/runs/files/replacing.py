@@ -22,7 +22,7 @@ POSES_FILE = "poses.jsonl"
 """The poses that a live scene received, as a pose file for another run."""
 MADE_OF_A_RUN = frozenset(
     {
-        *("contact_sheet.png", "report.html", "run.rrd", "verify.html", "verify.json"),
+        *("contact_sheet.png", "report.html", "side_by_side.html", "run.rrd", "verify.html", "verify.json"),
         *("compare.html", "compare.json", "rectangle_rule.png"),
         *("score.html", "score.json"),
     }
