@@ -35,20 +35,26 @@ RELATED = {"verify.html": "verification", "compare.html": "comparison of sources
 """Pages that other commands write into a run directory, and what they are."""
 LOUD_SHARE = 0.1
 """A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
+STYLES = ("base.css", "player.css", "timeline.css", "tables.css")
 SCRIPTS = (
     "elements.js",
+    "colours.js",
     "words.js",
     "recording.js",
     "picture.js",
     "track_picture.js",
+    "bounds.js",
     "pane.js",
     "closeup.js",
     "vessel_list.js",
     "moments.js",
+    "strips.js",
     "timeline.js",
     "lanes.js",
     "legend.js",
+    "hint.js",
     "gestures.js",
+    "focus.js",
     "keys.js",
     "address.js",
     "player.js",
@@ -102,7 +108,7 @@ def _page(
         "name": html.escape(run.scene.name),
         # No script but this one runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
-        "style": _part("style.css") + (_part("lanes.css") if followed else ""),
+        "style": "".join(map(_part, STYLES)) + (_part("lanes.css") if followed else ""),
         "lead": html.escape(_lead(frames.facts)),
         "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",

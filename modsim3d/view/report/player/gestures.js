@@ -1,39 +1,90 @@
-// How mouse and fingers move an image.
+// How mouse and fingers move an image. One finger and a bare wheel are left to the page, which they scroll.
+
+const TAP_MS = 350, TAP_PX = 30, SHOWN_MS = 1200;
 
 function listenToPane(pane, player) {
-  const { canvas } = pane;
+  const { canvas } = pane, held = new Map(); // where each button or finger that is down is, by its number
+  const say = teller(canvas.parentElement.querySelector('.how'));
   canvas.addEventListener('wheel', (event) => {
+    if (!event.ctrlKey && !event.metaKey) return say(`${onMac() ? '⌘' : 'Ctrl'} + wheel zooms the image`);
     event.preventDefault();
     pane.zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY);
     player.draw();
   }, { passive: false });
-  canvas.addEventListener('pointerdown', (event) => canvas.setPointerCapture(event.pointerId));
-  canvas.addEventListener('pointermove', (event) => {
-    if (!canvas.hasPointerCapture(event.pointerId)) return;
-    pane.move(event.movementX, event.movementY);
-    player.draw();
-  });
-  canvas.addEventListener('dblclick', () => player.home());
-}
-
-// Press a moment to see it, and a vessel's strip or lane to see the vessel; `vesselAt` says whose strip is at a height.
-function listenToTime(canvas, player, vesselAt, hint) {
-  const choose = (event) => player.go(player.timeline.indexAt(event.offsetX));
+  // The browser takes two fingers for its own zoom or scroll, unless it is told not to.
+  for (const kind of ['touchstart', 'touchmove']) {
+    canvas.addEventListener(kind, (event) => {
+      if (event.touches.length > 1 && event.cancelable) event.preventDefault();
+    }, { passive: false });
+  }
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
-    choose(event);
-    const vessel = vesselAt(event.offsetY);
-    if (vessel !== null) player.follow(vessel);
+    held.set(event.pointerId, [event.clientX, event.clientY]);
   });
   canvas.addEventListener('pointermove', (event) => {
-    if (canvas.hasPointerCapture(event.pointerId)) choose(event);
-    showHint(hint.element, canvas, event.offsetX, hint.text(event.offsetX, event.offsetY));
+    const { pointerId, clientX, clientY } = event, before = held.get(pointerId);
+    if (!before) return;
+    const alone = held.size === 1;
+    if (alone && event.pointerType === 'touch') return say('Two fingers move and zoom the image');
+    held.set(pointerId, [clientX, clientY]);
+    const other = [...held.entries()].find(([id]) => id !== pointerId)?.[1];
+    if (alone) pane.move(clientX - before[0], clientY - before[1]);
+    else pinch(pane, before, [clientX, clientY], other);
+    player.draw();
   });
-  canvas.addEventListener('pointerleave', () => { hint.element.hidden = true; });
+  for (const kind of ['pointerup', 'pointercancel']) canvas.addEventListener(kind, (event) => held.delete(event.pointerId));
+  canvas.addEventListener('dblclick', () => player.home());
+  listenToTaps(canvas, () => player.home());
 }
 
-function showHint(hint, canvas, x, text) {
-  hint.textContent = text;
-  hint.hidden = false;
-  hint.style.left = `${Math.max(0, Math.min(x + 12, canvas.clientWidth - hint.offsetWidth))}px`;
+// One of two fingers has moved: what was between them stays between them.
+function pinch(pane, before, now, other) {
+  const { left, top } = pane.canvas.getBoundingClientRect(), apart = (a, b) => Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1);
+  pane.move((now[0] - before[0]) / 2, (now[1] - before[1]) / 2);
+  pane.zoom(apart(now, other) / apart(before, other), (now[0] + other[0]) / 2 - left, (now[1] + other[1]) / 2 - top);
+}
+
+// Two taps of a finger at one place: not all browsers call that a double click.
+function listenToTaps(canvas, act) {
+  let last = null;
+  canvas.addEventListener('click', ({ pointerType, clientX, clientY, timeStamp }) => {
+    if (pointerType !== 'touch') return;
+    const again = last && timeStamp - last.at < TAP_MS && Math.hypot(clientX - last.x, clientY - last.y) < TAP_PX;
+    last = again ? null : { at: timeStamp, x: clientX, y: clientY };
+    if (again) act();
+  });
+}
+
+// Shows a text for a moment.
+function teller(place) {
+  let ends;
+  return (text) => {
+    place.textContent = text;
+    place.hidden = false;
+    clearTimeout(ends);
+    ends = setTimeout(() => { place.hidden = true; }, SHOWN_MS);
+  };
+}
+
+function onMac() { return /Mac|iP/.test(navigator.platform); }
+
+// Press a moment to see it, and a vessel's strip or lane to see the vessel; `vesselAt` says whose strip is at a height.
+// A finger that scrolls the page past the canvas presses nothing: it is taken back before it is lifted.
+function listenToTime(canvas, player, vesselAt, hint) {
+  const go = (event) => player.go(player.timeline.indexAt(event.offsetX));
+  const press = (event) => {
+    go(event);
+    const vessel = vesselAt(event.offsetY);
+    if (vessel !== null) player.follow(vessel);
+  };
+  canvas.addEventListener('pointerdown', (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    if (event.pointerType !== 'touch') press(event);
+  });
+  canvas.addEventListener('pointerup', (event) => { if (event.pointerType === 'touch') press(event); });
+  canvas.addEventListener('pointermove', (event) => {
+    if (canvas.hasPointerCapture(event.pointerId)) go(event);
+    showHint(hint.element, event.clientX, event.clientY, hint.text(event.offsetX, event.offsetY));
+  });
+  for (const kind of ['pointerleave', 'pointercancel']) canvas.addEventListener(kind, () => { hint.element.hidden = true; });
 }

@@ -24,33 +24,48 @@ function symbolOf(kind, { alarm, truth, sea, ink, vessels: [vessel] }) {
   return swatch;
 }
 
+// The marks of a strip of the timeline, and what they mean.
+const STRIP_MARKS = [
+  ['missed', 'missed', '<path d="M9 12h12v5H9z" fill="ALARM"/>'],
+  ['mislabelled', 'wrong class', '<path d="M9 0h12v3H9z" fill="ALARM"/>'],
+  ['bad', 'IoU below 0.5', '<path d="M9 14.5h2v2.5H9zm4 0h2v2.5h-2zm4 0h2v2.5h-2z" fill="ALARM"/>'],
+  ['off', 'off its vessel', '<path d="M9 12h2v5H9zm4 0h2v5h-2zm4 0h2v5h-2z" fill="ALARM"/>'],
+];
+
 // The entries of the legend that a camera needs.
 function legendOf(recording, summary) {
-  const { colours, states } = recording.facts, parts = [];
-  const add = (swatch, text) => parts.push(element('span', {}, swatch, text));
-  states.forEach((name, state) => add(swatchOf(stateColour(state, states.length)), `detector: ${name}`));
-  for (const [kind, text] of SYMBOLS) {
-    if (!summary[kind] || summary[kind].some((count) => count)) add(symbolOf(kind, colours), text);
-  }
-  parts.push(element('span', { textContent:
-    'Strips: a vessel’s colour while it is seen, dark while it is hidden, empty while it is out of the image; in vermilion '
-    + 'below where it was missed, striped where its box was off it, lower stripes where IoU was below 0.5, above where its class was wrong.',
-  }));
-  if (recording.facts.tracks) parts.push(...trackLegend(recording.facts));
+  const { colours, states, tracks } = recording.facts, there = ([kind]) => !summary[kind] || summary[kind].some((count) => count);
+  const [colour] = colours.vessels, alarm = colourOf('--alarm'), strip = `<path d="M2 4h26v7H2z" fill="${colour}"/>`;
+  const parts = [
+    entries('Image', SYMBOLS.filter(there).map(([kind, text]) => [symbolOf(kind, colours), text])),
+    entries('Detector', states.map((name, state) => [swatchOf(stateColour(state, states.length)), name])),
+    entries('Strips', [
+      [laneSymbol(strip), 'seen'],
+      [laneSymbol(`<path d="M2 4h26v7H2z" fill="${colourOf('--hidden')}" stroke="${colourOf('--edge')}"/>`), 'hidden'],
+      [laneSymbol(`<path d="M2 4h26v7H2z" fill="${colourOf('--track')}"/>`), 'out of the image'],
+      ...STRIP_MARKS.filter(there).map(([, text, marks]) => [laneSymbol(strip + marks.replaceAll('ALARM', alarm)), text]),
+    ]),
+  ];
+  if (tracks) parts.push(entries('Tracks', trackLegend(recording.facts)));
   return parts;
+}
+
+// A line of the legend: symbols and what they mean.
+function entries(title, list) {
+  return element('div', {}, element('span', { textContent: `${title}:` }), ...list.map((entry) => element('span', {}, ...entry)));
 }
 
 // The entries of tracks.
 function trackLegend(facts) {
-  const { vessels: [colour] } = facts.colours, parts = [];
-  const add = (inside, text) => parts.push(element('span', {}, laneSymbol(inside), text));
-  add(`<path d="M2 5h26v9H2z" fill="${colour}"/>`, 'track, in the colour of the vessel that it follows');
-  add(`<path d="M2 5h26v9H2z" fill="${colour}" opacity="0.4"/>`, 'on a vessel that is wholly hidden or not annotated: counts neither way');
-  add(`<path d="M2 5h26v5H2z" fill="${FALSE_TRACK}"/>`, `follows nothing (${facts.tracks.rule} with every vessel that is free)`);
-  add(`<path d="M2 13h26v3H2z" fill="${colourOf('--ink')}"/>`, 'its vessel is less than half visible');
-  add(`<path d="M10 3h10l-5 11z" fill="${colourOf('--alarm')}" stroke="${colourOf('--ink')}"/>`, 'identity switch: the vessel had another track before');
-  add(`<path d="M10 3h10l-5 11z" fill="${colourOf('--paper')}" stroke="${colourOf('--ink')}"/>`, 'the track had another vessel before');
-  return parts;
+  const { vessels: [colour] } = facts.colours, ink = colourOf('--ink'), alarm = colourOf('--alarm'), paper = colourOf('--paper');
+  return [
+    [`<path d="M2 5h26v9H2z" fill="${colour}"/>`, 'track, in the colour of the vessel that it follows'],
+    [`<path d="M2 5h26v9H2z" fill="${colour}" opacity="0.4"/>`, 'on a vessel that is wholly hidden or not annotated: counts neither way'],
+    [`<path d="M2 5h26v5H2z" fill="${FALSE_TRACK}"/>`, `follows nothing (${facts.tracks.rule} with every vessel that is free)`],
+    [`<path d="M2 13h26v3H2z" fill="${ink}"/>`, 'its vessel is less than half visible'],
+    [`<path d="M10 3h10l-5 11z" fill="${alarm}" stroke="${ink}"/>`, 'identity switch: the vessel had another track before'],
+    [`<path d="M10 3h10l-5 11z" fill="${paper}" stroke="${ink}"/>`, 'the track had another vessel before'],
+  ].map(([inside, text]) => [laneSymbol(inside), text]);
 }
 
 function laneSymbol(inside) {

@@ -37,10 +37,18 @@ class Pane {
 
   whole() { this.picture.fit([0, 0, ...this.size]); }
 
-  zoom(factor, x = this.canvas.clientWidth / 2, y = this.canvas.clientHeight / 2) { this.picture.zoom(factor, x, y); }
+  zoom(factor, x = this.canvas.clientWidth / 2, y = this.canvas.clientHeight / 2) {
+    const { picture } = this, { width } = picture.view;
+    picture.zoom(width / widthWithin(width / factor, picture.aspect, this.size), x, y);
+    this.stay();
+  }
 
   move(byX, byY) {
     this.picture.view.x -= byX / this.picture.scale;
     this.picture.view.y -= byY / this.picture.scale;
+    this.stay();
   }
+
+  // Stay with the image.
+  stay() { this.picture.view = viewWithin(this.picture.view, this.picture.aspect, this.size); }
 }

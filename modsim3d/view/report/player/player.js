@@ -43,6 +43,7 @@ class Player {
     for (const speed of SPEEDS) $('speed').add(new Option(`${speed}×`, speed, false, speed === this.speed));
     facts.cameras.forEach(({ name }, camera) => $('camera').add(new Option(name, camera)));
     $('cameraChoice').hidden = facts.cameras.length < 2;
+    if (facts.cameras.length === 1) $('cameraName').textContent = `Camera ${facts.cameras[0].name}`;
     LAYERS.forEach(([name, title], i) => this.addLayer(name, title, i + 1));
     if (this.lanes) {
       this.shown.tracks = true;
@@ -90,8 +91,13 @@ class Player {
     window.addEventListener('hashchange', () => this.fromAddress());
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.resize());
     listenToKeys(this);
-    for (const pane of this.panes) listenToPane(pane, this);
+    for (const pane of this.panes) {
+      listenToPane(pane, this);
+      listenOnPicture(pane, this);
+    }
+    rove($('vessels'));
     const { timeline, lanes } = this;
+    listenOnTimeline(timeline, this, $('hint'));
     const hint = { element: $('hint'), text: (x, y) => timeline.say(timeline.indexAt(x), timeline.vesselAt(y), this.camera) };
     listenToTime(timeline.canvas, this, (y) => timeline.vesselAt(y), hint);
     if (!lanes) return;
@@ -204,7 +210,7 @@ class Player {
     const chosen = this.closeup.draw(pane, frame, this.followed, this.shown);
     this.list.show(frame, pane.facts.carrier);
     this.list.mark(chosen, this.followed);
-    this.timeline.draw(index);
+    this.timeline.draw(index, this.followed);
     this.lanes?.draw(index);
     this.say(frame);
     this.drawn = { frames: this.drawn.frames + 1, rows: recording.rowsRead, milliseconds: performance.now() - started };

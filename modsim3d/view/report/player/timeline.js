@@ -1,44 +1,65 @@
 // The timeline of one camera: performance state, counts of what went wrong, visible fraction of each vessel.
 
-const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS_PX = 360, STRIPE_PX = 2;
+const STATE_PX = 18, BARS_PX = 20, GAP_PX = 5, AXIS_PX = 18, MOST_ROWS = 18.5, FEWER_ROWS = 12.5, NAME_LEFT_PX = 8;
 const BARS = [['missed', 'missed'], ['false', 'false'], ['mislabelled', 'wrong class'], ['bad', 'IoU < 0.5'], ['off', 'off vessel']];
 
 class Timeline {
   constructor(canvas, recording) {
     this.canvas = canvas;
+    this.panel = canvas.closest('#timelinePanel'); // scrolls where there are many vessels
     this.context = canvas.getContext('2d');
     this.recording = recording;
-    this.still = document.createElement('canvas'); // all but the playhead: drawn once a camera, size or theme
+    this.still = document.createElement('canvas'); // all but the playhead: drawn once a camera, size, theme or place of the panel
     this.summaries = [];
+    this.panel.addEventListener('scroll', () => { this.paint(); this.draw(this.index, this.followed); });
   }
 
-  // Draw what does not move. Only this looks at all frames; drawing the playhead copies it.
+  // Lay out a camera's rows and draw what does not move. Only this looks at all frames; drawing the playhead copies it.
   prepare(camera) {
     const { recording } = this, { facts } = recording;
+    this.camera = camera;
     this.summary = this.summaries[camera] ??= recording.summary(camera);
     this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.everSeen(vessel));
-    const width = this.canvas.clientWidth;
-    this.left = Math.min(132, 0.3 * width);
+    const width = this.panel.parentElement.clientWidth;
+    this.left = Math.min(132, 0.32 * width);
     this.wide = width - this.left;
-    this.rowPx = Math.min(16, Math.max(3, Math.floor(MOST_ROWS_PX / Math.max(this.vessels.length, 1))));
     // Misses and false alarms always, the rest where there is some.
-    const bars = BARS.filter(([kind], i) => i < 2 || this.summary[kind].some((count) => count));
-    this.rowsTop = STATE_PX + bars.length * (BARS_PX + GAP_PX) + 2 * GAP_PX;
-    this.height = this.rowsTop + this.vessels.length * this.rowPx + AXIS_PX;
+    this.kinds = BARS.filter(([kind], i) => i < 2 || this.summary[kind].some((count) => count));
+    this.withClasses = this.kinds.some(([kind]) => kind === 'mislabelled');
+    this.rowPx = stripHeight(this.withClasses);
+    this.rowsTop = STATE_PX + this.kinds.length * (BARS_PX + GAP_PX) + 2 * GAP_PX;
+    this.rowsPx = Math.min(this.vessels.length, width < NARROW_PX ? FEWER_ROWS : MOST_ROWS) * this.rowPx; // in sight
+    this.height = this.rowsTop + this.rowsPx + AXIS_PX;
     const ratio = this.ratio = window.devicePixelRatio || 1;
     for (const canvas of [this.canvas, this.still]) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(this.height * ratio);
     }
-    this.canvas.style.height = `${this.height}px`;
-    const context = this.still.getContext('2d');
+    Object.assign(this.canvas.style, { width: `${width}px`, height: `${this.height}px` });
+    this.panel.style.height = `${this.height}px`;
+    $('timelineSpace').style.height = `${this.height - this.rowsPx + this.vessels.length * this.rowPx}px`;
+    this.canvas.setAttribute('aria-valuemax', recording.length - 1);
+    this.columns = this.pixelColumns();
+    this.counted = new Map(); // by vessel, what became of it in each column
+    this.paint();
+  }
+
+  // Draw what does not move: of the vessels those that the panel shows.
+  paint() {
+    const { ratio, vessels, panel: { scrollTop } } = this, context = this.still.getContext('2d');
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, this.left + this.wide, this.height);
     context.font = '12px system-ui, sans-serif';
     context.textBaseline = 'middle';
-    this.columns = this.pixelColumns();
     this.states(context);
-    bars.forEach(([kind, name], i) => this.bars(context, STATE_PX + GAP_PX + i * (BARS_PX + GAP_PX), name, this.summary[kind]));
-    this.vessels.forEach((vessel, i) => this.strip(context, vessel, this.rowsTop + i * this.rowPx));
+    this.kinds.forEach(([kind, name], i) => this.bars(context, STATE_PX + GAP_PX + i * (BARS_PX + GAP_PX), name, this.summary[kind]));
+    context.save();
+    context.beginPath();
+    context.rect(0, this.rowsTop, this.left + this.wide, this.rowsPx);
+    context.clip();
+    const stop = Math.min(vessels.length, Math.ceil((scrollTop + this.rowsPx) / this.rowPx));
+    for (let at = Math.floor(scrollTop / this.rowPx); at < stop; at++) this.strip(context, vessels[at], this.topOf(vessels[at]));
+    context.restore();
     this.axis(context);
   }
 
@@ -77,8 +98,7 @@ class Timeline {
       context.fillRect(x, 0, wide + 0.3, STATE_PX);
       const name = facts.states[state[from]];
       if (context.measureText(name).width + 8 >= wide) continue;
-      const dark = facts.states.length > 1 && state[from] > (facts.states.length - 1) / 2;
-      this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, dark ? '--paper' : '--ink');
+      this.text(context, name, x + 4, STATE_PX / 2 + 1, wide, moreDistinct(context.fillStyle, '--ink', '--paper'));
     }
   }
 
@@ -99,34 +119,20 @@ class Timeline {
     }
   }
 
-  // A vessel's visible fraction as the strength of its colour. In vermilion below: missed; in stripes where its box is off it,
-  // and lower ones where IoU is below 0.5. In vermilion above: wrong class.
+  // A vessel's visible fraction as the strength of its colour, and what went wrong below it.
   strip(context, vessel, top) {
-    const { facts, length } = this.recording, high = this.rowPx - (this.rowPx > 5 ? 2 : 0.5);
-    if (this.rowPx >= 9) {
-      context.font = `${Math.min(12, this.rowPx)}px system-ui, sans-serif`;
-      this.text(context, facts.vessels[vessel].name, 0, top + high / 2, this.left - 6);
+    const { facts, length } = this.recording;
+    this.text(context, facts.vessels[vessel].name, NAME_LEFT_PX, top + seenTopOf(this.withClasses) + SEEN_PX / 2 + 1, this.left - NAME_LEFT_PX - 6);
+    if (!this.counted.has(vessel)) { // once, not each time the panel scrolls
+      const count = ({ first, stop, x }) => ({ x, ...this.counts(vessel * length + first, vessel * length + stop) });
+      this.counted.set(vessel, this.columns.map(count));
     }
-    context.fillStyle = colourOf('--track');
-    context.fillRect(this.left, top, this.wide, high);
-    let from = null, painted = '';
-    const paint = (to) => painted && painted.split('/').forEach((part) => {
-      const [colour, above, below] = part.split('@');
-      context.fillStyle = colour;
-      context.fillRect(from, top + above * high, to - from, (below - above) * high);
-    });
-    for (const { first, stop, x } of this.columns) { // neighbours of one colour are painted in one go
-      const bands = this.bands(vessel, vessel * length + first, vessel * length + stop, x);
-      if (bands === painted) continue;
-      paint(x);
-      [from, painted] = [x, bands];
-    }
-    paint(this.left + this.wide);
+    paintStrip(context, this.counted.get(vessel), this.left + this.wide, top, facts.colours.vessels[vessel], this.withClasses);
   }
 
-  // What is painted over each other for a vessel in some frames, each as colour@top@bottom in parts of its strip.
-  bands(vessel, first, stop, x) {
-    const { fraction, lost, outcome } = this.summary, { facts } = this.recording, count = { seen: 0, sum: 0, missed: 0, false: 0, mislabelled: 0, bad: 0, off: 0 };
+  // What became of a vessel in some frames.
+  counts(first, stop) {
+    const { fraction, lost, outcome } = this.summary, count = { seen: 0, sum: 0, missed: 0, false: 0, mislabelled: 0, bad: 0, off: 0 };
     for (let at = first; at < stop; at++) {
       if (Number.isNaN(fraction[at])) continue;
       count.seen++;
@@ -134,17 +140,7 @@ class Timeline {
       count.missed += lost[at];
       for (const [kind, is] of Object.entries(this.recording.mistakes(outcome[at]))) count[kind] += is;
     }
-    if (!count.seen) return '';
-    const hidden = channels(colourOf('--hidden')), alarm = channels(facts.colours.alarm), own = channels(facts.colours.vessels[vessel]);
-    const bands = [`${mixed(hidden, own, count.sum / count.seen)}@0@1`];
-    const add = (number, above, below) => number && bands.push(`${mixed(own, alarm, number / count.seen)}@${above}@${below}`);
-    if (Math.floor(x / STRIPE_PX) % 2) {
-      add(count.bad, 0.8, 1);
-      add(count.off, 0.6, 1);
-    }
-    add(count.missed, 0.6, 1);
-    add(count.mislabelled, 0, 0.3);
-    return bands.join('/');
+    return count;
   }
 
   axis(context) {
@@ -168,7 +164,24 @@ class Timeline {
     return Math.min(Math.max(index, 0), this.recording.length - 1);
   }
 
-  vesselAt(y) { return this.vessels[Math.floor((y - this.rowsTop) / this.rowPx)] ?? null; }
+  vesselAt(y) {
+    if (y < this.rowsTop || y >= this.rowsTop + this.rowsPx) return null;
+    return this.vessels[Math.floor((y - this.rowsTop + this.panel.scrollTop) / this.rowPx)] ?? null;
+  }
+
+  // Where a vessel's row begins, in the canvas or out of sight above or below; null if it has none.
+  topOf(vessel) {
+    const at = this.vessels.indexOf(vessel);
+    return at < 0 ? null : this.rowsTop + at * this.rowPx - this.panel.scrollTop;
+  }
+
+  // Scroll to a vessel's row unless it is in sight.
+  reveal(vessel) {
+    const top = this.topOf(vessel);
+    if (top === null) return;
+    if (top < this.rowsTop) this.panel.scrollTop += top - this.rowsTop;
+    else if (top + this.rowPx > this.rowsTop + this.rowsPx) this.panel.scrollTop += top + this.rowPx - this.rowsTop - this.rowsPx;
+  }
 
   // A step and a vessel of it, if one is given, in words.
   say(index, vessel, camera) {
@@ -188,45 +201,24 @@ class Timeline {
     return lines.join('\n');
   }
 
-  draw(index) {
-    const { context, ratio } = this, x = this.x(index + 0.5);
+  draw(index, followed) {
+    if (followed !== this.followed) this.reveal(followed);
+    Object.assign(this, { index, followed });
+    const { context, ratio } = this, x = this.x(index + 0.5), row = this.topOf(followed);
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     if (this.still.width && this.still.height) context.drawImage(this.still, 0, 0);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (row !== null && row > this.rowsTop - this.rowPx && row < this.rowsTop + this.rowsPx) {
+      const top = Math.max(row, this.rowsTop), bottom = Math.min(row + this.rowPx, this.rowsTop + this.rowsPx);
+      context.fillStyle = colourOf('--accent');
+      context.fillRect(0, top, NAME_LEFT_PX / 2, bottom - top);
+    }
     for (const [colour, wide] of [['--paper', 5], ['--ink', 2]]) {
       context.fillStyle = colourOf(colour);
       context.fillRect(x - wide / 2, 0, wide, this.height - AXIS_PX + 2);
     }
+    this.canvas.setAttribute('aria-valuenow', index);
+    this.canvas.setAttribute('aria-valuetext', this.say(index, followed, this.camera));
   }
-}
-
-let resolved = new Map();
-
-// The colour of a CSS variable in the theme of the moment.
-function colourOf(variable) {
-  if (!resolved.has(variable)) {
-    const probe = document.createElement('span');
-    probe.style.color = `var(${variable})`;
-    document.body.append(probe);
-    resolved.set(variable, getComputedStyle(probe).color);
-    probe.remove();
-  }
-  return resolved.get(variable);
-}
-
-function forgetColours() { resolved = new Map(); }
-
-// Red, green and blue of a colour as the browser or the recording writes it.
-function channels(colour) {
-  if (colour.startsWith('#')) return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-  return colour.match(/[\d.]+/g).slice(0, 3).map(Number);
-}
-
-function mixed(from, to, part) { return `rgb(${from.map((value, i) => Math.round(value + part * (to[i] - value)))})`; }
-
-// States in the order of the detector file, from pale to strong.
-function stateColour(state, states) {
-  const part = states > 1 ? state / (states - 1) : 0;
-  return mixed(channels(colourOf('--state-first')), channels(colourOf('--state-last')), part);
 }

@@ -1,0 +1,47 @@
+// Colours of the theme, and what may be done with them.
+
+let resolved = new Map();
+
+// The colour of a CSS variable in the theme of the moment.
+function colourOf(variable) {
+  if (!resolved.has(variable)) {
+    const probe = document.createElement('span');
+    probe.style.color = `var(${variable})`;
+    document.body.append(probe);
+    resolved.set(variable, getComputedStyle(probe).color);
+    probe.remove();
+  }
+  return resolved.get(variable);
+}
+
+function forgetColours() { resolved = new Map(); }
+
+// Red, green and blue of a colour as the browser or the recording writes it.
+function channels(colour) {
+  if (colour.startsWith('#')) return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  return colour.match(/[\d.]+/g).slice(0, 3).map(Number);
+}
+
+function mixed(from, to, part) { return `rgb(${from.map((value, i) => Math.round(value + part * (to[i] - value)))})`; }
+
+// States in the order of the detector file, from pale to strong.
+function stateColour(state, states) {
+  const part = states > 1 ? state / (states - 1) : 0;
+  return mixed(channels(colourOf('--state-first')), channels(colourOf('--state-last')), part);
+}
+
+// Which of two CSS variables stands out more from a colour.
+function moreDistinct(colour, first, second) {
+  return contrast(colourOf(first), colour) >= contrast(colourOf(second), colour) ? first : second;
+}
+
+// The contrast of two colours, 1 to 21, as the Web Content Accessibility Guidelines define it.
+function contrast(a, b) {
+  const [low, high] = [luminance(a), luminance(b)].sort((x, y) => x - y);
+  return (high + 0.05) / (low + 0.05);
+}
+
+function luminance(colour) {
+  const [red, green, blue] = channels(colour).map((value) => (value <= 10.31 ? value / 3294.6 : ((value / 255 + 0.055) / 1.055) ** 2.4));
+  return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+}
