@@ -39,22 +39,31 @@ SCRIPTS = (
     "elements.js",
     "words.js",
     "recording.js",
+    "kinds.js",
+    "highlight.js",
     "picture.js",
     "track_picture.js",
     "pane.js",
     "closeup.js",
     "vessel_list.js",
     "moments.js",
+    "moment_controls.js",
     "timeline.js",
     "lanes.js",
     "legend.js",
     "gestures.js",
+    "hover.js",
+    "numbers.js",
+    "share.js",
+    "loop.js",
     "keys.js",
+    "key_help.js",
     "address.js",
     "player.js",
     "start.js",
 )
 """In the order in which they need each other; in the page they are one script."""
+STYLES = ("style.css", "boxes.css", "vessel_list.css", "numbers.css", "actions.css", "keys.css")
 
 
 def write_report(
@@ -102,11 +111,13 @@ def _page(
         "name": html.escape(run.scene.name),
         # No script but this one runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
-        "style": _part("style.css") + (_part("lanes.css") if followed else ""),
+        "style": "".join(map(_part, STYLES)) + (_part("lanes.css") if followed else ""),
         "lead": html.escape(_lead(frames.facts)),
         "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
-        "track_key": " <kbd>K</kbd> tracks," if followed else "",
+        **{name: _part(f"{name}.html") for name in ("vessel_list", "note")},
+        "moments": _part("moments.html").replace("{{actions}}", _part("actions.html")),
+        "numbers": _part("numbers.html").replace("{{quantum}}", f"{frames.facts['quantum']:.3g}"),
         "notes": _notes(run, every, out),
         "result": _result(counts.total),
         "tables": _tables(counts, run.settings),

@@ -25,7 +25,7 @@ class Pane {
     };
   }
 
-  draw(frame, shown) { this.picture.draw(this.recording, frame.index, this.camera, shown, frame); }
+  draw(frame, shown, marked) { this.picture.draw(this.recording, frame.index, this.camera, shown, frame, marked); }
 
   // The part of the image in which vessels are, in any frame: between two rows.
   home([top, bottom]) {

@@ -87,6 +87,15 @@ class Recording {
     };
   }
 
+  // The numbers of a row of the truth that no picture needs; null where a camera cannot know.
+  numbers(row) {
+    const { silhouettePx, hiddenPx, inFrame, hiderCount, hiderName, hiderPx } = this.columns;
+    this.hiderStart ??= starts(hiderCount);
+    const hiders = [];
+    for (let at = this.hiderStart[row]; at < this.hiderStart[row + 1]; at++) hiders.push({ name: this.facts.occluders[hiderName[at]], px: hiderPx[at] });
+    return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_IMAGE, hiders };
+  }
+
   // What the detector put out.
   detections(index, camera) {
     const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence, outcome, kind } = this.columns, rows = [];
