@@ -26,6 +26,7 @@ from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.packing import Column, in_quanta, starts
 from modsim3d.view.report.silhouettes import NONE, silhouette_columns
 from modsim3d.view.report.track_columns import track_columns, track_facts
+from modsim3d.view.report.truth_numbers import number_columns
 
 FINEST_PX = 0.1
 UNKNOWN_FRACTION, WHOLE = 255, 250
@@ -108,6 +109,7 @@ def _truth_columns(rows: RunRows, frames: Indices, pages: int, quantum: float) -
         "hider": main_hider[shown].astype(np.uint16),
         "full": in_quanta(rows.boxes_px("full")[shown], quantum),
         "visible": in_quanta(rows.boxes_px("visible")[shown], quantum),
+        **number_columns(rows, shown),
     }
 
 
@@ -131,6 +133,7 @@ def _facts(scene: Scene, steps: Indices, quantum: float) -> dict[str, Any]:
     vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     return {
+        "name": scene.name,
         "quantum": quantum,
         "mode": scene.annotation.mode,
         "steps": steps.tolist(),

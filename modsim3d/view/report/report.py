@@ -41,6 +41,8 @@ SCRIPTS = (
     "colours.js",
     "words.js",
     "recording.js",
+    "kinds.js",
+    "highlight.js",
     "picture.js",
     "track_picture.js",
     "bounds.js",
@@ -49,18 +51,25 @@ SCRIPTS = (
     "vessel_list.js",
     "moments.js",
     "strips.js",
+    "moment_controls.js",
     "timeline.js",
     "lanes.js",
     "legend.js",
     "hint.js",
     "gestures.js",
     "focus.js",
+    "hover.js",
+    "numbers.js",
+    "share.js",
+    "loop.js",
     "keys.js",
+    "key_help.js",
     "address.js",
     "player.js",
     "start.js",
 )
 """In the order in which they need each other; in the page they are one script."""
+STYLES = ("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css", "actions.css", "keys.css")
 
 
 def write_report(
@@ -112,7 +121,9 @@ def _page(
         "lead": html.escape(_lead(frames.facts)),
         "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
-        "track_key": " <kbd>K</kbd> tracks," if followed else "",
+        **{name: _part(f"{name}.html") for name in ("vessel_list", "note")},
+        "moments": _part("moments.html").replace("{{actions}}", _part("actions.html")),
+        "numbers": _part("numbers.html").replace("{{quantum}}", f"{frames.facts['quantum']:.3g}"),
         "notes": _notes(run, every, out),
         "result": _result(counts.total),
         "tables": _tables(counts, run.settings),

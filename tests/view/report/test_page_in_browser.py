@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -168,12 +169,22 @@ def choose(browser: Browser, select: str, value: str) -> None:
 def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
     run = open_run(mistaken_folder)
     names = run.scene.vessel_names
+    occluded: dict[str, bool] = {}
+    states: list[str] = []
     wrong: dict[str, set[tuple[int, str | None]]] = {}
     for frame in run.frames():
         if frame.camera != "bow":
             continue
         truth = frame.truth
-        hidden = (truth.visible_fraction > 0) & (truth.visible_fraction < 1)
+        # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
+        occluded = {
+            name: seen <= (0.98 if occluded.get(name) else 0.9)
+            for name, seen in zip(truth.vessels, truth.visible_fraction, strict=True)
+        }
+        hidden = np.array(list(occluded.values()))
+        states.append(frame.state)
+        if frame.state != states[0]:
+            wrong.setdefault("state", set()).add((frame.step, None))
         for kind, which in (("missed", truth.annotated & ~truth.detected), ("hidden", hidden)):
             wrong.setdefault(kind, set()).update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
         for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
@@ -182,7 +193,8 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
                     wrong.setdefault(kind, set()).add((frame.step, None if row is None else truth.vessels[row]))
     browser.open(mistaken_page)
     kinds = browser.run("[...document.querySelector('#kind').options].map(option => option.value)")
-    assert set(kinds) == {kind for kind, found in wrong.items() if found} >= set(FLAGS)
+    assert set(kinds) == {kind for kind, found in wrong.items() if found} >= {"hidden", "state", *FLAGS}
+    assert sum(before != after for before, after in pairwise(states)) == 1
     for kind in kinds:
         choose(browser, "kind", kind)
         moments = browser.run("player.moments.list")
@@ -200,7 +212,8 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         assert listed == ["", *map(str, range(len(moments)))]
         choose(browser, "moment", str(len(moments) - 1))
         assert browser.run("player.index") == moments[-1]["index"]
-        assert browser.run("player.followed") == moments[-1]["vessel"]
+        if kind != "state":
+            assert browser.run("player.followed") == moments[-1]["vessel"]
 
 
 def test_a_moment_outside_what_is_shown_brings_the_whole_image(browser, mistaken_page):

@@ -1,6 +1,6 @@
 // The close-up of one vessel: the one that was chosen; else the one of before, while it is there; else the nearest.
 
-const CLOSEUP_ASPECT = 16 / 10;
+const CLOSEUP_ASPECT = 2;
 
 class Closeup {
   constructor(canvas) {
@@ -13,8 +13,9 @@ class Closeup {
     this.picture.resize(CLOSEUP_ASPECT);
   }
 
-  // Draw it, mark its place in the image, and return its vessel; null if there is none.
-  draw(pane, frame, followed, shown) {
+  // Draw it, or the false alarm that is chosen, mark its place in the image, and return its vessel; null if there is none.
+  draw(pane, frame, followed, shown, alarm = null) {
+    if (alarm !== null) return this.drawAlarm(pane, frame, shown, frame.detections[alarm]);
     const { recording } = pane, { vessels } = recording.facts, wanted = followed ?? this.before;
     let truth = frame.truths.find(({ vessel }) => vessel === wanted);
     if (!truth && followed === null) truth = frame.truths.at(-1);
@@ -28,6 +29,14 @@ class Closeup {
     }
     this.canvas.setAttribute('aria-label', `Close-up: ${truth ? vessels[truth.vessel].name : 'nothing'}`);
     return truth?.vessel ?? null;
+  }
+
+  drawAlarm(pane, frame, shown, { box }) {
+    this.picture.lookAt(box, pane.size);
+    this.picture.draw(pane.recording, frame.index, pane.camera, shown, frame);
+    pane.picture.mark(this.picture);
+    this.canvas.setAttribute('aria-label', 'Close-up: a false alarm');
+    return null;
   }
 
   empty(text) {

@@ -3,8 +3,7 @@
 // The marks of the picture, by what the timeline counts of them, and what they mean.
 const SYMBOLS = [
   ['truth', 'truth (dashed: the whole silhouette)'], ['detection', 'detection, in its vessel’s colour'],
-  ['missed', 'missed'], ['false', 'false alarm'], ['mislabelled', 'wrong class'], ['bad', 'IoU below 0.5'],
-  ['off', 'off its vessel: line to it'],
+  ...KINDS.filter(({ legend }) => legend).map(({ kind, legend }) => [kind, legend]),
 ];
 const BOX = '<rect x="4" y="3" width="22" height="12"';
 

@@ -1,27 +1,45 @@
 // Moments worth a look, of one kind: when something begins to be so, of which vessel, and until when it lasts.
 
-const KINDS = [
-  ['missed', 'missed', (summary, at) => summary.lost[at] > 0],
-  ['false', 'false alarm', null], // of no vessel
-  ['mislabelled', 'wrong class', (summary, at, { MISLABELLED }) => (summary.outcome[at] & MISLABELLED) > 0],
-  ['off', 'off its vessel', (summary, at, { OFF_VESSEL }) => (summary.outcome[at] & OFF_VESSEL) > 0],
-  ['bad', 'IoU below 0.5', (summary, at, { BELOW_HALF_IOU }) => (summary.outcome[at] & BELOW_HALF_IOU) > 0],
-  ['hidden', 'hidden in part', (summary, at) => summary.fraction[at] > 0 && summary.fraction[at] < 1],
-];
+// A vessel is occluded from when it is hidden by this much until it is seen but for that little, so that a flicker
+// between 0.99 and 1 is no onset.
+const BEGINS_BELOW = 0.9, ENDS_ABOVE = 0.98;
+
+// What is so of a vessel at a step; false alarms are of no vessel.
+const HOLDS = {
+  missed: (summary, at) => summary.lost[at] > 0,
+  mislabelled: (summary, at, { MISLABELLED }) => (summary.outcome[at] & MISLABELLED) > 0,
+  off: (summary, at, { OFF_VESSEL }) => (summary.outcome[at] & OFF_VESSEL) > 0,
+  bad: (summary, at, { BELOW_HALF_IOU }) => (summary.outcome[at] & BELOW_HALF_IOU) > 0,
+};
 
 // In order of time; frames in a row are one moment.
 function findMoments(kind, summary, recording) {
-  const { length, facts } = recording, [, , holds] = KINDS.find(([name]) => name === kind), moments = [];
+  if (kind === 'state') return stateChanges(summary, recording);
+  const { length, facts } = recording, moments = [];
   const collect = (vessel, test) => {
     for (let index = 0, last = null; index < length; index++) {
-      if (!test(index)) last = null;
+      if (!test(index, last !== null)) last = null;
       else if (last) last.until = index;
       else moments.push(last = { index, until: index, vessel });
     }
   };
-  if (holds === null) collect(null, (index) => summary.false[index] > 0);
-  else facts.vessels.forEach((_, vessel) => collect(vessel, (index) => holds(summary, vessel * length + index, facts.outcomes)));
+  if (kind === 'false') collect(null, (index) => summary.false[index] > 0);
+  else facts.vessels.forEach((_, vessel) => {
+    const first = vessel * length, { fraction } = summary;
+    if (kind === 'hidden') collect(vessel, (index, is) => fraction[first + index] <= (is ? ENDS_ABOVE : BEGINS_BELOW));
+    else collect(vessel, (index) => HOLDS[kind](summary, first + index, facts.outcomes));
+  });
   return moments.sort((a, b) => a.index - b.index || a.vessel - b.vessel);
+}
+
+// Each lasts until the state changes again.
+function stateChanges({ state }, { length, facts }) {
+  const moments = [];
+  for (let index = 1; index < length; index++) {
+    if (state[index] !== state[index - 1] && state[index - 1] < facts.states.length) moments.push({ index, until: index, vessel: null, state: state[index] });
+    else if (moments.length) moments.at(-1).until = index;
+  }
+  return moments;
 }
 
 class Moments {
@@ -33,10 +51,14 @@ class Moments {
   }
 
   // Those of a kind that a camera sees.
-  look(camera, kind, summary) {
+  of(camera, kind, summary) {
     const key = `${camera} ${kind}`;
     if (!this.found.has(key)) this.found.set(key, findMoments(kind, summary, this.recording));
-    this.list = this.found.get(key);
+    return this.found.get(key);
+  }
+
+  look(camera, kind, summary) {
+    this.list = this.of(camera, kind, summary);
     this.place = null;
     return this.list;
   }
@@ -56,10 +78,16 @@ class Moments {
     return this.list[place];
   }
 
+  // The one that was chosen last, while a frame of it is shown.
+  at(index) {
+    const current = this.list[this.place];
+    return current && current.index <= index && index <= current.until ? current : null;
+  }
+
   // In words; `until` where it lasts.
-  text({ index, until, vessel }) {
-    const { timestamps, vessels } = this.recording.facts;
+  text({ index, until, vessel, state }) {
+    const { timestamps, vessels, states } = this.recording.facts;
     const when = until > index ? `${timestamps[index]}–${timestamps[until]} s` : `${timestamps[index]} s`;
-    return vessel === null ? when : `${when} ${vessels[vessel].name}`;
+    return [when, vessel === null ? states[state] : vessels[vessel].name].filter((word) => word).join(' ');
   }
 }

@@ -3,10 +3,22 @@
 const WIDEST = 2, NARROW_PX = 480;
 
 class Pane {
-  constructor(canvas, recording, camera = 0) {
-    Object.assign(this, { canvas, recording, camera });
-    this.picture = recording.facts.tracks ? new TrackPicture(canvas, NARROW_PX) : new Picture(canvas, NARROW_PX);
+  // `number` counts the panes from 0; `run` is what the run is called where there are two.
+  constructor(recording, camera, number = 0, run = '') {
+    const { cameras, tracks } = recording.facts, node = $('pane').content.firstElementChild.cloneNode(true);
+    const canvas = node.querySelector('canvas'), select = node.querySelector('select');
+    Object.assign(this, { node, canvas, select, recording, run });
+    [canvas.id, select.id] = number ? ['picture2', 'camera2'] : ['picture', 'camera'];
+    cameras.forEach(({ name }, each) => select.add(new Option(name, each)));
+    select.parentElement.hidden = cameras.length < 2;
+    node.querySelector('.only').textContent = cameras.length < 2 ? `Camera ${cameras[0].name}` : '';
+    node.querySelector('.run').textContent = run;
+    this.picture = tracks ? new TrackPicture(canvas, NARROW_PX) : new Picture(canvas, NARROW_PX);
+    this.show(camera);
+    $('stage').append(node);
   }
+
+  show(camera) { this.camera = this.select.value = camera; }
 
   get facts() { return this.recording.facts.cameras[this.camera]; }
   get size() { return this.facts.size; }
@@ -25,7 +37,7 @@ class Pane {
     };
   }
 
-  draw(frame, shown) { this.picture.draw(this.recording, frame.index, this.camera, shown, frame); }
+  draw(frame, shown, marked) { this.picture.draw(this.recording, frame.index, this.camera, shown, frame, marked); }
 
   // The part of the image in which vessels are, in any frame: between two rows.
   home([top, bottom]) {

@@ -58,9 +58,11 @@ class Picture {
     this.view = { x: imageX - (imageX - this.view.x) * shrunk, y: imageY - (imageY - this.view.y) * shrunk, width };
   }
 
-  draw(recording, index, camera, shown, frame) {
+  // `marked`: the box that the mouse is over (hovered), for which the others fade, the one that is chosen, and notes by boxes.
+  draw(recording, index, camera, shown, frame, marked = {}) {
     const { context } = this, { colours, cameras } = recording.facts;
     this.plates = [];
+    this.hovered = marked.hovered ?? null;
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     context.save();
@@ -68,20 +70,32 @@ class Picture {
     if (shown.silhouettes) for (const shape of frame.shapes) this.silhouette(recording, shape);
     context.restore();
     for (const truth of frame.truths) {
-      if (shown.full) this.box(truth.full, colours.truth, 1, [5, 4]);
-      if (shown.visible && truth.visible) this.box(truth.visible, colours.truth, 1.2);
+      const wider = this.setOff(truth);
+      if (shown.full) this.box(truth.full, colours.truth, 1 + wider, [5, 4]);
+      if (shown.visible && truth.visible) this.box(truth.visible, colours.truth, 1.2 + wider);
     }
-    for (const detection of frame.detections) {
-      if (detection.false ? shown.false : shown.detections) this.detection(detection, frame, recording.facts);
-    }
+    frame.detections.forEach((detection, place) => {
+      if (detection.false ? shown.false : shown.detections) this.detection(detection, frame, recording.facts, detection.false ? place : null);
+    });
     for (const { vessel, target } of frame.truths.filter((truth) => shown.missed && truth.missed)) {
       const { name } = recording.facts.vessels[vessel];
+      this.setOff({ vessel });
       this.brackets(target, colours.alarm);
-      this.plates.push({ box: target, colour: colours.alarm, text: this.narrow ? name : `missed: ${name}`, below: true });
+      this.plates.push({ vessel, box: target, colour: colours.alarm, text: this.narrow ? name : `missed: ${name}`, below: true });
     }
+    context.globalAlpha = 1;
+    if (marked.chosen) (this.shows(marked.chosen) ? drawHalo : drawArrowTo)(this, marked.chosen);
     // Over all boxes: no line crosses a text.
+    this.plates.push(...marked.notes ?? []);
     if (shown.names) this.names(frame.truths, recording.facts.vessels);
     if (shown.labels) this.labels();
+  }
+
+  // Fade what follows if the mouse is over another box. Returns by how much the lines of the box under the mouse are wider.
+  setOff(box) {
+    const same = !this.hovered || isSameBox(this.hovered, box);
+    this.context.globalAlpha = same ? 1 : FADED;
+    return this.hovered && same ? WIDER_PX : 0;
   }
 
   get narrow() { return this.canvas.width / this.ratio < this.leastForNames; }
@@ -129,16 +143,16 @@ class Picture {
 
   // A detection: in long dashes where its box is bad, with a line to its vessel where it is off, with a filled corner where
   // its class is wrong; crossed out where it is false.
-  detection({ vessel, box, label, kind, confidence, false: wrong, mislabelled, bad, off }, frame, { colours, vessels }) {
-    const colour = wrong ? colours.alarm : colours.vessels[vessel];
+  detection({ vessel, box, label, kind, confidence, false: wrong, mislabelled, bad, off }, frame, { colours, vessels }, alarm) {
+    const colour = wrong ? colours.alarm : colours.vessels[vessel], wider = this.setOff({ vessel, alarm });
     if (wrong) this.cross(box, colour);
     if (off) this.tether(box, frame.truths.find((truth) => truth.vessel === vessel).target, colours.alarm);
-    this.box(box, colour, 2, wrong ? [5, 3] : bad ? [9, 6] : []);
+    this.box(box, colour, 2 + wider, wrong ? [5, 3] : bad ? [9, 6] : []);
     if (mislabelled) this.flag(box, colours);
     const words = this.narrow ? confidence.toFixed(2) : `${label} ${confidence.toFixed(2)}`;
     const remark = wrong ? `${kind.endsWith('false_positive') ? 'false' : kind}: ` : '';
     const text = this.narrow ? words : remark + words + (mislabelled ? `, ${isA(vessels[vessel].label)}` : '');
-    this.plates.push({ box, colour: mislabelled ? colours.alarm : colour, text });
+    this.plates.push({ vessel, alarm, box, colour: mislabelled ? colours.alarm : colour, text });
   }
 
   cross([x0, y0, x1, y1], colour) {
@@ -224,7 +238,7 @@ class Picture {
   labels() {
     const { context } = this, width = this.canvas.width / this.ratio, height = this.canvas.height / this.ratio, placed = [];
     context.font = `${FONT_PX}px system-ui, sans-serif`;
-    for (const { box: [x0, y0, x1, y1], text, colour, below } of this.plates) {
+    for (const { box: [x0, y0, x1, y1], text, colour, below, vessel, alarm, lane } of this.plates) {
       const [left, top] = this.toCanvas(x0, y0), [right, bottom] = this.toCanvas(x1, y1);
       if (right < 0 || bottom < 0 || left > width || top > height) continue;
       const wide = context.measureText(text).width + 8, x = Math.min(Math.max(left - 1, 0), Math.max(width - wide, 0));
@@ -233,17 +247,20 @@ class Picture {
       const rows = [0, 1, 2, 3, 4].flatMap((row) => [over - row * PLATE_PX, under + row * PLATE_PX]);
       if (below) rows.unshift(under);
       const at = rows.findIndex((y) => y >= 0 && y <= height - PLATE_PX && clear(y));
-      if (at >= 0) placed.push({ x, y: rows[at], wide, text, colour, left, edge: rows[at] < top ? top : bottom });
+      if (at >= 0) placed.push({ x, y: rows[at], wide, text, colour, left, edge: rows[at] < top ? top : bottom, of: { vessel, alarm, lane } });
     }
-    for (const { x, y, left, edge, colour } of placed) {
+    for (const { x, y, left, edge, colour, of } of placed) {
+      this.setOff(of);
       if (y + PLATE_PX < edge - 4 || y > edge + 4) this.leader(x + 3, y + PLATE_PX / 2, Math.max(left, 0), edge, colour);
     }
-    for (const { x, y, wide, text, colour } of placed) {
+    for (const { x, y, wide, text, colour, of } of placed) {
+      this.setOff(of);
       context.fillStyle = colour;
       context.fillRect(x, y, wide, PLATE_PX - 1);
       context.fillStyle = inkOn(colour);
       context.fillText(text, x + 4, y + FONT_PX);
     }
+    context.globalAlpha = 1;
   }
 
   // From a label that had to move to its box.

@@ -1,37 +1,49 @@
 // The player: what is shown, and how controls change it. Each part of the page has a file of its own.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 20, 50];
-const MOST_LISTED = 1000;
 
 class Player {
-  constructor(recording) {
-    this.recording = recording;
+  // Of one run, or of two with their differences.
+  constructor(recordings, differences = null) {
     this.index = 0;
     this.speed = 5;
     this.playing = false;
-    this.followed = null;
+    this.followed = null; // the vessel that is chosen, and
+    this.alarm = null; // the false alarm that is: its place among the detections of the frame
+    this.differences = differences;
+    this.stage = new Stage(this, recordings, differences ? differences.runs : ['']);
+    const { recording } = this, { facts } = recording;
+    this.loop = new Loop(recording.length);
     this.shown = Object.fromEntries(LAYERS.map(([name]) => [name, name !== 'names']));
     this.drawn = { frames: 0, rows: 0, milliseconds: 0 };
-    this.panes = [new Pane($('picture'), recording)];
-    this.pane = this.panes[0]; // the one that the list, the close-up and the timeline are about
     this.closeup = new Closeup($('closeup'));
+    this.above = new Above($('above'), (vessel) => this.choose(vessel));
     this.timeline = new Timeline($('timeline'), recording);
-    this.lanes = recording.facts.tracks ? new Lanes($('lanesPanel'), $('lanes'), recording, this.timeline) : null;
-    this.moments = new Moments(recording);
-    this.list = new VesselList($('vessels'), recording.facts, (vessel) => this.follow(this.followed === vessel ? null : vessel));
+    this.lanes = facts.tracks ? new Lanes($('lanesPanel'), $('lanes'), recording, this.timeline) : null;
+    this.differenceLanes = differences ? new DifferenceLanes($('differences'), differences, this.timeline) : null;
+    this.moments = new Moments(recording, differences);
+    this.momentRow = new MomentControls(this);
+    this.list = new VesselList($('vessels'), facts, (vessel) => this.choose(this.followed === vessel ? null : vessel));
+    this.numbers = new Numbers(this);
     this.actions = {
       play: () => this.play(!this.playing), back: () => this.step(-1), forward: () => this.step(1),
       zoomIn: () => this.zoom(1.5), zoomOut: () => this.zoom(1 / 1.5), home: () => this.home(), whole: () => this.whole(),
-      previous: () => this.goTo(this.moments.from(this.index, -1)), next: () => this.goTo(this.moments.from(this.index, 1)),
+      previous: () => this.momentRow.seek(-1), next: () => this.momentRow.seek(1), loop: () => this.repeat(),
+      link: () => copyLink(this), save: () => savePicture(this), keys: () => this.keyHelp.toggle(),
     };
     this.fill();
+    this.usual = { ...this.shown };
     this.listen();
     this.resize();
-    this.fillKinds();
+    this.momentRow.fill();
     this.home();
     if (!this.fromAddress()) this.go(Math.max(0, this.timeline.summary.seen.findIndex((seen) => seen > 0)));
+    clearTimeout(writeAddress.timer); // the address stays as it is until something is done
   }
 
+  get panes() { return this.stage.panes; }
+  get pane() { return this.stage.active; }
+  get recording() { return this.pane.recording; }
   get camera() { return this.pane.camera; }
   get picture() { return this.pane.picture; }
 
@@ -41,9 +53,6 @@ class Player {
     const { facts } = this.recording;
     $('slider').max = this.recording.length - 1;
     for (const speed of SPEEDS) $('speed').add(new Option(`${speed}×`, speed, false, speed === this.speed));
-    facts.cameras.forEach(({ name }, camera) => $('camera').add(new Option(name, camera)));
-    $('cameraChoice').hidden = facts.cameras.length < 2;
-    if (facts.cameras.length === 1) $('cameraName').textContent = `Camera ${facts.cameras[0].name}`;
     LAYERS.forEach(([name, title], i) => this.addLayer(name, title, i + 1));
     if (this.lanes) {
       this.shown.tracks = true;
@@ -53,48 +62,21 @@ class Player {
 
   addLayer(name, title, key) {
     const box = element('input', { type: 'checkbox', id: `layer-${name}`, checked: this.shown[name] });
-    box.addEventListener('change', () => { this.shown[name] = box.checked; this.draw(); });
+    box.addEventListener('change', () => { this.shown[name] = box.checked; this.draw(); keepAddress(this); });
     $('layers').append(element('label', {}, box, ` ${title} `, element('kbd', { textContent: `${key}` })));
   }
 
-  // The kinds of moments that the camera has.
-  fillKinds() {
-    const { summary } = this.timeline;
-    const count = ([kind]) => this.moments.look(this.camera, kind, summary).length, kinds = KINDS.filter(count);
-    $('kind').replaceChildren(...kinds.map((kind) => new Option(`${kind[1]}: ${count(kind)}`, kind[0])));
-    $('momentRow').hidden = !kinds.length;
-    this.lookFor(kinds.some(([kind]) => kind === this.kind) ? this.kind : (kinds[0] ?? KINDS[0])[0]);
-  }
-
-  lookFor(kind) {
-    this.kind = kind;
-    $('kind').value = kind;
-    const list = this.moments.look(this.camera, kind, this.timeline.summary), shown = list.slice(0, MOST_LISTED);
-    const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
-    const more = list.length > MOST_LISTED ? ` (the first ${MOST_LISTED})` : '';
-    $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);
-  }
-
   listen() {
-    for (const button of document.querySelectorAll('[data-do]')) {
+    for (const button of document.querySelectorAll('.transport [data-do]')) {
       button.addEventListener('click', () => this.actions[button.dataset.do]());
     }
     $('slider').addEventListener('input', () => this.go(Number($('slider').value)));
     $('speed').addEventListener('change', () => this.setSpeed(Number($('speed').value)));
-    $('camera').addEventListener('change', () => this.look(Number($('camera').value)));
-    $('kind').addEventListener('change', () => this.lookFor($('kind').value));
-    $('moment').addEventListener('change', () => {
-      if ($('moment').value) this.goTo(this.moments.choose(Number($('moment').value)));
-    });
     $('theme').addEventListener('click', () => this.otherTheme());
     window.addEventListener('resize', () => this.resize());
     window.addEventListener('hashchange', () => this.fromAddress());
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.resize());
-    listenToKeys(this);
-    for (const pane of this.panes) {
-      listenToPane(pane, this);
-      listenOnPicture(pane, this);
-    }
+    this.keyHelp = new KeyHelp(listenToKeys(this));
     rove($('vessels'));
     const { timeline, lanes } = this;
     listenOnTimeline(timeline, this, $('hint'));
@@ -108,31 +90,57 @@ class Player {
   // ---- steps and moments
 
   go(index) {
+    const before = this.index;
     this.index = Math.min(Math.max(index, 0), this.recording.length - 1);
+    if (this.index !== before) this.alarm = null;
+    this.loop.leave(this.index);
     this.draw();
     this.lanes?.reveal(this.index);
+    keepAddress(this);
   }
 
   step(by) { this.play(false); this.go(this.index + by); }
 
   play(playing) {
-    if (playing && this.index === this.recording.length - 1) this.index = 0;
+    const paused = this.playing && !playing;
+    if (playing && !this.loop.on && this.index === this.recording.length - 1) this.index = 0;
     this.playing = playing;
     $('play').textContent = playing ? '⏸ Pause' : '▶ Play';
     $('status').setAttribute('aria-live', playing ? 'off' : 'polite');
+    if (paused) this.pause();
     if (!playing) return;
     this.clock = { started: performance.now(), from: this.recording.facts.times[this.index] };
     requestAnimationFrame((now) => this.tick(now));
   }
 
+  // What waits while the run plays: the order of the list, the numbers, the address.
+  pause() { this.draw(); keepAddress(this); }
+
   tick(now) {
     if (!this.playing) return;
     const { times } = this.recording.facts, time = this.clock.from + ((now - this.clock.started) / 1000) * this.speed;
+    const { first, last } = this.loop.stretch ?? this.loop.whole;
     let index = this.index;
-    while (index + 1 < times.length && times[index + 1] <= time) index++;
+    while (index < last && times[index + 1] <= time) index++;
     if (index !== this.index) this.go(index);
-    if (index === times.length - 1) this.play(false);
-    else requestAnimationFrame((later) => this.tick(later));
+    if (index < last) requestAnimationFrame((later) => this.tick(later));
+    else if (this.loop.on) this.again(first, now);
+    else this.play(false);
+  }
+
+  // From the beginning of what repeats, once its last frame was seen for as long as the one before it.
+  again(first) {
+    const { times } = this.recording.facts, shown = (times[this.index] - times[this.index - 1]) / this.speed;
+    setTimeout(() => {
+      if (!this.playing) return;
+      this.go(first);
+      this.play(true);
+    }, Math.min(1000 * (shown || 0), 1000));
+  }
+
+  repeat() {
+    this.loop.toggle();
+    this.draw();
   }
 
   setSpeed(speed) {
@@ -149,8 +157,12 @@ class Player {
   goTo(moment) {
     if (!moment) return;
     this.play(false);
-    this.followed = moment.vessel;
+    if (this.momentRow.kind !== 'state') this.followed = moment.vessel;
+    this.loop.aimAt(moment, this.recording.facts);
     this.go(moment.index);
+    if (this.followed !== null) this.list.reveal(this.followed);
+    if (this.momentRow.kind === 'state') return;
+    if (moment.vessel === null) this.choose(null, this.frameOf(this.pane).detections.findIndex((each) => each.false));
     const found = this.recording.detections(this.index, this.camera).filter(moment.vessel === null ? (each) => each.false
       : (each) => each.vessel === moment.vessel && !each.false);
     const true_ = this.recording.truths(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
@@ -159,30 +171,59 @@ class Player {
   }
 
   fromAddress() {
-    const index = indexInAddress(location.hash, this.recording.facts);
+    const { hash } = location, { facts } = this.recording, asked = partsOf(hash);
+    const camera = placeOf(asked.get('camera'), facts.cameras), vessel = placeOf(asked.get('vessel'), facts.vessels);
+    const index = indexInAddress(hash, facts), layers = layersInAddress(hash, this.shown);
+    if (camera !== null && camera !== this.camera) this.look(camera);
+    if (layers) this.show(layers);
     if (index !== null) this.go(index);
+    if (vessel !== null) this.choose(vessel);
     return index !== null;
   }
 
   // ---- views
 
   look(camera) {
-    this.pane.camera = camera;
-    $('camera').value = camera;
-    this.resize();
-    this.fillKinds();
+    this.stage.look(camera);
+    this.changePane();
     this.home();
+    keepAddress(this);
   }
 
-  home() { this.pane.home(this.timeline.summary.rows); this.draw(); }
+  // Another pane is the active one, or another camera is in it.
+  changePane() {
+    this.alarm = null;
+    this.moments.recording = this.recording;
+    this.resize();
+    this.momentRow.fill();
+  }
+
+  home() { this.stage.home(); this.draw(); }
 
   whole() { this.pane.whole(); this.draw(); }
 
   zoom(factor) { this.pane.zoom(factor); this.draw(); }
 
-  follow(vessel) { this.followed = vessel; this.draw(); }
+  // A vessel, or a false alarm of this frame, or nothing.
+  choose(vessel, alarm = null) {
+    Object.assign(this, { followed: vessel, alarm });
+    this.draw();
+    if (vessel !== null) this.list.reveal(vessel);
+    keepAddress(this);
+  }
 
-  followNext() { this.follow(((this.followed ?? -1) + 1) % this.recording.facts.vessels.length); }
+  follow(vessel) { this.choose(vessel); }
+
+  followNext(by = 1) {
+    const { length } = this.recording.facts.vessels, from = this.followed ?? (by > 0 ? -1 : length);
+    this.choose((from + by + length) % length);
+  }
+
+  show(layers) {
+    Object.assign(this.shown, layers);
+    for (const name of Object.keys(layers)) $(`layer-${name}`).checked = layers[name];
+    this.draw();
+  }
 
   otherTheme() {
     const dark = matchMedia('(prefers-color-scheme: dark)').matches, now = document.documentElement.dataset.theme;
@@ -194,36 +235,43 @@ class Player {
 
   resize() {
     forgetColours();
-    for (const pane of this.panes) pane.resize();
+    this.stage.resize();
     this.closeup.resize(this.pane);
-    this.timeline.prepare(this.camera);
+    this.above.resize();
+    this.timeline.prepare(this.recording, this.camera);
     this.lanes?.prepare(this.camera);
+    this.differenceLanes?.prepare(this.camera);
     $('legend').replaceChildren(...legendOf(this.recording, this.timeline.summary));
     this.draw();
   }
 
   draw() {
-    const started = performance.now(), { recording, index, pane } = this;
+    const started = performance.now(), { recording, index, pane, stage } = this;
     recording.rowsRead = 0;
-    const frames = this.panes.map((each) => each.frame(index)), frame = frames[this.panes.indexOf(pane)];
-    this.panes.forEach((each, i) => each.draw(frames[i], this.shown));
-    const chosen = this.closeup.draw(pane, frame, this.followed, this.shown);
-    this.list.show(frame, pane.facts.carrier);
+    const frame = stage.draw(index, this), chosen = this.closeup.draw(pane, frame, this.followed, this.shown, this.alarm);
+    this.above.draw(pane, index, this.followed);
+    this.list.show(frame, pane.facts.carrier, this.playing, stage.otherFrame);
     this.list.mark(chosen, this.followed);
+    this.numbers.show(frame);
     this.timeline.draw(index, this.followed);
+    markStretch(this.timeline, this.loop.marked);
     this.lanes?.draw(index);
-    this.say(frame);
+    this.differenceLanes?.draw(index);
+    this.say(frame, chosen);
     this.drawn = { frames: this.drawn.frames + 1, rows: recording.rowsRead, milliseconds: performance.now() - started };
   }
 
-  // The frame in words.
-  say(frame) {
-    const { facts } = this.recording, words = frameInWords(this.recording, frame);
+  frameOf(pane) { return this.stage.frameOf(pane); }
+
+  // The frame, and what is close up, in words.
+  say(frame, chosen) {
+    const { facts } = this.recording, words = [this.pane.run, frameInWords(this.recording, frame)].filter((word) => word).join(': ');
     $('slider').value = this.index;
     $('slider').setAttribute('aria-valuetext', `${facts.timestamps[this.index]} seconds`);
     $('status').textContent = words;
     this.pane.canvas.setAttribute('aria-label', `Image of ${this.pane.facts.name}: ${words}`);
-    const chosen = this.moments.list[this.moments.place]?.index === this.index ? `${this.moments.place}` : '';
-    if ($('moment').value !== chosen) $('moment').value = chosen;
+    const close = this.alarm !== null ? alarmInWords(frame.detections[this.alarm], facts) : chosen === null ? [] : vesselInWords(chosen, frame, facts);
+    $('chosen').textContent = $('chosen').title = close.join(' · ');
+    this.momentRow.show(this.index);
   }
 }

@@ -20,6 +20,7 @@ class Recording {
   constructor(facts, columns) {
     this.facts = facts;
     this.columns = columns;
+    this.summaries = [];
     this.length = facts.steps.length;
     this.rowsRead = 0; // how many rows were looked at, so that a test can see that a frame costs no more than itself
     this.lineStart = starts(columns.lineCount);
@@ -87,6 +88,15 @@ class Recording {
     };
   }
 
+  // The numbers of a row of the truth that no picture needs; null where a camera cannot know.
+  numbers(row) {
+    const { silhouettePx, hiddenPx, inFrame, hiderCount, hiderName, hiderPx } = this.columns;
+    this.hiderStart ??= starts(hiderCount);
+    const hiders = [];
+    for (let at = this.hiderStart[row]; at < this.hiderStart[row + 1]; at++) hiders.push({ name: this.facts.occluders[hiderName[at]], px: hiderPx[at] });
+    return { silhouettePx: silhouettePx[row], hiddenPx: hiddenPx[row], inFrame: inFrame[row] === NONE ? null : inFrame[row] / WHOLE_IMAGE, hiders };
+  }
+
   // What the detector put out.
   detections(index, camera) {
     const frame = this.frame(index, camera), { drawnStart, drawnVessel, label, confidence, outcome, kind } = this.columns, rows = [];
@@ -115,7 +125,9 @@ class Recording {
 
   // What the timeline shows of a camera: for each step counts, and for each vessel and step its visible fraction and
   // what went wrong.
-  summary(camera) {
+  summary(camera) { return this.summaries[camera] ??= this.summed(camera); }
+
+  summed(camera) {
     const { columns, length } = this, vessels = this.facts.vessels.length;
     const summary = {
       state: new Uint8Array(length), seen: new Uint16Array(length), annotated: new Uint16Array(length), missed: new Uint16Array(length),

@@ -10,15 +10,13 @@ class Timeline {
     this.context = canvas.getContext('2d');
     this.recording = recording;
     this.still = document.createElement('canvas'); // all but the playhead: drawn once a camera, size, theme or place of the panel
-    this.summaries = [];
     this.panel.addEventListener('scroll', () => { this.paint(); this.draw(this.index, this.followed); });
   }
 
   // Lay out a camera's rows and draw what does not move. Only this looks at all frames; drawing the playhead copies it.
-  prepare(camera) {
-    const { recording } = this, { facts } = recording;
-    this.camera = camera;
-    this.summary = this.summaries[camera] ??= recording.summary(camera);
+  prepare(recording, camera) {
+    const { facts } = recording;
+    Object.assign(this, { recording, camera, summary: recording.summary(camera) });
     this.vessels = facts.vessels.map((_, vessel) => vessel).filter((vessel) => this.everSeen(vessel));
     const width = this.panel.parentElement.clientWidth;
     this.left = Math.min(132, 0.32 * width);

@@ -19,8 +19,8 @@ function tracksAt(recording, index, camera) {
 function trackColour(vessel, { colours }) { return vessel === null ? FALSE_TRACK : colours.vessels[vessel]; }
 
 class TrackPicture extends Picture {
-  draw(recording, index, camera, shown, frame) {
-    super.draw(recording, index, camera, { ...shown, labels: false }, frame);
+  draw(recording, index, camera, shown, frame, marked) {
+    super.draw(recording, index, camera, { ...shown, labels: false }, frame, marked);
     if (shown.tracks) for (const track of tracksAt(recording, index, camera)) this.track(track, recording.facts);
     if (shown.labels || shown.tracks) {
       if (!shown.labels) this.plates = this.plates.filter(({ track }) => track);
@@ -29,9 +29,9 @@ class TrackPicture extends Picture {
   }
 
   track({ lane, vessel, box, pale }, facts) {
-    const colour = trackColour(vessel, facts);
-    this.box(box, SEAM, 5);
-    this.box(box, colour, 3, pale || vessel === null ? [4, 4] : []);
-    this.plates.unshift({ box, colour, text: `#${facts.tracks.numbers[lane]}`, below: true, track: true });
+    const colour = trackColour(vessel, facts), wider = this.setOff({ vessel, lane });
+    this.box(box, SEAM, 5 + wider);
+    this.box(box, colour, 3 + wider, pale || vessel === null ? [4, 4] : []);
+    this.plates.unshift({ vessel, lane, box, colour, text: `#${facts.tracks.numbers[lane]}`, below: true, track: true });
   }
 }

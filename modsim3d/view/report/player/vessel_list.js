@@ -1,36 +1,95 @@
-// The list of vessels: what became of each in the frame.
+// The list of vessels: what became of each in the frame. It can be searched, filtered and sorted.
+
+const NAMES = new Intl.Collator('en', { numeric: true });
+const ORDERS = { // what the rows are sorted by
+  name: ({ name }) => name, distance: ({ truth }) => truth?.depth ?? Infinity,
+  seen: ({ truth }) => (truth ? truth.fraction ?? 1 : Infinity), outcome: (row) => rankOf(row),
+};
+const FILTERS = {
+  all: () => true, here: ({ truth }) => truth, missed: ({ truth }) => truth?.missed, wrong: (row) => isWrong(row),
+};
+
+function isWrong({ truth, found }) { return Boolean(truth?.missed || found?.mislabelled || found?.bad || found?.off); }
+
+// The worst first: missed, wrong, detected, hidden or not annotated, not in the image.
+function rankOf(row) {
+  const { truth } = row;
+  return !truth ? 4 : truth.missed ? 0 : isWrong(row) ? 1 : truth.detected ? 2 : 3;
+}
 
 class VesselList {
   constructor(body, facts, choose) {
-    this.facts = facts;
-    this.rows = facts.vessels.map(({ name }, vessel) => {
+    Object.assign(this, { body, facts, order: null, falling: false, frozen: false, shown: [] });
+    this.rows = facts.vessels.map(({ name, label }, vessel) => {
       const button = element('button', { type: 'button', title: name }, swatchOf(facts.colours.vessels[vessel]), name);
       button.addEventListener('click', () => choose(vessel));
-      const cells = ['', '', ''].map(() => element('td'));
-      const row = element('tr', {}, element('td', {}, button), ...cells);
-      body.append(row);
-      return { row, button, cells };
+      const cells = ['', '', ''].map(() => element('td')), row = element('tr', {}, element('td', {}, button), ...cells);
+      return { vessel, name, text: `${name} ${label}`.toLowerCase(), row, button, cells, truth: undefined, found: undefined };
     });
+    $('find').addEventListener('input', () => this.arrange());
+    $('which').addEventListener('change', () => this.arrange());
+    for (const button of document.querySelectorAll('[data-order]')) button.addEventListener('click', () => this.sortBy(button.dataset.order));
+    this.arrange();
   }
 
-  show(frame, carrier) {
-    const { vessels } = this.facts, truths = new Map(frame.truths.map((truth) => [truth.vessel, truth]));
+  // Rising, then falling, then in the order of the scene.
+  sortBy(order) {
+    if (this.order !== order) [this.order, this.falling] = [order, false];
+    else if (!this.falling) this.falling = true;
+    else this.order = null;
+    for (const { dataset, parentElement: head } of document.querySelectorAll('[data-order]')) {
+      if (dataset.order === this.order) head.setAttribute('aria-sort', this.falling ? 'descending' : 'ascending');
+      else head.removeAttribute('aria-sort');
+    }
+    this.arrange();
+  }
+
+  // Which rows are there and in which order; rows that are where they should be are left alone.
+  arrange() {
+    const sought = $('find').value.trim().toLowerCase(), passes = FILTERS[$('which').value];
+    const kept = this.rows.filter((row) => row.text.includes(sought) && passes(row));
+    if (this.order) {
+      const key = ORDERS[this.order], sign = this.falling ? -1 : 1;
+      const compare = (a, b) => (typeof a === 'string' ? NAMES.compare(a, b) : a === b ? 0 : a - b);
+      // Vessels that are not in the image stay at the end, whichever way the others are sorted.
+      kept.sort((a, b) => (this.order === 'name' ? 0 : !a.truth - !b.truth) || sign * compare(key(a), key(b)) || a.vessel - b.vessel);
+    }
+    $('listed').textContent = kept.length < this.rows.length ? `${kept.length} of ${this.rows.length}` : '';
+    if (kept.length === this.shown.length && kept.every((row, i) => row === this.shown[i])) return;
+    this.shown = kept;
+    const focused = document.activeElement;
+    this.body.replaceChildren(...kept.map(({ row }) => row));
+    if (this.body.contains(focused)) focused.focus({ preventScroll: true });
+  }
+
+  // While a run plays, rows stay where they are; they are sorted and filtered anew when it pauses.
+  show(frame, carrier, playing) {
+    const truths = new Map(frame.truths.map((truth) => [truth.vessel, truth]));
     const detections = new Map(frame.detections.filter((each) => !each.false).map((each) => [each.vessel, each]));
-    this.rows.forEach(({ row, cells }, vessel) => {
-      const truth = truths.get(vessel), found = detections.get(vessel);
-      const away = vessels[vessel].name === carrier ? 'carries the camera' : 'not in the image';
-      const texts = truth ? describe(truth, found) : ['', '', away];
-      row.classList.toggle('away', !truth);
-      row.classList.toggle('wrong', Boolean(truth?.missed || found?.mislabelled || found?.bad));
-      texts.forEach((text, i) => { if (cells[i].textContent !== text) cells[i].textContent = text; });
-    });
+    for (const each of this.rows) {
+      const truth = each.truth = truths.get(each.vessel), found = each.found = detections.get(each.vessel);
+      const texts = truth ? describe(truth, found) : ['', '', each.name === carrier ? 'carries the camera' : 'not in the image'];
+      each.row.classList.toggle('away', !truth);
+      each.row.classList.toggle('wrong', isWrong(each));
+      texts.forEach((text, i) => { if (each.cells[i].textContent !== text) each.cells[i].textContent = text; });
+    }
+    if (!playing && (this.order || $('which').value !== 'all')) this.arrange();
   }
 
   // `chosen` is in the close-up, `followed` was asked for.
   mark(chosen, followed) {
-    this.rows.forEach(({ row, button }, vessel) => {
+    for (const { vessel, row, button } of this.rows) {
       row.classList.toggle('chosen', vessel === chosen);
+      row.classList.toggle('followed', vessel === followed);
       button.setAttribute('aria-pressed', vessel === followed);
-    });
+    }
+  }
+
+  // Scroll the list, and not the page, to a vessel.
+  reveal(vessel) {
+    const { row } = this.rows[vessel], panel = this.body.closest('.vesselRows');
+    const { top, bottom } = row.getBoundingClientRect(), seen = panel.getBoundingClientRect();
+    if (!row.isConnected || (top >= seen.top + row.offsetHeight && bottom <= seen.bottom)) return;
+    panel.scrollTop += top - seen.top - 2 * row.offsetHeight;
   }
 }

@@ -1,0 +1,54 @@
+// The row of controls that steps from one moment of a kind to the next.
+
+const MOST_LISTED = 1000;
+
+class MomentControls {
+  constructor(player) {
+    Object.assign(this, { player, moments: player.moments, kind: null });
+    $('kind').addEventListener('change', () => this.lookFor($('kind').value));
+    $('moment').addEventListener('change', () => {
+      if ($('moment').value) player.goTo(this.moments.choose(Number($('moment').value)));
+    });
+  }
+
+  of(kind) { return this.moments.of(this.player.camera, kind, this.player.timeline.summary); }
+
+  // The kinds of moments that the camera has.
+  fill() {
+    const kinds = KINDS.filter(({ kind }) => this.of(kind).length);
+    $('kind').replaceChildren(...kinds.map(({ kind, name, key }) => new Option(`${name}: ${this.of(kind).length}  [${key.toUpperCase()}]`, kind)));
+    $('momentRow').hidden = !kinds.length;
+    if (kinds.length) this.lookFor(kinds.some(({ kind }) => kind === this.kind) ? this.kind : kinds[0].kind);
+  }
+
+  lookFor(kind) {
+    const { camera, timeline } = this.player;
+    this.kind = kind;
+    $('kind').value = kind;
+    const list = this.moments.look(camera, kind, timeline.summary), shown = list.slice(0, MOST_LISTED);
+    const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
+    const more = list.length > MOST_LISTED ? ` (the first ${MOST_LISTED})` : '';
+    $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);
+    for (const [button, which] of [['previous', 'Previous'], ['next', 'Next']]) {
+      const text = `${which} ${kindOf(kind).one}`, [element] = document.querySelectorAll(`[data-do=${button}]`);
+      element.title = `${text} (${which === 'Next' ? 'N' : 'B'})`;
+      element.setAttribute('aria-label', text);
+    }
+  }
+
+  // Go to the next (1) or the previous (−1) moment of a kind, or of the chosen one; say so if there is none.
+  seek(by, kind = this.kind) {
+    const { player } = this;
+    if (!kind || !this.of(kind).length) return say(kind ? `${player.pane.facts.name} has no ${kindOf(kind).one}` : 'There are no moments to look for');
+    if (kind !== this.kind) this.lookFor(kind);
+    const found = this.moments.from(player.index, by);
+    if (found) player.goTo(found);
+    else say(`This is the ${by > 0 ? 'last' : 'first'} ${kindOf(kind).one}`);
+  }
+
+  // Mark in the list the moment whose first frame is shown.
+  show(index) {
+    const { list, place } = this.moments, chosen = list[place]?.index === index ? `${place}` : '';
+    if ($('moment').value !== chosen) $('moment').value = chosen;
+  }
+}

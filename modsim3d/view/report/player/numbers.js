@@ -1,0 +1,104 @@
+// The table below the picture: every number of the truth and of the detections of one frame, to read and to copy.
+
+const WHOLE_IMAGE = 65534;
+const SIDES = ['x_min_px', 'y_min_px', 'x_max_px', 'y_max_px'];
+
+// The columns are named as in truth.parquet and detections.parquet.
+const TRUTH_COLUMNS = [
+  ['vessel', (row) => row.name], ['label', (row) => row.label],
+  ...['full', 'visible'].flatMap((which) => SIDES.map((side, i) => [`${which}_${side}`, (row) => row[which] && fixed(row[which][i], 1)])),
+  ['silhouette_px', (row) => fixed(row.silhouettePx, 1)], ['visible_px', (row) => fixed(row.visiblePx, 1)],
+  ['visible_fraction', (row) => fixed(row.visibleFraction, 4)], ['in_frame_fraction', (row) => fixed(row.inFrame, 4)],
+  ['depth_m', (row) => fixed(row.depth, 2)], ['occluded_by', (row) => row.hiders.map(({ name, px }) => `${name}: ${fixed(px, 1)}`).join(', ')],
+  ['annotated', (row) => row.annotated], ['detected', (row) => row.detected],
+];
+const DETECTION_COLUMNS = [
+  ['detection', (_, place) => place], ['label', ({ label }) => label], ['confidence', ({ confidence }) => fixed(confidence, 3)],
+  ...SIDES.map((side, i) => [side, ({ box }) => fixed(box[i], 1)]),
+  ['state', ({ state }) => state], ['kind', ({ kind }) => kind], ['vessel', ({ name }) => name], ['iou', ({ iou }) => iou], ['outcome', (row) => row.outcome],
+];
+
+// Without trailing zeros; nothing for what is not known.
+function fixed(value, digits) { return value === null || Number.isNaN(value) ? null : Number(value.toFixed(digits)); }
+
+function truthRows(recording, frame) {
+  return frame.truths.toReversed().map((truth) => {
+    const numbers = recording.numbers(truth.row), { silhouettePx, hiddenPx } = numbers;
+    const visiblePx = silhouettePx - hiddenPx, visibleFraction = silhouettePx > 0 ? visiblePx / silhouettePx : null;
+    return { ...recording.facts.vessels[truth.vessel], ...truth, ...numbers, visiblePx, visibleFraction };
+  });
+}
+
+function detectionRows(recording, frame) {
+  const state = recording.state(frame.index, frame.camera);
+  return frame.detections.map((each) => {
+    const truth = each.false ? null : frame.truths.find(({ vessel }) => vessel === each.vessel);
+    const outcome = each.false ? 'false alarm' : wordsFor(each).join(', ') || 'right';
+    return { ...each, state, outcome, name: each.vessel === null ? null : recording.facts.vessels[each.vessel].name, iou: truth && iouInWords(each, truth) };
+  });
+}
+
+function cellText(value) { return value === null || value === undefined ? '' : `${value}`; }
+
+// Tab-separated, as spreadsheets take it; a tab or a line break in a name would be another cell.
+function separated(columns, rows) {
+  const clean = (value) => cellText(value).replace(/[\t\r\n]+/g, ' ');
+  return [columns.map(([name]) => name), ...rows.map((row, i) => columns.map(([, value]) => clean(value(row, i))))].map((line) => line.join('\t')).join('\n');
+}
+
+class Numbers {
+  constructor(player) {
+    this.player = player;
+    this.panel = $('numbers');
+    this.panel.addEventListener('toggle', () => this.show(player.frameOf(player.pane)));
+    $('numbersCopy').addEventListener('click', () => this.copy());
+  }
+
+  // While the run plays, the tables stay those of the frame at which it began to.
+  show(frame) {
+    const { player } = this;
+    if (!this.panel.open || player.playing) return;
+    const { recording, facts: { name } } = player.pane, { timestamps, steps } = recording.facts;
+    this.truths = truthRows(recording, frame);
+    this.detections = detectionRows(recording, frame);
+    $('numbersOf').textContent = [`${name}, ${timestamps[frame.index]} s, step ${steps[frame.index]}`, recording.age(frame.index, frame.camera)].filter((word) => word).join(', ');
+    this.fill($('numbersTruth'), TRUTH_COLUMNS, this.truths);
+    this.fill($('numbersDetections'), DETECTION_COLUMNS, this.detections);
+    this.mark();
+  }
+
+  toggle() {
+    this.panel.open = !this.panel.open;
+    if (this.panel.open) this.panel.scrollIntoView({ block: 'nearest' });
+  }
+
+  fill(table, columns, rows) {
+    const cells = (row, i) => columns.map(([, value]) => {
+      const made = value(row, i);
+      return element('td', { textContent: cellText(made), className: typeof made === 'number' ? 'number' : '' });
+    });
+    const head = element('tr', {}, ...columns.map(([name]) => element('th', { scope: 'col', textContent: name })));
+    table.tHead.replaceChildren(head);
+    table.tBodies[0].replaceChildren(...rows.map((row, i) => {
+      const line = element('tr', {}, ...cells(row, i));
+      line.addEventListener('click', () => { // not where text was marked
+        if (getSelection().isCollapsed) this.player.choose(row.false ? null : row.vessel, row.false ? i : null);
+      });
+      return line;
+    }));
+  }
+
+  // The rows of what is chosen.
+  mark() {
+    const { followed, alarm } = this.player, rows = (id) => [...$(id).tBodies[0].rows];
+    rows('numbersTruth').forEach((row, i) => row.classList.toggle('chosen', this.truths[i].vessel === followed));
+    rows('numbersDetections').forEach((row, i) => {
+      const { vessel, false: wrong } = this.detections[i];
+      row.classList.toggle('chosen', wrong ? alarm === i : vessel === followed);
+    });
+  }
+
+  copy() {
+    copyText(`${$('numbersOf').textContent}\n\n${separated(TRUTH_COLUMNS, this.truths)}\n\n${separated(DETECTION_COLUMNS, this.detections)}\n`, 'The numbers of this frame');
+  }
+}
