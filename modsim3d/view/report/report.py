@@ -12,11 +12,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import orjson
-
 from modsim3d.errors import RunDirectoryError
-from modsim3d.outputs.placing import write_files
-from modsim3d.runs.run_rows import RunRows
+from modsim3d.outputs.placing import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.pages.page import heading, table
@@ -28,16 +25,21 @@ from modsim3d.view.report.count_tables import (
     DetectorCounts,
     named_values,
 )
-from modsim3d.view.report.player_recording import recording
+from modsim3d.view.report.player_recording import Recording, recording
+from modsim3d.view.report.recording_html import part_files, recording_html
 
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
+FILES = " 'self' file:"
+"""Where the scripts of parts in files come from: beside the page, on a server or on a disk."""
 LOUD_SHARE = 0.1
 """A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
 SCRIPTS = (
     "elements.js",
     "words.js",
+    "columns.js",
+    "overview.js",
     "recording.js",
     "picture.js",
     "track_picture.js",
@@ -63,6 +65,8 @@ def write_report(
     every: int = 1,
     progress: Callable[[int], None] = lambda steps: None,
     followed: FollowedTracks | None = None,
+    *,
+    in_files: bool = False,
 ) -> Path:
     """Write the page of a run and return its file; the same run gives the same bytes.
 
@@ -72,10 +76,12 @@ def write_report(
         every: Show every K-th step; the tables count all of them.
         progress: Called with the number of shown steps done since its last call.
         followed: The tracks of a tracker, for lanes below the timeline; none if None.
+        in_files: Write the parts of the recording into files in `parts_folder(out)`, which the page reads when it needs
+            them, and not into the page.
 
     Raises:
-        RunDirectoryError: An interrupted run has kept nothing yet.
-        OutputError: The file cannot be written.
+        RunDirectoryError: An interrupted run has kept nothing yet, or the tables are not what a run has written.
+        OutputError: A file cannot be written.
     """
     if not run.steps:
         raise RunDirectoryError(
@@ -83,35 +89,51 @@ def write_report(
             "go on with modsim3d run --resume"
         )
     out = run.folder / REPORT_FILE if out is None else out
-    page = _page(run, every, out, progress, followed)
-    write_files({out: page})
+    counts = CountTables(run.scene)
+    frames = recording(run, every, progress, followed, count=counts.add)
+    folder = parts_folder(out) if in_files else None
+    page = _page(run, counts, frames, every, out, folder, followed)
+    if folder is None:
+        write_files({out: page})
+        return out
+    with put_folder_in_place(folder, "*-*.js") as partial:
+        for name, text in part_files(frames).items():
+            (partial / name).write_text(text, encoding="utf-8")
+        write_files({out: page})
     return out
 
 
+def parts_folder(page: Path) -> Path:
+    """The folder beside a page that has the parts of its recordings, if they are not in the page."""
+    return page.with_name(f"{page.stem}_parts")
+
+
 def _page(
-    run: StoredRun, every: int, out: Path, progress: Callable[[int], None], followed: FollowedTracks | None
+    run: StoredRun,
+    counts: CountTables,
+    frames: Recording,
+    every: int,
+    out: Path,
+    folder: Path | None,
+    followed: FollowedTracks | None,
 ) -> str:
-    rows = RunRows.of(run)
-    counts = CountTables(rows)
-    frames = recording(rows, every, progress, followed)
-    index, columns = frames.packed()
     script = "\n".join(map(_part, SCRIPTS))
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     parts = {
         "title": html.escape(f"{run.scene.name}: report of a run"),
         "name": html.escape(run.scene.name),
-        # No script but this one runs and nothing is fetched, whatever a vessel is called.
-        "policy": f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:",
+        # No script but this one and the parts' files runs and nothing is fetched, whatever a vessel is called.
+        "policy": f"default-src 'none'; script-src 'sha256-{digest}'{FILES if folder else ''}; "
+        "style-src 'unsafe-inline'; img-src data:",
         "style": _part("style.css") + (_part("lanes.css") if followed else ""),
-        "lead": html.escape(_lead(frames.facts)),
+        "lead": html.escape(_lead(run, every)),
         "sentence": f"\n  <p>{html.escape(followed.sentence())}</p>" if followed else "",
         "lanes": "\n" + _part("lanes.html").rstrip("\n") if followed else "",
         "track_key": " <kbd>K</kbd> tracks," if followed else "",
         "notes": _notes(run, every, out),
         "result": _result(counts.total),
         "tables": _tables(counts, run.settings),
-        "facts": _json_in_html({**frames.facts, "columns": index}),
-        "columns": columns,
+        "recordings": recording_html(frames, folder.name if folder else None),
         "script": script,
     }
     # In one pass: what is put in is not looked at again.
@@ -122,16 +144,11 @@ def _part(name: str) -> str:
     return (files("modsim3d.view.report") / "player" / name).read_text(encoding="utf-8")
 
 
-def _json_in_html(value: object) -> str:
-    """JSON that no HTML parser finds a tag in."""
-    text = orjson.dumps(value).decode("utf-8")
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-def _lead(facts: dict[str, Any]) -> str:
-    cameras, vessels = _count(len(facts["cameras"]), "simulated camera"), _count(len(facts["vessels"]), "vessel")
+def _lead(run: StoredRun, every: int) -> str:
+    scene, last = run.scene, (run.steps - 1) // every * every
+    cameras, vessels = _count(len(scene.cameras), "simulated camera"), _count(len(scene.vessels), "vessel")
     return (
-        f"What {cameras} saw of {vessels} in {facts['times'][-1]:g} s, and what a "
+        f"What {cameras} saw of {vessels} in {round(float(scene.times_s(0, last + 1)[-1]), 6):g} s, and what a "
         "simulated vessel detector made of it. The truth is known exactly, so each mistake of the detector is counted "
         "and marked."
     )

@@ -29,7 +29,8 @@ class Player {
     this.resize();
     this.fillKinds();
     this.home();
-    if (!this.fromAddress()) this.go(Math.max(0, this.timeline.summary.seen.findIndex((seen) => seen > 0)));
+    const { overview } = this.timeline;
+    if (!this.fromAddress()) this.go(overview.firstOf(Math.max(0, overview.seen.findIndex((seen) => seen > 0))));
   }
 
   get camera() { return this.pane.camera; }
@@ -58,8 +59,7 @@ class Player {
 
   // The kinds of moments that the camera has.
   fillKinds() {
-    const { summary } = this.timeline;
-    const count = ([kind]) => this.moments.look(this.camera, kind, summary).length, kinds = KINDS.filter(count);
+    const count = ([kind]) => this.moments.look(this.camera, kind).length, kinds = KINDS.filter(count);
     $('kind').replaceChildren(...kinds.map((kind) => new Option(`${kind[1]}: ${count(kind)}`, kind[0])));
     $('momentRow').hidden = !kinds.length;
     this.lookFor(kinds.some(([kind]) => kind === this.kind) ? this.kind : (kinds[0] ?? KINDS[0])[0]);
@@ -68,7 +68,7 @@ class Player {
   lookFor(kind) {
     this.kind = kind;
     $('kind').value = kind;
-    const list = this.moments.look(this.camera, kind, this.timeline.summary), shown = list.slice(0, MOST_LISTED);
+    const list = this.moments.look(this.camera, kind), shown = list.slice(0, MOST_LISTED);
     const options = shown.map((moment, place) => new Option(this.moments.text(moment), place));
     const more = list.length > MOST_LISTED ? ` (the first ${MOST_LISTED})` : '';
     $('moment').replaceChildren(new Option(`go to …${more}`, ''), ...options);
@@ -92,7 +92,7 @@ class Player {
     listenToKeys(this);
     for (const pane of this.panes) listenToPane(pane, this);
     const { timeline, lanes } = this;
-    const hint = { element: $('hint'), text: (x, y) => timeline.say(timeline.indexAt(x), timeline.vesselAt(y), this.camera) };
+    const hint = { element: $('hint'), text: (x, y) => timeline.say(timeline.indexAt(x), timeline.vesselAt(y)) };
     listenToTime(timeline.canvas, this, (y) => timeline.vesselAt(y), hint);
     if (!lanes) return;
     const laneHint = { element: $('laneHint'), text: (x, y) => lanes.hint(timeline.indexAt(x), lanes.laneAt(y), this.camera) };
@@ -101,10 +101,12 @@ class Player {
 
   // ---- steps and moments
 
+  // Show a step: at once if it is ready, or as soon as it is. Returns when it is shown.
   go(index) {
     this.index = Math.min(Math.max(index, 0), this.recording.length - 1);
     this.draw();
     this.lanes?.reveal(this.index);
+    return this.waiting;
   }
 
   step(by) { this.play(false); this.go(this.index + by); }
@@ -140,11 +142,12 @@ class Player {
   }
 
   // Show a moment, with its vessel close up; all of the image if it is out of sight.
-  goTo(moment) {
+  async goTo(moment) {
     if (!moment) return;
     this.play(false);
     this.followed = moment.vessel;
-    this.go(moment.index);
+    await this.go(moment.index);
+    if (this.index !== moment.index) return; // the user has gone on
     const found = this.recording.detections(this.index, this.camera).filter(moment.vessel === null ? (each) => each.false
       : (each) => each.vessel === moment.vessel && !each.false);
     const true_ = this.recording.truths(this.index, this.camera).filter(({ vessel }) => vessel === moment.vessel);
@@ -168,7 +171,7 @@ class Player {
     this.home();
   }
 
-  home() { this.pane.home(this.timeline.summary.rows); this.draw(); }
+  home() { this.pane.home(this.timeline.overview.rows); this.draw(); }
 
   whole() { this.pane.whole(); this.draw(); }
 
@@ -192,11 +195,36 @@ class Player {
     this.closeup.resize(this.pane);
     this.timeline.prepare(this.camera);
     this.lanes?.prepare(this.camera);
-    $('legend').replaceChildren(...legendOf(this.recording, this.timeline.summary));
+    $('legend').replaceChildren(...legendOf(this.recording, this.timeline.overview));
     this.draw();
   }
 
+  // What a step needs of each recording is made ready first.
   draw() {
+    const { index } = this, recordings = new Set(this.panes.map((pane) => pane.recording));
+    if (![...recordings].every((recording) => recording.ready(index))) {
+      this.waiting ??= this.makeReady(recordings);
+      return;
+    }
+    this.waiting = null;
+    this.drawFrame();
+    for (const recording of recordings) recording.prefetch(index);
+  }
+
+  async makeReady(recordings) {
+    try {
+      for (let index = -1; index !== this.index;) { // until the step is still the wanted one when it is ready
+        index = this.index;
+        await Promise.all([...recordings].map((recording) => recording.load(index)));
+      }
+      this.draw();
+    } catch (error) {
+      this.waiting = null;
+      showFailure(error);
+    }
+  }
+
+  drawFrame() {
     const started = performance.now(), { recording, index, pane } = this;
     recording.rowsRead = 0;
     const frames = this.panes.map((each) => each.frame(index)), frame = frames[this.panes.indexOf(pane)];
